@@ -31,7 +31,7 @@ def settings_of(case: str, service: str) -> list[str]:
     """Return the options of `telenano up` for a case."""
     if case == BASELINE:
         return []
-    from library_doubles import build
+    from telenano_haptic_devices.doubles.libraries import build
 
     kind = case.partition(" ")[0]
     wire = f"haply.service={service}" if kind == "haply" else f"{kind}.library={build(kind)}"

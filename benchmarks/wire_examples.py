@@ -11,6 +11,6 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "contract"))
 
 def ordinary_example(topic: str) -> Message:
     """Return the ordinary example of a topic."""
-    from wire_contract import examples
+    from telenano.testing.examples import examples
 
     return examples(TOPICS[topic])["ordinary"]

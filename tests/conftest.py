@@ -1,4 +1,4 @@
-"""What every test shares: seeded property tests without a time limit on single examples, and recordings to read."""
+"""What every test shares: seeded property tests without a time limit on single examples, and the closed loop."""
 
 import gc
 import sys
@@ -6,11 +6,10 @@ import zlib
 from collections.abc import Iterator
 
 import pytest
-from closed_loops import loop, plain_loop
+from closed_loops import loop
 from hypothesis import HealthCheck, settings
-from recorded_sessions import recording_of
 
-__all__ = ["loop", "plain_loop", "recording_of"]
+__all__ = ["loop"]
 
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(

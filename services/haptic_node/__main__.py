@@ -18,10 +18,11 @@ from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
     """Build the node with its device."""
-    return HapticNode(context, config, _device(config, context.period_s))
+    return HapticNode(context, config, device_of(config, context.period_s))
 
 
-def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
+def device_of(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
+    """Return the driver that a configuration names, not yet open."""
     if config.in_lockstep:
         return config.to_simulated_device()
     if (driver := DRIVERS.find(config.driver)) is not None:

@@ -11,6 +11,11 @@ if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
+    from telenano.afm.contact.tip_sample import branch_force as branch_force
+    from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
+    from telenano.afm.disturbances import noise_start as noise_start
+    from telenano.afm.disturbances import noise_step as noise_step
+    from telenano.afm.disturbed import piezo_params as piezo_params
     from telenano.afm.dynamic import damping_at as damping_at
     from telenano.afm.dynamic_sim import settled_tip as settled_tip
     from telenano.afm.felt import ChannelName as ChannelName
@@ -25,6 +30,8 @@ if TYPE_CHECKING:
     from telenano.afm.part import register_part as register_part
     from telenano.afm.programs.curve import CurveSettings as CurveSettings
     from telenano.afm.programs.scan import ScanSettings as ScanSettings
+    from telenano.afm.safety import MODE_HOLD as MODE_HOLD
+    from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sample.surface_files import read_surface as read_surface
     from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig

@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.analysis.fig12 import SessionSeries as SessionSeries
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
     from telenano.analysis.intervals import half_width as half_width
     from telenano.analysis.intervals import wilson as wilson
     from telenano.analysis.mean_interval import mean_half_width as mean_half_width
     from telenano.analysis.report import Session as Session
+    from telenano.analysis.verdict import Kind as Kind
 else:
     __getattr__, __dir__ = face(__name__)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from telenano.devices.afm.modbus_driver import ModbusAfm as ModbusAfm
     from telenano.devices.afm.modbus_frames import FeedbackRequest as FeedbackRequest
     from telenano.devices.afm.modbus_line import Line as Line
+    from telenano.devices.afm.register_map import read_map as read_map
     from telenano.devices.afm.tcp_driver import TcpDriver as TcpDriver
     from telenano.devices.afm.virtual_instrument import VirtualInstrument as VirtualInstrument
     from telenano.devices.hand.calibration import HandleCalibration as HandleCalibration

@@ -8,5 +8,6 @@ if TYPE_CHECKING:
     from telenano.launcher.plan import anchored as anchored
     from telenano.launcher.plan import check_sections as check_sections
     from telenano.launcher.rigs import running_rigs as running_rigs
+    from telenano.launcher.scenario_keys import all_keys as all_keys
 else:
     __getattr__, __dir__ = face(__name__)

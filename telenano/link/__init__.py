@@ -7,7 +7,9 @@ from telenano.faces import face
 if TYPE_CHECKING:
     from telenano.link.config import LinkSettings as LinkSettings
     from telenano.link.direction import DirectionEngine as DirectionEngine
+    from telenano.link.fate import Direction as Direction
     from telenano.link.models.outages import Outages as Outages
+    from telenano.link.profiles import Profile as Profile
     from telenano.link.profiles import profile_named as profile_named
     from telenano.link.random_streams import stream as stream
 else:

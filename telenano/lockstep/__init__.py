@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.lockstep.link import MESSAGE_BYTES as MESSAGE_BYTES
     from telenano.lockstep.link import Schedule as Schedule
+    from telenano.lockstep.link import schedule_from as schedule_from
     from telenano.lockstep.lockstep import Rig as Rig
     from telenano.lockstep.steering import HandSteps as HandSteps
     from telenano.lockstep.trajectory import Trajectory as Trajectory

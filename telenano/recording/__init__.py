@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from telenano.recording.arrays import last_force_profile as last_force_profile
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
+    from telenano.recording.export import export_recording as export_recording
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import write_mcap as write_mcap
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
@@ -20,10 +21,12 @@ if TYPE_CHECKING:
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
     from telenano.recording.rewrite import CopyResult as CopyResult
+    from telenano.recording.rewrite import filter_recording as filter_recording
     from telenano.recording.session_folder import SessionFolder as SessionFolder
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.tables import columns_of as columns_of
     from telenano.recording.tolerance import Tolerances as Tolerances
+    from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
 else:
     __getattr__, __dir__ = face(__name__)

@@ -6,6 +6,9 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.runtime.bus.address_book import AddressBook as AddressBook
+    from telenano.runtime.bus.bus import ConnectionEvent as ConnectionEvent
+    from telenano.runtime.bus.bus import Subscriber as Subscriber
+    from telenano.runtime.byte_link import ByteLink as ByteLink
     from telenano.runtime.byte_link import ByteLinkProcess as ByteLinkProcess
     from telenano.runtime.link_node import TRAIN as TRAIN
     from telenano.runtime.loop.commands import Command as Command
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
     from telenano.runtime.loop.own_process import start_process as start_process
     from telenano.runtime.security.access_control import AccessControl as AccessControl
     from telenano.runtime.security.keyring import KeyPair as KeyPair
+    from telenano.runtime.security.keyring import Keyring as Keyring
     from telenano.runtime.wiring.link_transports import LinkSide as LinkSide
     from telenano.runtime.wiring.link_transports import LinkTransport as LinkTransport
     from telenano.runtime.wiring.main import beside_the_loop as beside_the_loop

@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from telenano.settings.included import DEMO_RECORDING as DEMO_RECORDING
     from telenano.settings.included import TWO_SITES_FILE as TWO_SITES_FILE
     from telenano.settings.included import find_scenario as find_scenario
+    from telenano.settings.named_instruments import instrument_named as instrument_named
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import load as load
     from telenano.settings.scenario import LoadedScenario as LoadedScenario
+    from telenano.settings.scenario import Scenario as Scenario
 else:
     __getattr__, __dir__ = face(__name__)

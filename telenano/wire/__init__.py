@@ -32,13 +32,17 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
     from telenano.wire.messages import Lengths as Lengths
+    from telenano.wire.messages import LinkClock as LinkClock
     from telenano.wire.messages import LinkDelay as LinkDelay
+    from telenano.wire.messages import LinkFate as LinkFate
+    from telenano.wire.messages import LinkFates as LinkFates
     from telenano.wire.messages import LinkStatus as LinkStatus
     from telenano.wire.messages import Message as Message
     from telenano.wire.messages import Name as Name
     from telenano.wire.messages import NodeHealth as NodeHealth
     from telenano.wire.messages import Record as Record
     from telenano.wire.messages import Scalar as Scalar
+    from telenano.wire.messages import SessionEvent as SessionEvent
     from telenano.wire.messages import TeleopBackward as TeleopBackward
     from telenano.wire.messages import about as about
     from telenano.wire.network_messages import LinkKey as LinkKey
@@ -49,6 +53,7 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
+    from telenano.wire.topics import OWN_TOPICS as OWN_TOPICS
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic
 else:

@@ -5,13 +5,13 @@ from typing import Any
 
 import msgpack
 import msgspec
-from wire_contract import examples
 
 from telenano.recording.provenance import write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.testing.examples import examples
 from telenano.wire import encode
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

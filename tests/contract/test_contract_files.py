@@ -9,15 +9,9 @@ import msgpack
 import msgspec
 import pytest
 import spec_client
-from wire_contract import (
-    CASES,
-    FOLDER,
-    WITH_OPTIONAL,
-    artefacts,
-    has_optional_keys,
-    present_fields,
-)
+from wire_contract import FOLDER, artefacts, present_fields
 
+from telenano.testing.examples import CASES, WITH_OPTIONAL, has_optional_keys
 from telenano.wire import decode, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import Record

@@ -9,7 +9,6 @@ import pytest
 import zmq
 from sample_recording import write_sample
 from typer.testing import CliRunner
-from wire_contract import examples
 
 from telenano.cli.root import app
 from telenano.recording.export import export_recording
@@ -21,6 +20,7 @@ from telenano.recording.rewrite import CopyWriter, merge_recordings
 from telenano.recording.summary_section import quick_info
 from telenano.recording.verify import verify
 from telenano.runtime.bus.bus import Subscriber
+from telenano.testing.examples import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import compose, decode, encode
 from telenano.wire.codec import MAX_PLAIN_BYTES, WireError, accept, decode_header, fields_of, read_header

@@ -8,8 +8,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from wire_contract import FOLDER, range_table, schema_of, topic_table
+from wire_contract import FOLDER, range_table, topic_table
 
+from telenano.testing.examples import schema_of
 from telenano.wire import Topic, instrument, journal_messages, messages, network_messages
 from telenano.wire.codec import MAX_MESSAGE_BYTES, MOST_BYTES, Reason
 from telenano.wire.messages import MAX_KEYS, Message, Record

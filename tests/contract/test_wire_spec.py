@@ -13,7 +13,6 @@ import spec_client
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
-from wire_contract import examples
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Subscriber
@@ -22,6 +21,7 @@ from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.transport import Transport
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.included import SITE_DIRECTORY
+from telenano.testing.examples import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.messages import AfmScanline, Array, Record, SessionControl

@@ -1,13 +1,6 @@
-"""How tests run the closed loop of `telenano.lockstep`: as plain Python, or compiled where a law would be noticed."""
+"""How tests run the closed loop of `telenano.lockstep`: compiled where a law would be noticed, else as plain Python."""
 
 import pytest
-
-
-@pytest.fixture
-def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the closed loop as plain Python: the same bits, and one session takes less time than compiling the loop."""
-    monkeypatch.setattr("telenano.lockstep.lockstep.compiled_call", lambda step, given: step(*given))
-    monkeypatch.setattr("telenano.lockstep.lockstep.is_compiled", lambda step, given: False)
 
 
 @pytest.fixture

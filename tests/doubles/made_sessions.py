@@ -11,9 +11,9 @@ from typing import Any
 import msgpack
 import msgspec
 import numpy as np
-from wire_contract import examples
 
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.testing.examples import examples
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.ends import end_data

@@ -3,23 +3,16 @@
 import select
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
-
-import msgspec
-from free_ports import free_ports
-from wire_contract import examples
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security.keyring import Keyring, Role
 from telenano.runtime.wiring.transport import Transport, open_context
-from telenano.testing import VirtualClock
-from telenano.wire import Message, encode
+from telenano.testing import VirtualClock, free_ports, payload
 from telenano.wire.received import Received
-from telenano.wire.topics import TOPICS
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000
@@ -44,16 +37,6 @@ def two_machine_book(folder: Path, **more: Any) -> AddressBook:
 def port_of(book: AddressBook, node: str) -> int:
     """Return the port of a node."""
     return int((book.network_endpoint(node) or "").rpartition(":")[2])
-
-
-def payload(topic: str, src: str, seq: int) -> bytes:
-    """Return a message of a topic as it is on the wire."""
-    return encode(msgspec.structs.replace(_example(topic), src=src, seq=seq))
-
-
-@cache
-def _example(topic: str) -> Message:
-    return examples(TOPICS[topic])["ordinary"]
 
 
 class Machine:

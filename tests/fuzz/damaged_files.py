@@ -11,7 +11,7 @@ import time
 import traceback
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,34 +25,15 @@ HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (8, 8)).astype("<f4")
 # --- whole files, as small as they can be ---
 
 
-def wave(
-    values: Any, *, unit: str = "m", side_unit: str = "m", labels: tuple[tuple[int, str], ...] = (), note: str = ""
-) -> bytes:
-    """Return an Igor binary wave of version 5; labels as (dimension, label)."""
-    data = np.asarray(values, "<f4").tobytes(order="F")
-    texts = [b"".join(text.encode().ljust(32, b"\0") for at, text in labels if at == place) for place in range(4)]
-    texts = [b"\0" * 32 + text if text else b"" for text in texts]
-    sides = [*np.shape(values), 0, 0, 0][:4]
-    head = bytearray(384)
-    struct.pack_into(
-        "<hhiiii4i4i3i", head, 0, 5, 0, 320 + len(data), 0, len(note), 0, 0, 0, 0, 0, *map(len, texts), 0, 0, 0
-    )
-    struct.pack_into("<ih", head, 76, int(np.prod(np.shape(values))), 2)
-    struct.pack_into("<4i4d", head, 132, *sides, 1e-8, 1e-8, 1.0, 1.0)
-    struct.pack_into("<4s", head, 212, unit.encode())
-    for place in range(2):
-        struct.pack_into("<4s", head, 216 + 4 * place, side_unit.encode())
-    # the sum of the sixteen-bit words of both headers is zero
-    total = sum(struct.unpack("<192h", bytes(head)))
-    struct.pack_into("<H", head, 2, -total & 0xFFFF)
-    return bytes(head) + data + note.encode() + b"".join(texts)
-
-
 def map_wave() -> bytes:
+    from maker_files import wave
+
     return wave(HEIGHTS[:, :, None], labels=((2, "HeightTrace"),))
 
 
 def curve_wave() -> bytes:
+    from maker_files import wave
+
     base = np.concatenate([np.linspace(0, 1e-7, 20), np.linspace(1e-7, 0, 20)])
     columns = np.stack([base, 0.1 * base, base], axis=1)
     note = "SpringConstant:1.5\rIndexes:0,19,39"
@@ -225,33 +206,6 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "plan.yaml": copy_of("packages/telenano-experiments/telenano_experiments/plans/delay_and_law.yaml"),
     "key.key_secret": lambda path: path.write_bytes(key()),
 }
-
-
-# --- damage ---
-
-
-def damaged(whole: bytes, seed: int, count: int) -> Iterator[bytes]:
-    """Yield a file with bits flipped, a number at its end, or cut, lengthened, zeroed or doubled in parts."""
-    random = np.random.default_rng(seed)
-    for number in range(count):
-        content = bytearray(whole)
-        at = int(random.integers(len(content)))
-        match number % 6:
-            case 0:
-                for place in random.integers(len(content), size=int(random.integers(1, 6))):
-                    content[place] ^= 1 << int(random.integers(8))
-            case 1:
-                extreme = (0xFFFFFFFF, 0x7FFFFFFF, 0x80000000, 0)[int(random.integers(4))]
-                content[at : at + 4] = struct.pack("<I", extreme)
-            case 2:
-                del content[at:]
-            case 3:
-                content += random.bytes(at + 1)
-            case 4:
-                content[at : at + 40] = bytes(40)
-            case _:
-                content[at:at] = content[at : at + 64]
-        yield bytes(content)
 
 
 # --- the process that reads ---

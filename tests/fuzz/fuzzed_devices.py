@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from controller_line import Gwyscope, Nanonis
-from handle_line import Line
-from servo_bench import MemoryConversation, VirtualTime
-from stage_line import StageLine
 from telenano_afm_controllers import gwyscope_wire, nanonis_wire
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
+from telenano_emulators.handle_line import HandleLine
+from telenano_emulators.stage_line import StageLine
 from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.coupling import ZERO, CouplingSettings
+from telenano_haptic_devices.doubles.servo_bench import MemoryConversation, VirtualTime
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.servo import ServoCommand
@@ -136,7 +136,7 @@ def _controller(build: Callable[[], Any], odd: Callable[[random.Random, bytes], 
 
 
 def _handle(source: random.Random) -> str:
-    line = Line()
+    line = HandleLine()
     line.to_host = _often(source, _odd_handle)
     told = ""
     try:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import zmq
-from fuzz_frames import Frames, stream
 
 from services.afm_node.node import AfmNode
 from services.controller.__main__ import half_of_site
@@ -47,6 +46,7 @@ from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
+from telenano.testing.frames import Frames, stream
 from telenano.wire import Message, compose
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import HAND, TIP

@@ -13,7 +13,8 @@ from typing import Any
 import damaged_files as files
 import numpy as np
 import pytest
-from command_line import run_apart
+
+from telenano.testing import damaged, run_apart
 
 Content = bytes | Callable[[Path], Any]
 ROOT = Path(__file__).parents[2]
@@ -239,7 +240,7 @@ def test_a_command_does_not_wait_for_a_pipe(
 ) -> None:
     pipe = tmp_path / "file.yaml"
     os.mkfifo(pipe)
-    recording = recording_of("fig12_wave") if "{recording}" in command else None
+    recording = recording_of("wave") if "{recording}" in command else None
     words = [word.format(out=tmp_path / "out", recording=recording) for word in command]
     done = run_apart(*words, str(pipe), TELENANO_RUNTIME_DIR=str(tmp_path / "run"))
     assert done.returncode in (1, 2)
@@ -266,7 +267,7 @@ def outcomes_of_damage(tmp_path: Path, name: str, seed: int, count: int) -> list
     whole = tmp_path / name
     files.WRITE[name](whole)
     paths = []
-    for number, content in enumerate(files.damaged(whole.read_bytes(), seed, count)):
+    for number, content in enumerate(damaged(whole.read_bytes(), seed, count)):
         path = tmp_path / f"{number}{whole.suffix}"
         path.write_bytes(content)
         # the sound one is read in between, by the same process, and begins and ends

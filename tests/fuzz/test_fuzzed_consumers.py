@@ -24,7 +24,6 @@ from telenano_foxglove.bridge import Bridge as FoxgloveBridge
 from telenano_lsl.bridge import MARKERS, STATES, LslBridge, Sample, Stream
 from telenano_ros2.bridge import Ros2Bridge
 from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
-from wire_contract import examples
 
 from services.recorder.intake import Intake
 from services.viz_node.document import RecordingDocument
@@ -43,6 +42,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
 from telenano.testing import VirtualClock
+from telenano.testing.examples import examples
 from telenano.wire import encode
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

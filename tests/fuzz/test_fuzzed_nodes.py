@@ -10,10 +10,10 @@ from typing import Any
 import fuzzed_nodes
 import msgpack
 import pytest
-from fuzz_frames import Frames, stream
-from law_loop import TRIED_LAWS as LAWS
-from wire_contract import examples
+from tried_laws import TRIED_LAWS as LAWS
 
+from telenano.testing.examples import examples
+from telenano.testing.frames import Frames, stream
 from telenano.wire import encode
 from telenano.wire.codec import accept
 from telenano.wire.sequence import MOST_COUNTED

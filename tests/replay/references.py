@@ -22,7 +22,6 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
-import yaml
 from in_memory import InMemory
 
 from telenano.laws.config import LAWS, OWN_LAWS
@@ -30,7 +29,6 @@ from telenano.numerics.compiler import compiled_form, is_step
 from telenano.recording.reader import Recording
 from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun
-from telenano.settings import find_scenario
 from telenano.virtual import LINK_NODE, NODES, record_session
 
 FOLDER = Path(__file__).resolve().parent
@@ -46,17 +44,13 @@ class Reference(NamedTuple):
     """What a session is made of.
 
     Attributes: law; forward and backward, what the link does in either direction, backward as forward where it is
-    None; seed, of all delays on the sites; duration_s, until the nodes stop [s]; scenario, one of the project's by its
-    name, or the short one of the virtual rig; session_s, the duration of that scenario's programme [s].
+    None; seed, of all delays on the sites. The scenario is the short one of the virtual rig.
     """
 
     law: str
     forward: Mapping[str, Any]
     seed: int
     backward: Mapping[str, Any] | None = None
-    duration_s: float = 1.5
-    scenario: str = ""
-    session_s: float = 1.0
 
 
 # one for each law, and one for the link: together all that a link does to messages
@@ -125,11 +119,6 @@ REFERENCES = {
 }
 # the laws of the core, and two of a package that have been here from the beginning
 REFERENCED = (*OWN_LAWS, "model_mediated", "smith")
-# recordings for whoever needs one to read: the first 1.1 s of Fig. 12 over a link of 4 ms, under each law
-EXAMPLES = {
-    f"fig12_{law}": Reference(law, {"delay_s": 0.004}, 1, duration_s=2.0, scenario="fig12", session_s=1.1)
-    for law in REFERENCED
-}
 # what the nodes say to one another: health and journals tell of the process, events are sentences
 DIGESTED = (
     "haptic/state", "haptic/command", "teleop/forward", "teleop/backward", "afm/command", "afm/state", "law/status",
@@ -139,16 +128,12 @@ DIGESTED = (
 
 def record(name: str, folder: Path) -> Path:
     """Record a session in a folder, which is made."""
-    row = {**REFERENCES, **EXAMPLES}[name]
+    row = REFERENCES[name]
     forward, backward = dict(row.forward), dict(row.forward if row.backward is None else row.backward)
     settings = [f"controller.law={row.law}"]
     settings += [f"delay_node.{way}={json.dumps(does)}" for way, does in (("forward", forward), ("backward", backward))]
-    scenario = None
-    if row.scenario:
-        scenario = yaml.safe_load(find_scenario(row.scenario).read_text(encoding="utf-8"))
-        scenario["duration_s"] = row.session_s
     folder.mkdir(parents=True, exist_ok=True)
-    return record_session(folder, row.seed, settings, row.duration_s, scenario)
+    return record_session(folder, row.seed, settings)
 
 
 class Field(NamedTuple):

@@ -8,7 +8,6 @@ from typing import Any
 import msgpack
 import pytest
 from changed_fields import Case, cases_of, is_valid, with_examples, write_changed
-from command_line import run
 
 from services.viz_node.feed import Feed, Seen
 from telenano.analysis.recording_document import judged_recording
@@ -16,6 +15,7 @@ from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify
+from telenano.testing import run
 from telenano.virtual import NODES, record_session
 from telenano.wire.errors import RecordingError
 

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import run
 from interrupted_sessions import HOLD_S, InterruptedSession
 
 from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.rewrite import merge_recordings, split_recording
 from telenano.recording.verify import verify
+from telenano.testing import run
 
 # a tenth of a hold without samples is more than may be overlooked
 SHARE = 0.1

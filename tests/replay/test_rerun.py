@@ -47,8 +47,8 @@ SHORT_S = 1.3
 
 
 @pytest.fixture(scope="module")
-def path(recording_of: Callable[[str], Path]) -> Path:
-    return recording_of("virtual_impedance")
+def path(reference_of: Callable[[str], Path]) -> Path:
+    return reference_of("virtual_impedance")
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +66,9 @@ def test_there_is_a_reference_for_each_law_and_for_the_link() -> None:
 
 
 @pytest.mark.parametrize("name", REFERENCES)
-def test_a_reference_gives_the_digests_that_were_written(recording_of: Callable[[str], Path], name: str) -> None:
+def test_a_reference_gives_the_digests_that_were_written(reference_of: Callable[[str], Path], name: str) -> None:
     library, kept = read_digests()
-    found = digests_of(Recording(recording_of(name)))
+    found = digests_of(Recording(reference_of(name)))
     changed = differences(kept[name], found, same_bits=library == c_library())
     assert shortened(changed) == ["nothing changed"], "was it meant? then run python tests/replay/make_references.py"
 
@@ -166,9 +166,9 @@ ELSEWHERE = {
         for kind in ELSEWHERE
     ],
 )
-def test_another_processor_gives_the_same(recording_of: Callable[[str], Path], kind: str) -> None:
+def test_another_processor_gives_the_same(reference_of: Callable[[str], Path], kind: str) -> None:
     """Each node there says what it said here, given the same: so do all of them together."""
-    folder = {recording_of(name).parents[1] for name in REFERENCES}.pop()
+    folder = {reference_of(name).parents[1] for name in REFERENCES}.pop()
     command = [sys.executable, str(DIGESTS.with_name("references.py")), str(folder)]
     done = subprocess.run(command, env={**os.environ, **ELSEWHERE[kind]}, capture_output=True, text=True, timeout=250)
     assert done.returncode == 0, done.stderr

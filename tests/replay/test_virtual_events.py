@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from law_loop import TRIED_LAWS as LAWS
 from telenano_studies.loops.cells import Cell, rig_of
 from test_virtual_lockstep import (
     HAND_POINTS,
@@ -26,6 +25,7 @@ from test_virtual_lockstep import (
     differences,
     with_hand,
 )
+from tried_laws import TRIED_LAWS as LAWS
 
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule, last_together, schedule_from

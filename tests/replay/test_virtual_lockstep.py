@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from law_loop import TRIED_LAWS
 from telenano_studies.loops.cells import Cell, rig_of
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.validate import read_course, scenario_of
+from tried_laws import TRIED_LAWS
 
 from services.afm_node import node as afm_node
 from services.controller.slave_half import SlaveController

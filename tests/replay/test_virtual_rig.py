@@ -43,9 +43,9 @@ COMPARED = {
 
 
 @pytest.fixture(scope="module")
-def sessions(recording_of: Callable[[str], Path]) -> Callable[[str], Recording]:
+def sessions(reference_of: Callable[[str], Path]) -> Callable[[str], Recording]:
     """The session of each reference, read once."""
-    return cache(lambda name: InMemory(recording_of(name)))
+    return cache(lambda name: InMemory(reference_of(name)))
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPath
     folder = tmp_path_factory.mktemp("documents")
     for name, law in (("fig12", "virtual_impedance"), ("delay/0", "virtual_impedance"), ("delay/40", "wave")):
         (folder / "out" / name).mkdir(parents=True)
-        shutil.copy(recording_of(f"fig12_{law}"), folder / "out" / name / "session.mcap")
+        shutil.copy(recording_of(law), folder / "out" / name / "session.mcap")
     session = (folder / "out" / "fig12" / "session.mcap").read_bytes()
     for name in ("s", "session"):
         (folder / f"{name}.mcap").write_bytes(session)

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from free_ports import free_ports
 from stack_rig import ROOT
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_answer import Incoming
+
+from telenano.testing import free_ports
 
 PATIENCE_S = 60.0
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import msgspec
 from browser_page import PAGE_FOLDER
-from free_ports import free_ports
-from wire_contract import examples
 
+from telenano.testing import free_ports
+from telenano.testing.examples import examples
 from telenano.wire.topics import TOPICS
 
 TOKEN, OBSERVER_TOKEN = "operator-token-0123", "observer-token-0123"

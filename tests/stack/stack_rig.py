@@ -1,13 +1,7 @@
 """A real rig in a socket folder of its own."""
 
-import json
-import os
-import shutil
-import signal
 import subprocess
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,10 +16,10 @@ from telenano.analysis.fig12 import draw_fig12
 from telenano.analysis.report import Session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
+from telenano.testing.processes import PATIENCE_S, LiveRig
 from telenano.wire.messages import AfmState
 
-# far beyond what is expected: it only keeps a broken rig from holding the suite
-PATIENCE_S = 150.0
+__all__ = ["PATIENCE_S"]
 # a hand that takes up the sample and stays pressed onto it
 CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
 # the hand of the scenario fig12, which is over after 8 s, and then that push
@@ -109,45 +103,21 @@ def judged(summary: Mapping[str, Any], what: str) -> bool:
     return not cause
 
 
-class Rig:
-    """A `telenano up` in the background, and the commands of a person beside it."""
+class Rig(LiveRig):
+    """A rig of processes that this machine may hold up, and the commands of a person beside it."""
+
+    before_start = staticmethod(machine.usual_priority)
+    working_folder = ROOT
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.out = folder / "out"
-        # socket paths are short by law, pytest's folders are not
-        self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
-        self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
-        self.process: subprocess.Popen[str] | None = None
+        super().__init__(folder)
         self._recorded = Recorded()
 
     def start(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] | None = None) -> None:
         # the dwell of an image asks for the rate of its scenario
         if rate is None:
             rate = machine.LOWER_RATE if scenario == "fig12" else ()
-        # a test that runs a session again, because the machine held it up, keeps the last one
-        command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json", *rate, *arguments]
-        self.process = subprocess.Popen(
-            self.command(*command),
-            env=self.environment,
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=machine.usual_priority,
-        )
-
-    def finish(self) -> tuple[int, dict[str, Any], str]:
-        """Wait for the end; give exit code, summary and standard error."""
-        assert self.process is not None
-        out, err = self.process.communicate(timeout=PATIENCE_S)
-        return self.process.returncode, json.loads(out) if out.strip() else {}, err
-
-    def stop(self) -> tuple[int, dict[str, Any], str]:
-        """End the session as Ctrl-C does and wait for the end."""
-        assert self.process is not None
-        self.process.send_signal(signal.SIGINT)
-        return self.finish()
+        super().start(*rate, *arguments, scenario=scenario)
 
     def run(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] = ()) -> dict[str, Any]:
         """Run a session from beginning to end, at the rate of its scenario or another one, and give its summary."""
@@ -173,46 +143,9 @@ class Rig:
             machine.note(f"{scenario} {' '.join(rate)}: run again at a lower rate, because {cause}")
         return summary
 
-    def command(self, *arguments: str) -> list[str]:
-        return [sys.executable, "-m", "telenano", *arguments]
-
     def telenano(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run another telenano command beside the rig."""
         return COMMANDS.run(arguments, self.environment, patience_s)
-
-    def process_of(self, node: str) -> int | None:
-        """Give the process id of a node of this rig, e.g. controller@slave."""
-        name, _, site = node.partition("@")
-        for entry in Path("/proc").iterdir():
-            if not entry.name.isdigit():
-                continue
-            try:
-                words = (entry / "cmdline").read_bytes().decode().split("\0")
-            except OSError:
-                continue
-            if f"services.{name}" in words and site in words and str(self.out / "scenario.yaml") in words:
-                return int(entry.name)
-        return None
-
-    def process_ids(self) -> list[int]:
-        """Give the ids of all processes that run for this rig, its launcher included."""
-        found = []
-        for entry in Path("/proc").iterdir():
-            try:
-                words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
-            except OSError:
-                continue
-            # the process that reads the nodes for all observers knows their endpoints alone
-            if any(word.startswith((str(self.out), f"ipc://{self.sockets}")) for word in words):
-                found.append(int(entry.name))
-        return found
-
-    def kill(self, node: str) -> int:
-        """kill -9 a node and give its process id."""
-        process_id = self.process_of(node)
-        assert process_id is not None, f"{node} does not run"
-        os.kill(process_id, signal.SIGKILL)
-        return process_id
 
     def recording(self) -> Following:
         """Give what the recorder of the rig has written, up to now."""
@@ -227,42 +160,6 @@ class Rig:
         """Give how long the operator's force profile has run, by the newest state of the hand in the recording."""
         states = self.recording().messages("haptic/state")
         return float(states[-1].fields()["session_s"]) if states else -1.0
-
-    def logs(self) -> str:
-        tails = [f"== {p.name}\n" + p.read_text()[-1500:] for p in sorted((self.out / "logs").glob("*.log"))]
-        return "\n".join(tails)
-
-    def wait_until(self, condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
-        end = time.monotonic() + patience_s
-        while time.monotonic() < end:
-            if condition():
-                return
-            assert self.process is None or self.process.poll() is None, f"the rig ended: {self.finish()}{self.logs()}"
-            time.sleep(0.1)
-        raise AssertionError(f"waited in vain for: {what}\n{self.logs()}")
-
-    def log_has(self, node: str, text: str, times: int = 1) -> bool:
-        path = self.out / "logs" / f"{node}.log"
-        return path.exists() and path.read_text().count(text) >= times
-
-    def running(self) -> bool:
-        """The operator's force profile has been started."""
-        return self.log_has("launcher@master", "the session is running")
-
-    def close(self) -> None:
-        """Take down what still runs and leave no socket behind."""
-        if self.process is not None:
-            if self.process.poll() is None:
-                self.process.terminate()
-            try:
-                self.process.communicate(timeout=30)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.communicate()
-            except ValueError:
-                # the pipes were read to their end and closed by `finish`
-                self.process.wait()
-        shutil.rmtree(self.sockets, ignore_errors=True)
 
 
 def mode(rig: Rig) -> str:

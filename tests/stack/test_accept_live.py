@@ -8,16 +8,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import library_doubles
 import machine
 import pytest
-from live_devices import LiveDevice, write_hand
 from stack_rig import ROOT
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.take import steps_of
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.live_devices import LiveDevice, write_hand
 from telenano_haptic_devices.servo_process import ProcessLink
 
-pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
+pytestmark = [pytest.mark.endurance, pytest.mark.skipif(**libraries.WITHOUT_CC)]
 
 MASS_KG = 0.05
 DEADMAN = {"haply": "deadman=a", "dhd": "deadman_button=0", "hd": "deadman_button=0"}

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import yaml
 from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis
-from free_ports import free_ports
 from stack_rig import Rig, judged
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sample.surface_files import read_surface
 from telenano.recording.reader import Recording
+from telenano.testing import free_ports
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import stranger_package
 from ledger import record
 from stack_rig import ROOT, Rig
 
 from telenano.cli.new_package import new_package
 from telenano.recording.multi_file import open_recordings
+from telenano.testing import describe_package
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 
@@ -61,7 +61,7 @@ def install(folder: Path, kind: str, what: str) -> str:
     )
     (site / module / "__init__.py").write_text(source)
     (site / module / "fault.py").write_text(_FAULT.format(what=what))
-    stranger_package.describe(site, module, {f"{kind}s": {name: f"{module}:{name.upper()}"}}, "0.1.0")
+    describe_package(site, module, {f"{kind}s": {name: f"{module}:{name.upper()}"}}, "0.1.0")
     return setting
 
 

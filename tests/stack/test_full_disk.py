@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from ledger import record
-from small_disk import disk_of
 from stack_rig import Rig
+
+from telenano.testing import disk_of
 
 
 @pytest.fixture

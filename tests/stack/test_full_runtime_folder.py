@@ -10,8 +10,9 @@ import pytest
 from browser_page import View
 from ledger import record
 from page_client import Client
-from small_disk import disk_of
 from stack_rig import Rig
+
+from telenano.testing import disk_of
 
 pytestmark = [pytest.mark.stack, pytest.mark.timeout(300)]
 # A holder of whom nothing was heard for a second would have lost the hand [s].

@@ -3,12 +3,12 @@
 import re
 from pathlib import Path
 
-import library_doubles
 import machine
 import numpy as np
 import pytest
-from live_devices import LiveDevice
 from stack_rig import Rig
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.live_devices import LiveDevice
 
 from telenano.recording.reader import Recording
 
@@ -28,7 +28,7 @@ def coupling_of(recording: Recording) -> float:
     return float(next(found[1] for text in texts if (found := re.search(r"coupling K = ([0-9.e+]+) N/m", text))))
 
 
-@library_doubles.needs_cc
+@pytest.mark.skipif(**libraries.WITHOUT_CC)
 @pytest.mark.parametrize(("kind", "rate_hz"), [("haply", 1000), ("dhd", 1000), ("dhd", 4000), ("hd", 1000)])
 def test_fig12_is_that_of_theory(kind: str, rate_hz: int, rig: Rig, tmp_path: Path) -> None:
     with LiveDevice(kind, tmp_path) as device:

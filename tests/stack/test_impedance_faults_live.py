@@ -8,9 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import library_doubles
-from live_devices import LiveDevice
+import pytest
 from stack_rig import Rig
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.live_devices import LiveDevice
 
 NONE_N = (0.0, 0.0, 0.0)
 # An arm that means to be there presses the tip onto the sample; at first it is where there is none.
@@ -70,7 +71,7 @@ class Session:
         raise AssertionError(f"the hand did not come to the sample: {said}, {self.newest()}\n{self.rig.logs()}")
 
 
-@library_doubles.needs_cc
+@pytest.mark.skipif(**libraries.WITHOUT_CC)
 def test_device_that_is_pulled_leaves_the_hand_without_force_and_the_tip_away(rig: Rig, tmp_path: Path) -> None:
     with LiveDevice("dhd", tmp_path) as device:
         session = Session(rig, device)

@@ -91,7 +91,7 @@ VERBS = {
 def test_every_command_works_or_says_what_to_add(
     installed: Installation, request: pytest.FixtureRequest, recording_of: Callable[[str], Path]
 ) -> None:
-    reference = str(recording_of("fig12_wave"))
+    reference = str(recording_of("wave"))
     extras = request.node.callspec.params["installed"]
     wrong = {}
     for line, works_with in VERBS.items():
@@ -122,7 +122,7 @@ except telenano_errors.ConfigError as error:
 def test_the_library_reads_a_recording_and_simulates_without_any_extra(
     installed: Installation, recording_of: Callable[[str], Path]
 ) -> None:
-    done = installed.run(str(installed.python), "-c", LIBRARY, str(recording_of("fig12_wave")))
+    done = installed.run(str(installed.python), "-c", LIBRARY, str(recording_of("wave")))
     assert done.returncode == 0, done.stderr
     read, frame = done.stdout.splitlines()
     assert int(read.split()[0]) > 100
@@ -168,7 +168,7 @@ def test_an_extra_alone_does_what_it_is_for(
     if first == "-c":
         done = installation.run(str(installation.python), "-c", program)
     else:
-        reference = str(recording_of("fig12_wave"))
+        reference = str(recording_of("wave"))
         done = installation.telenano(*(reference if word == "REFERENCE" else word for word in ALONE[extra].split()))
     assert done.returncode == 0, done.stderr
 

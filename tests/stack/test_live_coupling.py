@@ -4,17 +4,17 @@ import itertools
 import time
 from pathlib import Path
 
-import library_doubles
 import machine
 import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
-from live_devices import LiveDevice
 from telenano_haptic_devices.coupling import ZERO, CouplingSettings, Gate
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.live_devices import LiveDevice
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ProcessLink
 
-pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]
+pytestmark = [pytest.mark.endurance, pytest.mark.skipif(**libraries.WITHOUT_CC)]
 
 LATE_S, PERIOD_S = 5e-3, 1e-3
 # B [N s/m] far below what the delay bears, and how many sample times a force waits beside that

@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import pytest
 from browser_page import PAGE_FOLDER, needs_browser, open_page, until
-from free_ports import free_ports
 from slow_proxy import SlowProxy
-from wire_contract import examples
 
 from services.viz_node.page_hand import HAND_FADE_S, HAND_FRESH_S
+from telenano.testing import free_ports
+from telenano.testing.examples import examples
 from telenano.wire.topics import TOPICS
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]

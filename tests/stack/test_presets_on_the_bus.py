@@ -3,8 +3,8 @@
 from typing import Any
 
 import pytest
-from law_loop import TRIED_LAWS
 from stack_rig import judged
+from tried_laws import TRIED_LAWS
 
 import telenano
 

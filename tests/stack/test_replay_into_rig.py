@@ -13,7 +13,7 @@ LAW = "controller@slave"
 
 @pytest.fixture
 def reference(recording_of: Callable[[str], Path]) -> str:
-    return str(recording_of("fig12_passivity"))
+    return str(recording_of("passivity"))
 
 
 @pytest.mark.endurance

@@ -1,7 +1,7 @@
 """A person takes part in an experiment, another assembles particles: what is on the bus and in the files is judged.
 
 A small runner gives the cues of an experiment on the bus of a real rig, as that of `telenano experiment` does; then
-that command runs a planned one. What a browser of a participant is sent is judged by `test_experiment_participant`.
+that command runs a planned one. What a browser of a participant is sent is judged by `test_viz_participant`.
 """
 
 import math

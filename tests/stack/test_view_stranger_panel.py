@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 from browser_page import ROOT, View, keep, missing, open_page
-from stranger_package import environment, install
+
+from telenano.testing import environment_with, install_package
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(missing()), reason=missing())]
 
@@ -64,13 +65,13 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "topics": {"wind_speed": "my_package.messages:WIND_SPEED"},
         "panels": {"wind": "my_package.panel:PANEL", "broken": "my_package.broken:BROKEN"},
     }
-    install(site, "my_package", files, entries)
+    install_package(site, "my_package", files, entries)
     return site
 
 
 def shown(chromium: Any, site: Path, folder: Path, what: str) -> Any:
     """Show a recording, and yield nothing but the facts of the page."""
-    found = environment(site, TELENANO_RUNTIME_DIR=str(folder))
+    found = environment_with(site, TELENANO_RUNTIME_DIR=str(folder))
     subprocess.run([sys.executable, "-c", RECORD, str(folder / what), what], check=True, env=found)
     with closing(View(found, str(folder / what / "session.mcap"))) as view:
         page = open_page(chromium, view.operator)

@@ -1,4 +1,4 @@
-"""A bench for a node under test, and recordings to read."""
+"""Recordings to read."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,14 +9,7 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
-from telenano.testing import NodeBench
 from telenano.wire import encode
-
-
-@pytest.fixture
-def bench_of() -> type[NodeBench]:
-    """Return the class of benches; call it with node@site."""
-    return NodeBench
 
 
 @pytest.fixture

@@ -8,16 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import library_doubles
 import pytest
 import yaml
 from telenano_emulators.t7_model import calibration_of
 from telenano_haptic_devices.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
-from test_haply_service import Served
-from typer.testing import CliRunner
+from telenano_haptic_devices.doubles import libraries
+from telenano_haptic_devices.doubles.served import Served
 
-from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
+from telenano.testing import invoke
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 
@@ -42,14 +41,14 @@ def told(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     if kind in ("dhd", "hd"):
         if shutil.which("cc") is None:
             pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc")
-        library = shutil.copy(library_doubles.build(kind), tmp_path / f"{kind}.so")
+        library = shutil.copy(libraries.build(kind), tmp_path / f"{kind}.so")
         options += ["--set", f"haptic_node.{kind}.library={library}"]
     yield options
 
 
 @pytest.mark.parametrize("told", IDENTITIES, indirect=True)
 def test_probe_names_the_device_and_prints_both_bounds(told: list[str]) -> None:
-    done = CliRunner().invoke(app, ["device", "probe", *told, "--json"])
+    done = invoke(["device", "probe", *told, "--json"])
     assert done.exit_code == 0, done.output
     found: dict[str, Any] = json.loads(done.stdout)
     assert found["identity"] == IDENTITIES[told[1]]
@@ -60,7 +59,7 @@ def test_probe_names_the_device_and_prints_both_bounds(told: list[str]) -> None:
     assert found["passive_bound_n_per_m"] == pytest.approx(passive_stiffness_n_per_m(*timing), rel=1e-9, abs=1e-12)
     assert found["stable_bound_n_per_m"] == pytest.approx(stable_stiffness_n_per_m(*timing), rel=1e-9)
     assert "passive up to" in found["coupling"] and "stable up to" in found["coupling"]
-    table = CliRunner().invoke(app, ["device", "probe", *told]).stdout
+    table = invoke(["device", "probe", *told]).stdout
     assert f"{found['least_mass_kg']:.3g} kg" in found["coupling"]
     for name in ("least_mass_kg", "passive_bound_n_per_m", "stable_bound_n_per_m", "coupling_stiffness_n_per_m"):
         assert name in table
@@ -70,13 +69,13 @@ def test_probe_names_the_device_and_prints_both_bounds(told: list[str]) -> None:
 def test_device_whose_damper_acts_too_late_is_refused_with_the_numbers(command: str, tmp_path: Path) -> None:
     late = ["--set", "haptic_node.impedance.model=omega", "--set", "haptic_node.impedance.delay_s=0.03"]
     out = ["--out", str(tmp_path)] if command == "accept" else []
-    done = CliRunner().invoke(app, ["device", command, "--device", "simulated_impedance", *late, *out])
+    done = invoke(["device", command, "--device", "simulated_impedance", *late, *out])
     assert done.exit_code == 2, done.output
     assert "needs a moving mass above 0.464 kg" in " ".join(done.output.split())
 
 
 def test_probe_asks_for_one_kind_of_device() -> None:
-    done = CliRunner().invoke(app, ["device", "probe"])
+    done = invoke(["device", "probe"])
     assert done.exit_code == 2
     assert "--device simulated_impedance or the driver of a package" in " ".join(done.output.split())
 
@@ -93,10 +92,10 @@ def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
     thread.start()
     try:
         until = time.monotonic() + 120.0
-        done = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
+        done = invoke(["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
         # a machine that is busy may hold the board up for longer than the three seconds of the handshake
         while done.exit_code and time.monotonic() < until:
-            done = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
+            done = invoke(["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
     finally:
         running.clear()
         thread.join()
@@ -107,22 +106,22 @@ def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_a_sentence_and_exit_code_2(tmp_path: Path) -> None:
-    missing = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "none")])
+    missing = invoke(["device", "probe", "--port", str(tmp_path / "none")])
     assert missing.exit_code == 2
     assert "there is no such port" in missing.output
-    neither = CliRunner().invoke(app, ["device", "probe"])
+    neither = invoke(["device", "probe"])
     assert neither.exit_code == 2
     assert "--port for a handle, or --calibration for an instrument" in neither.output
     # a port that nothing listens at: the connection is refused at once
     stage = tmp_path / "stage.yaml"
     stage.write_text(yaml.safe_dump(calibration_of(6.25e6, 40.0, port=1)))
-    silent = CliRunner().invoke(app, ["device", "probe", "--calibration", str(stage)])
+    silent = invoke(["device", "probe", "--calibration", str(stage)])
     assert silent.exit_code == 2
     assert "127.0.0.1:1: LabJack T7" in silent.output
 
 
 def test_a_device_that_is_named_without_an_option_is_told_how_it_is_named() -> None:
-    done = CliRunner().invoke(app, ["device", "probe", "nanonis"])
+    done = invoke(["device", "probe", "nanonis"])
     assert done.exit_code == 2
     text = " ".join(done.output.split())
     assert "nanonis: name a device by how it is reached" in text

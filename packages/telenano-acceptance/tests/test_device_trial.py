@@ -19,10 +19,8 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle and doubles of vendors' libraries need a C compiler", allow_module_level=True)
 
-import live_devices
 import test_haptic_acceptance as simulated
 import test_instrument_acceptance as instruments
-from handle_line import Line, calibration
 from telenano_acceptance.handle.take import facts_of, record_take
 from telenano_acceptance.haptic_device import devices, simulated_link
 from telenano_acceptance.haptic_device.devices import make_take
@@ -35,16 +33,16 @@ from telenano_acceptance.trial.devices import Tried
 from telenano_acceptance.trial.sheet import judged_again, sheet_of
 from telenano_acceptance.trial.trial_command import make_trial
 from telenano_acceptance.trial.trial_file import Trial, read_trial, write_trial
+from telenano_emulators.handle_line import HandleLine, calibration
 from telenano_haptic_devices import haply_service
+from telenano_haptic_devices.doubles import live_devices
 from telenano_haptic_devices.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
-from typer.testing import CliRunner
 
 from telenano.cli import run_ahead
-from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
-from telenano.runtime.loop import realtime
-from telenano.wire.errors import ConfigError
+from telenano.hand import HapticConfig
+from telenano.testing import invoke, options_of
+from telenano.wire import ConfigError
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
 Put = Callable[[str], None]
@@ -127,7 +125,7 @@ HANDS = {"push_n", "hand_m", "loose"}
 
 def test_every_fault_of_the_emulators_is_in_a_table() -> None:
     assert set(HAPLY) | MENDED_OR_HANDS == set(haply_service.ORDERS.split(" | "))
-    assert set(DOUBLES) | HANDS == set(live_devices._LINES)
+    assert set(DOUBLES) | HANDS == set(live_devices.LINES)
     given = {name for faults in (simulated.SOME | simulated.FURTHER).values() for name in faults}
     assert given | {"stumble", "stuck_buttons"} == set(simulated_link.DeviceFaults._fields)
 
@@ -237,13 +235,9 @@ ADDRESSES = {"--host", "--port", "--log-port", "--scenario", "--calibration", "-
 
 
 def test_every_option_of_the_emulated_instruments_is_in_the_table() -> None:
-    from telenano.cli.lazy_commands import load_row, package_commands
-
     found = set()
     for name in ("t7", "gwyscope", "nanonis"):
-        path = ("device", "simulate", name)
-        command: Any = load_row(name, package_commands()[path], path)
-        found |= {f"{name} {one.opts[0]}" for one in command.params if one.opts[0] not in ADDRESSES | {"--help"}}
+        found |= {f"{name} {option}" for option in options_of("device", "simulate", name) - ADDRESSES - {"--help"}}
     assert found == {name for name in INSTRUMENTS if " --" in name} | DECLARED
 
 
@@ -268,9 +262,9 @@ def test_a_good_instrument_passes(driver: str, tmp_path: Path) -> None:
 class TriedHandle:
     """A trial of the emulated handle in virtual time, with a person at it."""
 
-    def __init__(self, put: Callable[[Line, str], None] = lambda line, step: None, **changes: Any) -> None:
+    def __init__(self, put: Callable[[HandleLine, str], None] = lambda line, step: None, **changes: Any) -> None:
         self._calibration = calibration(**changes)
-        self.line, self._put, self._step = Line(self._calibration), put, ""
+        self.line, self._put, self._step = HandleLine(self._calibration), put, ""
 
     def trial(self) -> Trial:
         return make_trial("serial", Tried(self._record, ()), Guide(self._say))
@@ -298,27 +292,27 @@ class TriedHandle:
             line.pass_ms(1)
 
 
-def unplugged(line: Line, step: str) -> None:
+def unplugged(line: HandleLine, step: str) -> None:
     line.plugged = step != "follow"
 
 
-def reset(line: Line, step: str) -> None:
+def reset(line: HandleLine, step: str) -> None:
     if step == "follow":
         line.handle.reset(0xDEAD)
 
 
-def with_latency(line: Line, step: str) -> None:
+def with_latency(line: HandleLine, step: str) -> None:
     line.latency_ms = 12.0
 
 
-def with_bad_bytes(line: Line, step: str) -> None:
+def with_bad_bytes(line: HandleLine, step: str) -> None:
     def flipped(sent: bytes) -> bytes:
         return bytes([*sent[:-3], sent[-3] ^ 1, *sent[-2:]]) if sent and line.now_ns % 97_000_000 == 0 else sent
 
     line.to_host = flipped
 
 
-def with_estop(line: Line, step: str) -> None:
+def with_estop(line: HandleLine, step: str) -> None:
     line.handle.estop_pressed = step == "follow"
 
 
@@ -363,7 +357,7 @@ QUICK = ["device", "trial", "simulated_impedance", "--set", "haptic_node.impedan
 def typed(folder: Path, text: str, *options: str) -> tuple[int, str, Path]:
     """Run the command with what a person types; return its exit code, what it printed, and its file."""
     path = folder / "trial.zip"
-    done = CliRunner().invoke(app, ["device", "trial", *options, "--out", str(path)], input=text)
+    done = invoke(["device", "trial", *options, "--out", str(path)], input=text)
     return done.exit_code, " ".join(done.output.split()), path
 
 
@@ -406,7 +400,7 @@ def test_an_end_at_any_time_leaves_what_was_found_so_far(guide: Guide, tmp_path:
 def test_an_instrument_whose_trial_is_ended_is_retracted(tmp_path: Path) -> None:
     for hook in (led({"approach": False}), led({"silence": "end"})):
         chosen = instruments.config("simulated")
-        from telenano.devices.afm.instrument import driver_of
+        from telenano.devices import driver_of
 
         driver = driver_of(chosen, 1e-3)
         driver.open()
@@ -424,7 +418,7 @@ def test_questions_are_answered_on_the_terminal_and_the_page_is_the_same_from_th
     assert "the person has ended it" in output
     with zipfile.ZipFile(path) as archive:
         assert set(archive.namelist()) == {"acceptance.json", "take.npz", "versions.json", "errors.json"}
-    done = CliRunner().invoke(app, ["device", "trial", "--read", str(path)])
+    done = invoke(["device", "trial", "--read", str(path)])
     assert done.exit_code == 0 and " ".join(done.stdout.split()) in output
     # an input that ends is an end as well
     assert "the person has ended it" in typed(tmp_path, "y\n", "simulated_impedance")[1]
@@ -455,6 +449,7 @@ def test_ctrl_c_at_a_question_ends_it_with_a_file(tmp_path: Path) -> None:
     assert {line.result for line in read_trial(path).acceptance.lines} == {"pass", "retake"}
 
 
+@pytest.mark.usefixtures("without_realtime")
 def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -466,7 +461,6 @@ def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
         raise EndedError("enough")
 
     monkeypatch.setattr(devices.ProcessLink, "open", opened)
-    monkeypatch.setattr(realtime, "apply_realtime", lambda *settings: None)
     try:
         assert typed(tmp_path, "", "haply")[0] != 0
         assert frozen[0] > 10_000
@@ -622,7 +616,7 @@ def test_a_file_that_is_damaged_or_larger_than_a_trial_is_refused_by_its_name(tm
         "pipe",
         "none",
     ):
-        done = CliRunner().invoke(app, ["device", "trial", "--read", str(tmp_path / name)])
+        done = invoke(["device", "trial", "--read", str(tmp_path / name)])
         output = " ".join(done.output.split())
         reason = "cannot be read" if name in ("pipe", "none") else "is no"
         assert done.exit_code == 2 and f"{tmp_path / name}: {reason}" in output, (name, output)

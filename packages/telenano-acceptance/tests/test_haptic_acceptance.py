@@ -10,8 +10,8 @@ from telenano_acceptance.haptic_device.devices import make_take
 from telenano_acceptance.haptic_device.take import MASS_STEP, MOST_WITHOUT_STOP_N, STEPS, Facts, steps_of
 from telenano_acceptance.take import Take, Verdict, overall, read_take
 
-from telenano.hand.config import HapticConfig
-from telenano.wire.errors import ConfigError
+from telenano.hand import HapticConfig
+from telenano.wire import ConfigError
 
 # a take of a fifth of the time
 PACE, MASS_KG = 0.15, 0.1

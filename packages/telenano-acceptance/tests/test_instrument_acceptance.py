@@ -8,23 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import Gwyscope, Nanonis
-from request_line import MS
-from stage_line import StageLine, calibration
 from telenano_acceptance.instrument.checks import INSTRUMENT
 from telenano_acceptance.instrument.instruments import facts_of, make_take
 from telenano_acceptance.instrument.take import STEPS, Facts, record_take
 from telenano_acceptance.take import Clock, Guide, Take, Verdict, overall, read_take
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
-from typer.testing import CliRunner
+from telenano_emulators.stage_line import StageLine, calibration
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.sim import simulated_afm
-from telenano.cli.root import app
-from telenano.devices.afm.modbus_driver import ModbusAfm
-from telenano.devices.afm.register_map import read_map
-from telenano.wire.errors import ConfigError
+from telenano.afm import AfmConfig, simulated_afm
+from telenano.devices import ModbusAfm, read_map
+from telenano.testing import invoke
+from telenano.wire import ConfigError
+
+MS = 1_000_000
 
 # near the sample, so that the approach is short
 SAFETY = {"base_min_m": -30e-9, "base_max_m": 30e-9, "retract_position_m": -15e-9}
@@ -281,14 +279,12 @@ def test_a_wrong_sign_of_z_is_found_before_anything_approaches() -> None:
 def test_the_command_judges_the_simulated_instrument_and_writes_page_and_verdicts(tmp_path: Path) -> None:
     settings = [word for key, value in SAFETY.items() for word in ("--set", f"afm_node.safety.{key}={value}")]
     out = tmp_path / "accept"
-    result = CliRunner().invoke(app, ["device", "accept", "--json", "--out", str(out), *settings])
+    result = invoke(["device", "accept", "--json", "--out", str(out), *settings])
     assert result.exit_code == 0, result.output
     document = json.loads(result.output)
     assert document == json.loads((out / "accept.json").read_text())
     assert {check["result"] for check in document["checks"]} == {"pass", "cannot say"}
     assert "Acceptance of the simulated instrument: pass" in (out / "accept.html").read_text()
-    again = CliRunner().invoke(
-        app, ["device", "accept", "--from", str(out / "take.npz"), "--out", str(tmp_path / "again")]
-    )
+    again = invoke(["device", "accept", "--from", str(out / "take.npz"), "--out", str(tmp_path / "again")])
     assert again.exit_code == 0
     assert "pass: the simulated instrument" in again.output

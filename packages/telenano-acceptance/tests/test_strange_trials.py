@@ -13,7 +13,7 @@ from telenano_acceptance.trial.sheet import judged_again, sheet_of
 from telenano_acceptance.trial.trial_file import read_trial, write_trial
 from test_device_trial import led, simulated_trial
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 TIMES = 50
 # The memory is measured for this number of files, because that takes time.

@@ -9,15 +9,14 @@ from typing import Any
 
 import pytest
 import yaml
-from controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers import gwyscope_model, nanonis_model
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
-from telenano.devices.afm.capabilities import refusal
 from telenano.extend.instruments import DeviceError
-from telenano.testing import afm_config, instrument_of, refused_laws
+from telenano.testing import afm_config, instrument_of, refused_laws, refused_program
 from telenano.wire import ConfigError
 
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
@@ -91,7 +90,7 @@ def test_a_nanonis_that_pushes_its_samples_waits_for_no_tap(tmp_path: Path) -> N
 
 def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:
     programs = ("", "scan", "curve", "path", "tactile", "push")
-    assert {refusal("gwyscope", program) for program in programs} == {""}
+    assert {refused_program("gwyscope", program) for program in programs} == {""}
     assert refused_laws("gwyscope") == {}
 
 

@@ -11,13 +11,11 @@ from typing import Any
 import gwyfile
 import numpy as np
 import pytest
-from controller_line import (
+from controller_faults import (
     NEAR_M,
-    PARAMS,
     RETRACTED_M,
     ControllerRig,
     Fault,
-    Gwyscope,
     answer_twice,
     interrupt,
     kill,
@@ -26,19 +24,19 @@ from controller_line import (
     swallow,
     walk,
 )
-from request_line import MS
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+from telenano_afm_controllers.controller_line import PARAMS, Gwyscope
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 from telenano_afm_controllers.request_answer import Incoming, WireError
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.devices import TcpDriver
-from telenano.devices.afm import modbus_line
 from telenano.extend.instruments import DeviceError
-from telenano.testing import afm_config, instrument_of
+from telenano.testing import afm_config, instrument_of, shorten_waits
 from telenano.wire import ConfigError, RefusedError
+
+MS = 1_000_000
 
 # of the base in the three periods of the longest cycle, at the guard's speed
 STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001
@@ -374,9 +372,7 @@ FAULTS = {
 
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
-    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for owner in (modbus_line, TcpDriver):
-        monkeypatch.setattr(owner, "STEP_NS", 150 * MS)
+    shorten_waits(monkeypatch, retry_ms=100, step_ms=150)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found

@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import (
+from controller_faults import (
     NEAR_M,
     RETRACTED_M,
     ControllerRig,
     Fault,
-    Gwyscope,
-    Nanonis,
     answer_twice,
     interrupt,
     kill,
@@ -25,17 +23,16 @@ from controller_line import (
     swallow,
     walk,
 )
-from recorded_maps import frequency_shift_hz
-from request_line import MS
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
+from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
-from telenano.devices import TcpDriver
-from telenano.devices.afm import modbus_line
-from telenano.testing import afm_node, instrument_of, refused_laws
+from telenano.testing import afm_node, instrument_of, refused_laws, shorten_waits
 from telenano.wire import ConfigError, RefusedError
+
+MS = 1_000_000
 
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes
@@ -307,6 +304,12 @@ FEEL = {
 SHIFT = {"frequency_shift": {"signal": "OC M1 Freq. Shift (Hz)"}}
 
 
+def frequency_shift_hz(z_m: Any) -> Any:
+    """Return a frequency shift with its minimum of -8 Hz at 0.4 nm [Hz]."""
+    u = np.asarray(z_m) / 0.4e-9
+    return -8.0 * u * np.exp(1.0 - u)
+
+
 def shift_map(tmp_path: Path) -> dict[str, Any]:
     """Return the section of a map of a frequency shift, which falls from 2 nm to its minimum at 0.4 nm."""
     z = np.linspace(0.0, 2e-9, 401)
@@ -430,9 +433,7 @@ FAULTS = {
 
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
-    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
-    for owner in (modbus_line, TcpDriver):
-        monkeypatch.setattr(owner, "STEP_NS", 300 * MS)
+    shorten_waits(monkeypatch, retry_ms=100, step_ms=300)
     found = ControllerRig(bench_of("afm_node@slave"), Nanonis())
     approach(found)
     return found

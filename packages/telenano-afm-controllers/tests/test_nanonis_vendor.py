@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from free_ports import free_ports
 from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
-from waiting import PATIENCE_S, until
 
 from telenano.extend.instruments import DeviceError
-from telenano.testing import instrument_of
+from telenano.testing import PATIENCE_S, free_ports, instrument_of, until
 
 
 class Served:

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import ControllerRig, Nanonis
+from controller_faults import ControllerRig
 from telenano_afm_controllers import nanonis_model, nanonis_wire
+from telenano_afm_controllers.controller_line import Nanonis
 
 from telenano.testing import afm_config, instrument_of
 from telenano.wire import RefusedError

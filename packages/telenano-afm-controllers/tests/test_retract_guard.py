@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from controller_line import PARAMS, calibration
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
+from telenano_afm_controllers.controller_line import PARAMS, calibration
 from telenano_afm_controllers.gwyscope_driver import GUARD_QUESTION
 from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 from telenano_afm_controllers.request_answer import Incoming

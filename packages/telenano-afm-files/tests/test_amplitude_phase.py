@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_afm_files.amplitude_phase import amplitude_phase, amplitude_phase_figure, read_amplitude_phase
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 DATA, CURVE = SHARED / "spot_1-1000nm.ibw", SHARED / "SiN_FD_plot.ibw"

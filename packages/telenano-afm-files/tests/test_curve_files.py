@@ -9,15 +9,14 @@ import afmformats
 import h5py
 import numpy as np
 import pytest
-from damaged_files import wave
+from maker_files import wave
 from telenano_afm_files.map_files import MAP_SUFFIXES
 from telenano_calibration.own_calibration import sensitivities_of_file
 from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
-from typer.testing import CliRunner
 
-from telenano.afm.config import AfmConfig
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.afm import AfmConfig
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 
@@ -128,9 +127,8 @@ def test_a_map_gives_any_of_its_curves_and_the_sensitivity_of_each(tmp_path):
     with pytest.raises(ConfigError, match="it has no curve 4; it has 4, and the first is 0"):
         read_measured(path, 4)
     write_jpk(tmp_path / "one.jpk-force", hard(5))
-    run = CliRunner().invoke
     for name, key in (("one.jpk-force", "standard_error_nm_per_v"), ("grid.jpk-force-map", "deviation_nm_per_v")):
-        said = run(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / name), "--json"])
+        said = invoke(["calibrate", "sensitivity", "--curve", str(tmp_path / name), "--json"])
         assert said.exit_code == 0, said.output
         document = json.loads(said.stdout)
         # the voltages are those that were read, whatever constants stand in the file
@@ -287,7 +285,7 @@ def test_a_curve_that_waits_is_refused_by_name_wherever_it_is_read(ending, write
         *([["sample", "import", str(path), "--out", str(tmp_path / "map.npz")]] if path.suffix in MAP_SUFFIXES else []),
     ]
     for command in commands:
-        said = CliRunner().invoke(app, command)
+        said = invoke(command)
         assert said.exit_code == 2, said.output
         text = " ".join(said.output.split())
         assert f"{path.name}: " in text

@@ -1,15 +1,13 @@
 """Images of other makers: the libraries read them in a child, the right way up, and what they cannot is a sentence."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from telenano_microscopy.image_files import Image, write_gwy
 
-from telenano.afm.sample.surface_files import read_surface
-from telenano.settings import file_readers
-from telenano.wire.errors import ConfigError
+from telenano.afm import read_surface
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) ** 2 / 4e-9)
@@ -59,16 +57,6 @@ def test_an_image_that_was_stopped_has_its_finished_lines(tmp_path: Path, direct
     assert (found.width_m, found.depth_m / lines) == pytest.approx((whole.width_m, whole.depth_m / len(whole.height_m)))
     kept = whole.height_m[:lines] if direction == "up" else whole.height_m[-lines:]
     np.testing.assert_array_equal(found.height_m, kept)
-
-
-def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lacking(*arguments: Any, **options: Any) -> Any:
-        raise ImportError(name="gwyfile")
-
-    monkeypatch.setattr(file_readers, "read_in_child", lacking)
-    (tmp_path / "map.spm").write_bytes(b"\\*File list")
-    with pytest.raises(ConfigError, match=r"needs gwyfile to be read: install telenano-afm-files with its"):
-        read_surface(tmp_path / "map.spm")
 
 
 IMAGE = Image("Height", "m", HEIGHTS, 160e-9, 100e-9)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from telenano_afm_files.inspect_command import inspected as inspection
 from telenano_afm_files.map_files import Wanted, import_map
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.settings.file_readers import read_by_package
+from telenano.settings import read_by_package
+from telenano.testing import invoke
 from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
@@ -19,7 +18,7 @@ ROWS = "".join(f"{n / 2:.1f}\t{1e-9 * (n % 7 + 1):.3e}\n" for n in range(400))
 
 
 def inspected(path: Path) -> dict[str, Any]:
-    done = CliRunner().invoke(app, ["inspect", str(path), "--json"])
+    done = invoke(["inspect", str(path), "--json"])
     assert done.exit_code == 0, done.output
     return dict(json.loads(done.stdout))
 
@@ -61,7 +60,7 @@ def test_what_ping_printed_is_named_and_an_empty_file_is_called_empty(tmp_path: 
     path.write_text("PING a\n[1.0] 64 bytes: icmp_seq=1 ttl=1 time=1 ms\n")
     assert inspected(path)["format"] == "what ping printed"
     path.write_text("")
-    refused = CliRunner().invoke(app, ["inspect", str(path), "--json"])
+    refused = invoke(["inspect", str(path), "--json"])
     assert refused.exit_code == 2 and "is empty" in json.loads(refused.stdout)["error"]
     path.write_bytes(np.arange(900, dtype=np.float32).tobytes())
     assert inspected(path)["takes_it"] == []

@@ -29,11 +29,10 @@ from telenano_afm_files.map_files import Wanted, import_map
 from telenano_calibration.own_calibration import spectrum_of
 from telenano_microscopy.force_curve import Curve, read_measured
 from telenano_microscopy.image_files import Image, write_gwy
-from typer.testing import CliRunner
 
-from telenano.afm.sample.surface_files import read_surface
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.afm import read_surface
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 CONSTANTS = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "sensitivity_m_per_v": SENSITIVITY_M_PER_V}
 needs_converter = pytest.mark.skipif(
@@ -92,7 +91,7 @@ def test_a_thermal_spectrum_has_the_unit_of_its_maker(tmp_path: Path) -> None:
     (tmp_path / "a.tnd").write_text(head + "# Units: 'Hz' 'V²/Hz' 'V²/Hz' 'V²/Hz'\n\n" + rows, encoding="utf-8")
     found = spectrum_of(tmp_path / "a.tnd")
     assert not found.is_of_metres and found.density_per_hz == pytest.approx(density, rel=1e-12)
-    said = CliRunner().invoke(app, ["calibrate", "stiffness", "--spectrum", str(tmp_path / "a.tnd"), "--json"])
+    said = invoke(["calibrate", "stiffness", "--spectrum", str(tmp_path / "a.tnd"), "--json"])
     assert said.exit_code == 2 and "--sensitivity: what was measured in volts" in said.output
     with pytest.raises(ConfigError, match=r"map\.nid: has no thermal spectrum; it has Spec backward, Spec forward"):
         spectrum_of(write_nid_map(tmp_path / "map.nid", 2, 1))
@@ -158,7 +157,7 @@ def test_a_map_of_afm_workshop_asks_for_its_constants_and_takes_them(tmp_path: P
 
 
 def test_a_folder_of_waves_is_a_map_of_asylum(tmp_path: Path) -> None:
-    from damaged_files import wave
+    from maker_files import wave
 
     note = "SpringConstant:2.0\rInvOLS:5e-8\rFastScanSize:1.2e-07\rSlowScanSize:4e-08\rIndexes:0,199,210,410"
     for i in range(3):
@@ -235,7 +234,7 @@ def test_images_of_jpk_and_nsid_in_hdf5_have_their_size_and_unit(tmp_path: Path)
 def test_a_curve_takes_the_constants_that_its_file_lacks(tmp_path: Path) -> None:
     path = write_afm_workshop_map(tmp_path / "map.zip", 2, 2)
     call = ["curve", "--out", str(tmp_path / "out"), "--points", "40", "--overlay", str(path), "--json"]
-    said = CliRunner().invoke(app, [*call, "--set", f"stiffness_n_per_m={STIFFNESS_N_PER_M}",
+    said = invoke([*call, "--set", f"stiffness_n_per_m={STIFFNESS_N_PER_M}",
                                     "--set", f"sensitivity_m_per_v={SENSITIVITY_M_PER_V}"])  # fmt: skip
     assert said.exit_code == 0, said.output
     measured = json.loads(said.stdout)["measured"]
@@ -246,7 +245,7 @@ def test_a_curve_takes_the_constants_that_its_file_lacks(tmp_path: Path) -> None
         ("stiffness=2", "is no constant of a curve"),
         ("stiffness_n_per_m=-2", "must be a number above 0"),
     ):
-        said = CliRunner().invoke(app, [*call, "--set", key])
+        said = invoke([*call, "--set", key])
         assert said.exit_code == 2 and words in said.output
 
 

@@ -13,7 +13,7 @@ from telenano_afm_files.force_map import map_params
 from telenano_afm_files.map_files import Wanted, import_map
 from telenano_afm_files.map_libraries import blocks_of, refuse_large_archive
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 

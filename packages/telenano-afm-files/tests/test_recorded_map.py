@@ -12,8 +12,8 @@ from telenano_afm_files.force_map import checked_map, gates, map_params, read_ma
 from telenano_afm_files.recorded_map import MapState, value_at
 
 from telenano.extend.samples import PlantInputs
-from telenano.numerics.compiler import compiled_form
-from telenano.wire.errors import ConfigError, RefusedError
+from telenano.numerics import compiled_form
+from telenano.wire import ConfigError, RefusedError
 
 
 def params_of(made: dict[str, Any], rest_m: float = 20e-9) -> recorded_map.MapParams:

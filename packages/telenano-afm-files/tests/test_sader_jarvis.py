@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from telenano_afm_files.force_map import MapError, checked_map, read_map
 from telenano_afm_files.sader_jarvis import as_force
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 STIFFNESS_N_PER_M, RESONANCE_HZ = 1800.0, 25e3
 Z = np.linspace(0.0, 6e-9, 601)
@@ -100,12 +99,12 @@ def test_the_command_writes_a_map_that_is_felt_as_a_force(tmp_path: Path) -> Non
     words = [word for key, value in sensor(50e-12).items() for word in ("--set", f"{key}={value}")]
     out = tmp_path / "force.npz"
     arguments = ["sample", "import", str(tmp_path / "shift.npz"), "--out", str(out), "--as", "force", *words]
-    result = CliRunner().invoke(app, arguments)
+    result = invoke(arguments)
     assert result.exit_code == 0, result.output
     assert "the force is computed from the frequency shift" in " ".join(result.output.split())
     found, _ = read_map(out)
     assert (found.quantity, found.stiffness_n_per_m) == ("force", STIFFNESS_N_PER_M)
     assert found.values.min() == pytest.approx(morse(Z).min(), rel=0.08)
-    refused = CliRunner().invoke(app, ["sample", "info", str(out), "--set", "amplitude_m=1e-10"])
+    refused = invoke(["sample", "info", str(out), "--set", "amplitude_m=1e-10"])
     assert refused.exit_code == 2
     assert "amplitude_m: is no member of a map" in refused.output

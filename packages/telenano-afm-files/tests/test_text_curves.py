@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from telenano_afm_files.curve_files import load_one
 from telenano_afm_files.text_curves import curves_of
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 POINTS, K, M_PER_V = 300, 0.5, 50e-9
 LENGTHS = {"nm": 1e-9, "µm": 1e-6, "m": 1.0, "Å": 1e-10}
@@ -139,16 +138,16 @@ def test_each_command_that_reads_curves_asks_for_what_is_not_named_by_the_option
     _plain(path, "", "{}\t", "\t")
     words = [word.replace("FILE", str(path)).replace("OUT", str(tmp_path / "out")) for word in command]
     constant = [] if command[0] == "inspect" else ["--set", f"stiffness_n_per_m={K}"]
-    answer = CliRunner().invoke(app, [*words, *constant, "--json"]).output
+    answer = invoke([*words, *constant, "--json"]).output
     given: list[str] = []
     for option in ("columns=2,3", "way_unit=nm", "value_unit=nN"):
         if command[0] != "inspect":
             assert f"--set {option.partition('=')[0]}=" in answer
         given += ["--set", option]
-        done = CliRunner().invoke(app, [*words, *constant, *given, "--json"])
+        done = invoke([*words, *constant, *given, "--json"])
         answer = done.output
     assert done.exit_code == 0, answer
-    assert "furlong" in CliRunner().invoke(app, [*words, *constant, "--set", "way_unit=furlong"]).output
+    assert "furlong" in invoke([*words, *constant, "--set", "way_unit=furlong"]).output
     if command[0] == "inspect":
         assert json.loads(done.stdout)["would_give"]["least_value"] == pytest.approx(-8e-9, rel=0.05)
 

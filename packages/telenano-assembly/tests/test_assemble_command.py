@@ -11,17 +11,15 @@ import pytest
 from telenano_assembly.find import sphere_m
 from telenano_assembly.messages import AfmParticles
 from telenano_assembly.particles.tip_shape import tip_shape
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.recording.reader import Recording
-from telenano.recording.verify import verify
+from telenano.recording import Recording
+from telenano.testing import invoke
 
 ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")
 
 
 def run(*words: str) -> Any:
-    return CliRunner().invoke(app, list(words))
+    return invoke(list(words))
 
 
 @pytest.fixture
@@ -57,7 +55,7 @@ def test_an_assembly_of_one_particle_places_it_and_writes_figure_and_table(tmp_p
 def judge_recording(path: Path) -> None:
     """Look for what a page needs to show the assembly again: images, pushes, sentences, and the truth apart."""
     recording = Recording(path)
-    assert verify([path]).sound
+    assert run("bag", "verify", str(path)).exit_code == 0
     lines = [message.fields() for message in recording.messages(("afm/scanline",))]
     assert sum(line["line"] == 0 and line["direction"] == "trace" for line in lines) >= 3
     programs = [message.fields() for message in recording.messages(("afm/program",))]

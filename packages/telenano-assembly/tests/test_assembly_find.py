@@ -9,7 +9,7 @@ import pytest
 from telenano_assembly.find import Found, find_particles, fixed_places, sphere_m
 from telenano_assembly.particles.tip_shape import tip_shape
 
-from telenano.cli.app import main
+from telenano.testing import run_program
 
 TIP = tip_shape(10e-9, math.radians(15.0))
 STEP = 62.5e-9
@@ -110,9 +110,6 @@ def test_a_command_without_scipy_names_the_extra_that_has_it(
         monkeypatch.setitem(sys.modules, name, None)
     for name in [name for name in sys.modules if name.startswith("telenano_assembly")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "argv", ["telenano", "particles", str(tmp_path / "scan.npy"), "--size", "100"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
+    assert run_program("particles", tmp_path / "scan.npy", "--size", "100") == 2
     said = capsys.readouterr().err
     assert "scipy is not installed" in said and "[studies]" in said

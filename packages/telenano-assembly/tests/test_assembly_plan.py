@@ -10,7 +10,7 @@ from telenano_assembly.patterns import pattern
 from telenano_assembly.plan import Task, UnreachableError, assigned, planned, way_around
 from telenano_assembly.run import look_sides_m
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 NM = 1e-9
 SIX = [(-700, -500), (300, 600), (650, -350), (-200, 150), (-600, 700), (100, -700)]

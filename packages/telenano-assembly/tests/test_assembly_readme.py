@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from telenano.launcher.scenario_keys import all_keys
+from telenano.launcher import all_keys
 
 README = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
 

@@ -8,8 +8,8 @@ from telenano_assembly.assemble_command import _config
 from telenano_assembly.patterns import pattern
 from telenano_assembly.run import Assembler, VirtualBench
 
-from telenano.afm.config import AfmConfig
-from telenano.settings.config import merge, validate
+from telenano.afm import AfmConfig
+from telenano.settings import merge, validate
 
 # Five assemblies take three minutes of a processor, which a busy machine gives in many.
 pytestmark = [pytest.mark.endurance, pytest.mark.timeout(3600)]

@@ -5,15 +5,14 @@ import math
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 FAST = ("--speed", "5000", "--approach", "5000", "--afm", "sample.size_m=2.5e-6")
 
 
 def run(*words: str) -> Any:
-    return CliRunner().invoke(app, ["push", *words])
+    return invoke(["push", *words])
 
 
 def test_a_push_says_where_the_particle_is_believed_to_be_and_where_it_is() -> None:

@@ -3,10 +3,10 @@
 import shutil
 
 import pytest
-from handle_line import Line
 from telenano_calibration.handle_calibration import sample_raw
 from telenano_calibration.line_fit import CalibrationError, fit_line
 from telenano_emulators.emulated_handle import FORCE_ZERO, M_PER_COUNT, N_PER_COUNT, POSITION_ZERO
+from telenano_emulators.handle_line import HandleLine
 
 from telenano.extend.hands import DeviceError
 
@@ -39,7 +39,7 @@ def test_points_that_make_no_line_are_refused(counts: list[float], values: list[
 
 @needs_compiler
 def test_raw_samples_come_without_a_command_and_are_averaged() -> None:
-    line = Line()
+    line = HandleLine()
     point, hello = sample_raw(line.driver, 0.5), line.driver.hello
     assert hello.model == "telenano posix"
     assert (point.position, point.force) == (POSITION_ZERO, FORCE_ZERO)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import constants, linalg
 from telenano_calibration.own_calibration import (
     AIR_DENSITY_KG_PER_M3,
     AIR_VISCOSITY_PA_S,
@@ -23,11 +23,9 @@ from telenano_calibration.own_calibration import (
     stiffness_of_spectrum,
 )
 from telenano_calibration.resonance import density, fit_spectrum, periodogram
-from typer.testing import CliRunner
 
-from telenano.afm.disturbances import BOLTZMANN_J_PER_K
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 K, F0, Q, RATE, M_PER_V, KELVIN = 2.7, 70e3, 180.0, 1e6, 60e-9, 295.0
 KNOWN = Thermal(M_PER_V, KELVIN)
@@ -36,7 +34,7 @@ KNOWN = Thermal(M_PER_V, KELVIN)
 def spectrum(seed: int, averages: int = 50, lines: int = 4000) -> tuple[Any, Any]:
     """Return a thermal spectrum [V^2/Hz] of the lever, averaged, above a floor of 50 fm/sqrt(Hz)."""
     frequency = np.linspace(0.0, 0.5 * RATE, lines + 1)[1:]
-    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    mean_square = BY_ANGLE * constants.k * KELVIN / K
     mean = density(frequency, RATE, mean_square, F0, Q) + (50e-15) ** 2
     random = np.random.default_rng(seed)
     return frequency, mean * random.gamma(averages, 1.0 / averages, lines) / M_PER_V**2
@@ -107,7 +105,7 @@ def segment_lines(window: np.ndarray, q: float, floor: float) -> tuple[Any, Any,
     frequency = RATE / count * np.arange(1, count // 2 + 1)
     turns = np.cos(2.0 * math.pi * np.outer(frequency, t))
     weighted = own / own[0] * covariance
-    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    mean_square = BY_ANGLE * constants.k * KELVIN / K
     return frequency, 2.0 * dt * mean_square * (2.0 * turns @ weighted - 1.0) + floor, mean_square
 
 
@@ -166,7 +164,7 @@ def test_a_record_gives_what_its_spectrum_gives() -> None:
     for i, (of_place, of_speed) in enumerate(pushes.tolist()):
         x, v = a * x + b * v + of_place, c * x + d * v + of_speed
         course[i] = x
-    course *= math.sqrt(BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K / np.mean(course**2))
+    course *= math.sqrt(BY_ANGLE * constants.k * KELVIN / K / np.mean(course**2))
     found = stiffness_of_record(course / M_PER_V, KNOWN._replace(rate_hz=RATE))
     assert found.stiffness_n_per_m == pytest.approx(K, rel=0.05)
     assert found.resonance_hz == pytest.approx(F0, rel=2e-3)
@@ -233,14 +231,13 @@ def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
     frequency, power = spectrum(1)
     np.savetxt(tmp_path / "thermal.txt", np.column_stack([frequency, power]), header="Hz V^2/Hz")
     np.savetxt(tmp_path / "curve.csv", np.column_stack([1e9 * curve(1)[0], curve(1)[1]]), delimiter=",")
-    run = CliRunner().invoke
-    found = run(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / "curve.csv"), "--json"])
+    found = invoke(["calibrate", "sensitivity", "--curve", str(tmp_path / "curve.csv"), "--json"])
     sensitivity = json.loads(found.stdout)
     assert sensitivity["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=2e-3)
     own = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "thermal.txt"), "--temperature", "295", "--json"]
-    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30e3", "225e3"])
+    found = invoke([*own, "--sensitivity", "60", "--averages", "50", "--size", "30e3", "225e3"])
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
-    refused = run(app, own)
+    refused = invoke(own)
     assert refused.exit_code == 2
     assert "--sensitivity: what was measured in volts needs" in json.loads(refused.stdout)["error"]
 
@@ -261,7 +258,7 @@ def test_a_spectrum_is_read_in_its_unit_or_asked_for_it(unit: str, where: str, t
     np.savetxt(path, np.column_stack([frequency, density]), header=f"Hz {unit}" if where == "head" else "f PSD")
     words = ["calibrate", "stiffness", "--spectrum", str(path), "--temperature", "295", "--averages", "50", "--json"]
     words += [] if unit.endswith("m^2/Hz") else ["--sensitivity", "60"]
-    found = CliRunner().invoke(app, [*words, *(["--unit", unit] if where == "option" else [])])
+    found = invoke([*words, *(["--unit", unit] if where == "option" else [])])
     if factor is None:
         assert found.exit_code == 2 and "--unit" in json.loads(found.stdout)["error"]
         assert "V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz)" in json.loads(found.stdout)["error"]
@@ -299,7 +296,7 @@ def written(path: Path, head: str, unit_hz: float, unit_density: float, lever: s
     k, f0, q = LEVERS[lever]
     frequency = f0 / q / 20.0 * np.arange(1, 12_000)
     x = frequency / f0
-    square = BY_ANGLE * BOLTZMANN_J_PER_K * 300.0 / k
+    square = BY_ANGLE * constants.k * 300.0 / k
     mean = 2.0 * square / (math.pi * f0 * q * ((1.0 - x**2) ** 2 + (x / q) ** 2)) / 50e-9**2
     density = mean * np.random.default_rng(1).gamma(50, 1.0 / 50, len(mean))
     density = np.sqrt(density) / -unit_density if unit_density < 0.0 else density / unit_density
@@ -323,7 +320,7 @@ HEADS = {
 def test_the_head_gives_the_unit_of_each_column_of_a_spectrum(head: str, lever: str, tmp_path: Path) -> None:
     written(tmp_path / "s.txt", *HEADS[head], lever)
     words = ["--sensitivity", "50", "--averages", "50", "--json"]
-    found = CliRunner().invoke(app, ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), *words])
+    found = invoke(["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), *words])
     k, f0, _ = LEVERS[lever]
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(k, rel=0.08)
     assert json.loads(found.stdout)["resonance_hz"] == pytest.approx(f0, rel=0.01)
@@ -334,7 +331,7 @@ def test_a_decimal_comma_gives_what_a_point_gives(tmp_path: Path) -> None:
     for mark in ("\t", ";"):
         written(tmp_path / "s.txt", f"f [kHz]{mark}PSD [V^2/Hz]", 1e3, 1.0, mark=mark)
         words = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), "--sensitivity", "50", "--json"]
-        answers.append(json.loads(CliRunner().invoke(app, words).stdout)["stiffness_n_per_m"])
+        answers.append(json.loads(invoke(words).stdout)["stiffness_n_per_m"])
     assert answers[0] == answers[1]
 
 
@@ -355,11 +352,11 @@ def test_a_unit_that_is_not_known_or_not_likely_is_asked_for(head: str, asked: s
             continue
         written(tmp_path / "s.txt", head, 1e3, 1.0, lever)
         words = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), "--sensitivity", "50", "--json"]
-        found = CliRunner().invoke(app, words)
+        found = invoke(words)
         assert found.exit_code == 2
         assert asked in json.loads(found.stdout)["error"]
         if "kHz" in asked:
-            found = CliRunner().invoke(app, [*words, "--frequency-unit", "kHz"])
+            found = invoke([*words, "--frequency-unit", "kHz"])
             assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(LEVERS[lever][0], rel=0.08)
 
 
@@ -381,7 +378,7 @@ def test_the_head_gives_the_unit_of_way_and_deflection(head: str, comma: bool, t
     columns = [way / unit_m, volts / unit_v]
     text = "".join(f"{a:.9e}\t{b:.9e}\n" for a, b in zip(*columns[:: -1 if head.startswith("d") else 1], strict=True))
     (tmp_path / "c.txt").write_text(f"{head}\n{text.replace('.', ',') if comma else text}", encoding="utf-8")
-    found = CliRunner().invoke(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / "c.txt"), "--json"])
+    found = invoke(["calibrate", "sensitivity", "--curve", str(tmp_path / "c.txt"), "--json"])
     assert json.loads(found.stdout)["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=5e-3)
 
 
@@ -391,9 +388,9 @@ def test_a_way_without_a_unit_that_none_has_in_nanometres_is_asked_for(unit: str
     scale = {"m": 1.0, "um": 1e-6, "mm": 1e-3}[unit]
     np.savetxt(tmp_path / "c.txt", np.column_stack([way / scale, volts]))
     words = ["calibrate", "sensitivity", "--curve", str(tmp_path / "c.txt"), "--json"]
-    found = CliRunner().invoke(app, words)
+    found = invoke(words)
     assert found.exit_code == 2 and "Give --way-unit" in json.loads(found.stdout)["error"]
-    found = CliRunner().invoke(app, [*words, "--way-unit", unit])
+    found = invoke([*words, "--way-unit", unit])
     assert json.loads(found.stdout)["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=5e-3)
 
 
@@ -412,12 +409,10 @@ def test_columns_are_chosen_by_number_or_title(tmp_path: Path) -> None:
     rows = "".join(f"{n};{1.5 * n};{b:.6f};{a:.6f}\n" for n, (a, b) in enumerate(zip(way, volts, strict=True)))
     for head, columns in (("", ("4", "3")), ("a;b;c;d\n", ("d", "c"))):
         path.write_text(head + rows, encoding="utf-8")
-        done = CliRunner().invoke(
-            app, ["calibrate", "sensitivity", "--curve", str(path), "--columns", *columns, "--json"]
-        )
+        done = invoke(["calibrate", "sensitivity", "--curve", str(path), "--columns", *columns, "--json"])
         assert done.exit_code == 0, done.output
         assert json.loads(done.stdout)["sensitivity_nm_per_v"] == pytest.approx(50.0, rel=1e-3)
-    done = CliRunner().invoke(app, ["calibrate", "sensitivity", "--curve", str(path), "--columns", "4", "9"])
+    done = invoke(["calibrate", "sensitivity", "--curve", str(path), "--columns", "4", "9"])
     assert "has no column '9'; it has 4, a, b, c, d" in " ".join(done.output.split())
 
 
@@ -425,4 +420,4 @@ def test_a_record_in_another_unit_is_refused_with_the_option_of_its_command(tmp_
     path = tmp_path / "record.txt"
     path.write_text("deflection [furlong]\n" + "1.0\n2.0\n" * 200, encoding="utf-8")
     words = ["calibrate", "stiffness", "--record", str(path), "--rate", "1e6", "--sensitivity", "50"]
-    assert "--unit gives another" in " ".join(CliRunner().invoke(app, words).output.split())
+    assert "--unit gives another" in " ".join(invoke(words).output.split())

@@ -5,18 +5,14 @@ from typing import Any
 
 import pytest
 import yaml
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 from telenano_emulators.emulated_handle import DEVICE_ID, POSITION_ZERO
 from telenano_emulators.emulated_handle import calibration_of as handle_file
 from telenano_emulators.t7_model import calibration_of as stage_file
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.hand.config import HapticConfig
-from telenano.recording.reader import Recording
-from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.settings.config import merge
+from telenano.hand import HapticConfig
+from telenano.recording import FileSettings, Recording, RecordingWriter
+from telenano.settings import merge
+from telenano.testing import EPOCH_NS, invoke, numbered
 from telenano.wire import encode
 
 HAND_ID = f"{DEVICE_ID:016x} 2026-01-01T00:00:00+00:00"
@@ -25,7 +21,7 @@ STAGE_ID = "t7 470012345 2026-01-01T00:00:00+00:00"
 
 def recorded(folder: Path, *, raw: bool = True) -> Path:
     """Write a recording of both devices at 10 counts, 2.6 V and 12.3 mV, as their old calibrations had it."""
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
     counts = {"position_raw": POSITION_ZERO + 10, "velocity_raw": 5, "operator_force_raw": 0, "drive_raw": 3}
     volts = {"output_v": 2.6, "input_v": 0.0123}
     device = {"device": "ok", "sample_age_s": 1e-3}
@@ -37,8 +33,8 @@ def recorded(folder: Path, *, raw: bool = True) -> Path:
     ]
     for seq, (topic, src, site, fields) in enumerate(rows):
         channel = writer.channel(topic, src, site)
-        message = sample(topic, seq, src=src, **fields)
-        writer.write(channel, EPOCH_NS + seq * MILLISECOND_NS, EPOCH_NS, seq, encode(message))
+        message = numbered(topic, seq, src=src, **fields)
+        writer.write(channel, EPOCH_NS + seq * 1_000_000, EPOCH_NS, seq, encode(message))
     writer.finish()
     return writer.path
 
@@ -54,7 +50,7 @@ def test_positions_and_forces_are_those_of_the_new_calibration(tmp_path: Path) -
     stage = written(tmp_path / "s.yaml", stage_file(1e6, 40.0), deflection={"zero_v": 0.0003}, stage={"m_per_v": 5e-8})
     out = tmp_path / "again.mcap"
     arguments = ["bag", "recalibrate", str(source), "--handle", handle, "--stage", stage, "--out", str(out), "--json"]
-    done = CliRunner().invoke(app, arguments)
+    done = invoke(arguments)
     assert done.exit_code == 0, done.output
     before = {message.topic + message.src: message.decode() for message in Recording(source).messages()}
     after = {message.topic + message.src: message.decode() for message in Recording(out).messages()}
@@ -73,7 +69,7 @@ def test_calibration_of_another_device_is_refused(tmp_path: Path) -> None:
     source = recorded(tmp_path)
     stage = written(tmp_path / "s.yaml", stage_file(1e6, 40.0), instrument={"serial": 7})
     out = tmp_path / "again.mcap"
-    done = CliRunner().invoke(app, ["bag", "recalibrate", str(source), "--stage", stage, "--out", str(out)])
+    done = invoke(["bag", "recalibrate", str(source), "--stage", stage, "--out", str(out)])
     assert done.exit_code == 2
     text = " ".join(done.output.split())
     assert "was recorded with the device t7 470012345, and the calibration is that of t7 7" in text
@@ -83,11 +79,9 @@ def test_calibration_of_another_device_is_refused(tmp_path: Path) -> None:
 def test_recording_without_raw_values_is_a_sentence(tmp_path: Path) -> None:
     source = recorded(tmp_path, raw=False)
     handle = written(tmp_path / "h.yaml", handle_file(HapticConfig()))
-    done = CliRunner().invoke(
-        app, ["bag", "recalibrate", str(source), "--handle", handle, "--out", str(tmp_path / "a.mcap")]
-    )
+    done = invoke(["bag", "recalibrate", str(source), "--handle", handle, "--out", str(tmp_path / "a.mcap")])
     assert done.exit_code != 0
     assert "has no raw values" in " ".join(done.output.split())
-    neither = CliRunner().invoke(app, ["bag", "recalibrate", str(source), "--out", str(tmp_path / "b.mcap")])
+    neither = invoke(["bag", "recalibrate", str(source), "--out", str(tmp_path / "b.mcap")])
     assert neither.exit_code == 2
     assert "give a calibration file" in neither.output

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
-from stage_line import PARAMS, StageLine, calibration
 from telenano_calibration.line_fit import CalibrationError
 from telenano_calibration.stage_calibration import Mover, fit_travel, press
+from telenano_emulators.stage_line import PARAMS, StageLine, calibration
 from telenano_emulators.t7_model import M_PER_V, T7Model
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 V_PER_M = 6.25e6
 ZERO_V = 0.0123
@@ -61,7 +60,7 @@ def test_sensitivity_and_zero_are_found_within_their_standard_errors() -> None:
 
 
 def test_compiled_instrument_gives_its_sensitivity_less_what_its_sample_yields() -> None:
-    from telenano.afm.sim import simulated_afm
+    from telenano.afm import simulated_afm
 
     afm = simulated_afm(PARAMS)
     afm.open()
@@ -120,15 +119,15 @@ def test_command_asks_measures_and_writes_a_file_that_the_driver_takes(tmp_path:
         arguments += ["--output", "1", "--output", "3", "--output", "5", "--range", "0.1", "--stiffness", "40"]
         arguments += ["--stiffness-error", "1.5", "--step", "0.02"]
         readings = "\n" + "".join(f"{1e9 * M_PER_V * volts:.6g}\n" for volts in (1, 3, 5)) + "\n"
-        other = CliRunner().invoke(app, [*arguments, "--serial", "7"], input=readings)
+        other = invoke([*arguments, "--serial", "7"], input=readings)
         assert other.exit_code == 2
         assert "serial 470012345 is not that of the calibration, 7" in " ".join(other.output.split())
-        done = CliRunner().invoke(app, [*arguments, "--serial", "470012345"], input=readings)
+        done = invoke([*arguments, "--serial", "470012345"], input=readings)
         assert done.exit_code == 0, done.output
         document = yaml.safe_load(out.read_text())
         assert document["stage"]["m_per_v"] == pytest.approx(M_PER_V, rel=1e-3)
         assert document["deflection"]["standard_error_v_per_m"] > 0.0
-        probed = CliRunner().invoke(app, ["device", "probe", "--calibration", str(out), "--json"])
+        probed = invoke(["device", "probe", "--calibration", str(out), "--json"])
         assert probed.exit_code == 0, probed.output
     finally:
         process.kill()

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
-from command_line import run_apart
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field
@@ -30,6 +29,7 @@ from telenano.extend.laws import (
     port_signal,
     tip_signal,
 )
+from telenano.testing import run_apart
 
 START_J = 1e-3
 # more than any hand of a draw exerts, and any step of the force of a sample

@@ -8,8 +8,8 @@ import pytest
 from telenano_emulators.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
 from telenano_emulators.firmware import FirmwareError
 
-from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
+from telenano.testing import handle_wire as wire
 
 WATCHDOG_MS = 20
 LIMITS = wire.Limits(

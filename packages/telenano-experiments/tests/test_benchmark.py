@@ -39,13 +39,12 @@ from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_
 from telenano_experiments.benchmark_page import frontier_figure
 from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
-from telenano.laws.wave import WaveConfig
+from telenano.laws import LAWS
 from telenano.link import profile_named
 from telenano.lockstep import Schedule
+from telenano.testing import invoke
 from telenano.wire import ConfigError
 
 STEP_S = 0.005
@@ -109,7 +108,7 @@ def test_the_least_sum_is_the_least_of_all_paths():
 
 
 def test_on_the_clean_network_force_and_position_are_those_of_the_closed_forms(outcomes):
-    gain, line = VirtualImpedanceConfig().force_gain, WaveConfig()
+    gain, line = VirtualImpedanceConfig().force_gain, LAWS["wave"].config()
     direct, paper, wave = (outcomes[law].measures for law in ("position_force", PAPER, "wave"))
     assert {outcome.verdict for outcome in outcomes.values()} == {"stable"}
     assert direct["force_held_n"] == pytest.approx(1.0, rel=1e-3)
@@ -311,14 +310,14 @@ def small(laws, *, quick, networks=(), settings=(), instruments=(), steadiness=(
 def test_the_command_writes_page_figure_and_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(plan_module, "plan_of", small)
     command = ["benchmark", "--law", "wave", "--workers", "1", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, command)
+    done = invoke(command)
     assert done.exit_code == 0, done.output
     text = (tmp_path / "out" / "runs.csv").read_text()
     assert f"digest: {digest_of(text)}" in done.stdout
     page = (tmp_path / "out" / "benchmark.html").read_text()
     assert digest_of(text) in page
     assert "meet a surface of 38 N/m" in page
-    changed = CliRunner().invoke(app, [*command, "--set", "wave.impedance_n_s_per_m=200", "--json"])
+    changed = invoke([*command, "--set", "wave.impedance_n_s_per_m=200", "--json"])
     assert json.loads(changed.stdout)["digest"] != digest_of(text)
 
 

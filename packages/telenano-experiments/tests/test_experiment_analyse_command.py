@@ -12,9 +12,8 @@ from experiment_tables import LAWS, demo, trial
 from telenano_experiments.analyse import Choice, analyse
 from telenano_experiments.plans import find_experiment
 from telenano_experiments.table import tidy
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 pytest.importorskip("statsmodels")
 
@@ -34,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(*words: str) -> Any:
-    return CliRunner().invoke(app, ["experiment", "analyse", *words])
+    return invoke(["experiment", "analyse", *words])
 
 
 def test_it_prints_the_effect_and_leaves_a_page_beside_the_journal(folder: Path) -> None:

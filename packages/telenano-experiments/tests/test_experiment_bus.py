@@ -12,13 +12,12 @@ from telenano_experiments.asked import CONSENT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.extend import Course
 from telenano_experiments.types import Trial
-from waiting import until
 
 from telenano.console import RigHand
 from telenano.runtime import AddressBook, Observer
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire import ConfigError
-from telenano.wire.errors import EndpointError
+from telenano.testing import until
+from telenano.wire import ConfigError, EndpointError
 
 PATIENCE_S = 20.0
 TRIAL = Trial("P07", 1, 2, 5, "main", "track", {}, {"law": "wave", "delay_s": 0.1, "on": (1, 2)}, {}, 11)

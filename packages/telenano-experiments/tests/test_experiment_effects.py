@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 from telenano_experiments.operators import SLOPE_OF_WAVE
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 pytest.importorskip("statsmodels")
 pytestmark = [pytest.mark.endurance, pytest.mark.timeout(1800)]
@@ -36,7 +35,7 @@ order: latin_square
 
 def analysed(file: str, folder: Path, *words: str) -> dict[str, Any]:
     for command in (["run", file, "--out", str(folder)], ["analyse", str(folder), "--json", *words]):
-        done = CliRunner().invoke(app, ["experiment", *command])
+        done = invoke(["experiment", *command])
         assert done.exit_code == 0, done.output
     document: dict[str, Any] = json.loads(done.stdout)
     return document

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from experiment_bench import plan_of
 from telenano_experiments import tasks
-from telenano_experiments.apparatus import live
 from telenano_experiments.apparatus.base import Course, Take
 from telenano_experiments.apparatus.live import Live
 from telenano_experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
@@ -17,15 +16,10 @@ from telenano_experiments.desk import Desk
 from telenano_experiments.disturbances import disturbances
 from telenano_experiments.recorded_trial import RecordedTrial
 
-from telenano.console import holding
-from telenano.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take
-from telenano.console.lease_register import LeaseRegister
-from telenano.laws import ControllerConfig
-from telenano.laws.config import changed_config
+from telenano.laws import ControllerConfig, changed_config
 from telenano.link import LinkSettings
-from telenano.recording import Selection
-from telenano.recording.rewrite import filter_recording
-from telenano.wire import RecordingError, RefusedError, RigError
+from telenano.recording import Selection, filter_recording
+from telenano.wire import RecordingError, RigError
 
 
 def documents(folder: Path, **changes: Any) -> list[dict[str, Any]]:
@@ -73,7 +67,7 @@ def test_a_delay_is_expected_where_nothing_random_makes_it(link: dict[str, Any],
 
 
 def test_a_recording_gives_the_tables_and_the_evidence_of_a_trial(recording_of: Callable[[str], Path]) -> None:
-    trial = RecordedTrial(recording_of("fig12_wave"))
+    trial = RecordedTrial(recording_of("wave"))
     data = trial.data(2.0)
     for table, column in (
         (data.afm, "tip_force_n.2"),
@@ -93,7 +87,7 @@ def test_a_recording_gives_the_tables_and_the_evidence_of_a_trial(recording_of: 
 
 def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_of: Callable[[str], Path]) -> None:
     out = tmp_path / "without.mcap"
-    filter_recording(recording_of("fig12_wave"), out, Selection.of(["node/*"]))
+    filter_recording(recording_of("wave"), out, Selection.of(["node/*"]))
     with pytest.raises(RecordingError, match="no operator's force profile ran in it"):
         RecordedTrial(out)
 
@@ -110,7 +104,7 @@ def test_a_trial_whose_recording_has_no_state_of_the_tip_is_disturbed_and_not_ju
     tmp_path: Path, recording_of: Callable[[str], Path], task: str
 ) -> None:
     topics = ["haptic/state", "link/*", "law/status", "session/*"]
-    filter_recording(recording_of("fig12_wave"), tmp_path / "trial.mcap", Selection.of(topics))
+    filter_recording(recording_of("wave"), tmp_path / "trial.mcap", Selection.of(topics))
     plan = plan_of(tmp_path, tasks=[task], known=tasks.TASKS)
     outcome = Recorded(plan, tmp_path, Desk(plan)).run(plan.trials("P01")[0], 0)
     assert (outcome.status, outcome.measures) == ("disturbed", {})
@@ -234,28 +228,3 @@ def test_the_tip_is_told_of_its_place_over_the_sample_until_it_is_there(tmp_path
     rig._prepare_sample(document)
     assert rig.told == undone + 1
     assert rig.place_m == pytest.approx((-400e-9, 0.0), abs=1e-15)
-
-
-def test_the_hand_that_a_stall_has_lost_is_taken_again_and_one_that_a_page_has_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(live, "send_control", lambda *arguments: {})
-    plan, told, register = plan_of(tmp_path), list[str](), LeaseRegister()
-    rig = Live(plan, tmp_path, Desk(plan), told.append)
-    rig._lease = rig._hold.enter_context(holding(EXPERIMENT))
-    rig._command("stop", "haptic_node@master")
-    assert (told, rig._was_lost) == ([], False)
-    # nothing was heard of it for two seconds
-    register.change(lambda lease, now_ns: current(lease, now_ns + 2 * VANISHED_NS))
-    assert register.look().holder is None
-    rig._command("stop", "haptic_node@master")
-    holder = register.look().holder
-    assert holder is not None and holder.what == EXPERIMENT and rig._was_lost
-    assert told == ["the experiment stood still for a second and lost the hand: it has taken it again"]
-    page = Party("page", "Tina", "teacher")
-    register.change(lambda lease, now_ns: take(lease, page, now_ns))
-    with pytest.raises(RefusedError, match="Tina holds control"):
-        rig._command("stop", "haptic_node@master")
-    rig.close()
-    assert register.look().is_held_by(page)

@@ -17,9 +17,8 @@ from telenano_experiments.apparatus.marks import END, PRACTICE, Marks, code_of
 from telenano_experiments.desk import Desk
 from telenano_experiments.plan import Plan
 from telenano_experiments.tasks import TASKS
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 from telenano.wire import ConfigError, RigError
 
 # fcntl of Linux (F_SETPIPE_SZ)
@@ -74,7 +73,7 @@ def test_a_port_that_is_none_is_refused_by_name_before_anything_starts(tmp_path:
         (("--marks", str(tmp_path / "absent"), "--apparatus", "live"), "cannot be opened"),
         (("--marks", str(tmp_path / "absent"), "--apparatus", "lockstep"), "simulated time has nothing to mark"),
     ):
-        done = CliRunner().invoke(app, ["experiment", "run", "delay_and_law", "--out", str(tmp_path / "out"), *words])
+        done = invoke(["experiment", "run", "delay_and_law", "--out", str(tmp_path / "out"), *words])
         assert done.exit_code == 2 and reason in done.stderr
         assert not (tmp_path / "out").exists()
 
@@ -107,7 +106,7 @@ class Marked(Live):
 def test_a_trial_says_when_it_was_marked_and_is_disturbed_where_it_was_not(
     tmp_path: Path, recording_of: Callable[[str], Path], goes_away: bool
 ) -> None:
-    path = recording_of("fig12_wave")
+    path = recording_of("wave")
     plan = plan_of(tmp_path, tasks=[next(iter(TASKS))], known=TASKS)
     far, near = os.openpty()
     port = Marks(Path(os.ttyname(near)), 115200)

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from telenano_experiments.messages import ANSWER, CUE, TRIAL
 
+from telenano.testing import assert_same_bytes, assert_same_schema, case_of, vectors_of
 from telenano.wire import Topic
-from tests.doubles.message_vectors import assert_same_bytes, assert_same_schema, case_of, vectors_of
 
 HERE = Path(__file__).parent
 ROWS = (ANSWER, CUE, TRIAL)

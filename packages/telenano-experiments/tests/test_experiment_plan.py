@@ -6,13 +6,12 @@ from typing import Any
 
 import pytest
 from experiment_bench import plan_of
-from telenano_experiments.plan import attempt_seed, changes_while_running, load_plan
+from telenano_experiments.plan import attempt_seed, load_plan
 from telenano_experiments.plans import FOLDER
 from telenano_experiments.summary import summary_of
 from telenano_experiments.tasks import INSTALLED
 
 from telenano.wire import ConfigError
-from tests.contract.command_table import settable
 
 
 def test_every_condition_comes_as_often_as_the_file_says(tmp_path: Path) -> None:
@@ -54,16 +53,6 @@ def test_a_key_that_a_running_rig_does_not_take_is_held_for_a_block(tmp_path: Pa
     assert len(set(held[:4])) == len(set(held[4:])) == 1 and held[0] != held[4]
     assert [trial.block for trial in trials] == [0] * 4 + [1] * 4
     assert summary_of(plan)["factors_that_start_the_rig"] == ["afm_node.cantilever.stiffness_n_per_m"]
-
-
-@pytest.mark.parametrize("node", ["controller", "delay_node", "haptic_node"])
-def test_what_may_vary_from_trial_to_trial_is_what_set_can_change(node: str) -> None:
-    assert all(changes_while_running(f"{node}.{key}") or key == "operator" for key in settable(node))
-    assert changes_while_running("afm_node.spring.stiffness_n_per_m")
-    assert not changes_while_running("afm_node.environment")
-    assert not changes_while_running("controller.period_s")
-    assert not changes_while_running("haptic_node.device.start_position_m")
-    assert not changes_while_running("duration_s")
 
 
 def test_tasks_and_practice_have_blocks_of_their_own(tmp_path: Path) -> None:

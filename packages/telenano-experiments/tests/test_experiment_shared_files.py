@@ -7,8 +7,8 @@ from telenano_experiments import journal
 from telenano_experiments.journal import Journal
 from telenano_experiments.people import People
 
+from telenano.testing import Shared, SharedFiles, small_disk
 from telenano.wire import RigError
-from tests.doubles.shared_files import Shared, SharedFiles, small_disk
 
 ROUNDS = 40
 

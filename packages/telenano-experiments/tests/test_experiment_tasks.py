@@ -18,8 +18,7 @@ from telenano.afm import AfmConfig
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
 from telenano.recording import ColumnTable
-from telenano.settings import find_scenario, merge, nested, read_yaml, validate
-from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.settings import LoadedScenario, Scenario, find_scenario, merge, nested, read_yaml, validate
 
 SEEDS = range(2)
 

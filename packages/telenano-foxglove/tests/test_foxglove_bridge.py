@@ -11,8 +11,8 @@ from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer
 
 from telenano.serving import ViewConfig
 from telenano.testing import EPOCH_NS, hand_state, numbered, received
+from telenano.wire import OWN_TOPICS as TOPICS
 from telenano.wire import TelenanoError
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 
 class Server:

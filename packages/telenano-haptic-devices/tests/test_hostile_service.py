@@ -5,8 +5,8 @@ import math
 from typing import Any
 
 import pytest
-from servo_bench import VirtualTime
 from telenano_haptic_devices import haply
+from telenano_haptic_devices.doubles.servo_bench import VirtualTime
 from telenano_haptic_devices.settings import HaplyConfig
 from telenano_haptic_devices.vendor_service import Conversation
 

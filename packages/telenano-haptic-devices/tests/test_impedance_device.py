@@ -12,11 +12,9 @@ from telenano_haptic_devices.impedance_config import MODELS, CouplingConfig, Sim
 from telenano_haptic_devices.impedance_device import ImpedanceDevice
 from telenano_haptic_devices.servo import ServoCommand, ServoSample, Slot
 
-from services.haptic_node.__main__ import build
-from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_FORCE, MODE_POSITION, Capabilities, DeviceError, DriveCommand
-from telenano.hand.config import HapticConfig
-from telenano.wire.node_state import pack, restore
+from telenano.hand import HapticConfig
+from telenano.testing import handed_over, haptic_device_of, haptic_node
 
 MS = 1e-3
 MASTER = "controller@master"
@@ -34,7 +32,7 @@ class Line:
         self.link = SimulatedLink(declared, self._motion, faults or DeviceFaults())
         self.device = ImpedanceDevice(self.link, CouplingConfig(rest_s=0.05), MS, self.link.now_ns)
         self.bench = bench
-        self.node = HapticNode(bench.context, CONFIG, self.device)
+        self.node = haptic_node(bench, self.device, CONFIG)
         self.reference_m = 0.0
 
     def _motion(self, time_s: float) -> HandMotion:
@@ -188,7 +186,7 @@ def test_state_of_the_simulated_device_goes_on_from_what_was_kept(bench_of: Any)
     document = {"driver": "simulated_impedance", "operator": {"kind": "force_profile"}, "coupling": {"rest_s": 0.05}}
     config = HapticConfig.model_validate(document)
 
-    def turn(bench: Any, node: HapticNode, index: int) -> Any:
+    def turn(bench: Any, node: Any, index: int) -> Any:
         command = {"mode": "position", "position_m": (0.0, 1e-3, -1e-5 * index), "velocity_m_per_s": (0.0,) * 3}
         hand = {"hand_seq": 1, "hand_t_ns": bench.clock.now_ns(), "force_n": (0.2, 0.0, 0.0)}
         node.on_message(bench.received("haptic/command", MASTER, **command, **hand))
@@ -197,13 +195,12 @@ def test_state_of_the_simulated_device_goes_on_from_what_was_kept(bench_of: Any)
         return msgspec.structs.replace(bench.take("haptic/state")[-1], seq=0)
 
     first, other = bench_of("haptic_node@master"), bench_of("haptic_node@master")
-    one = build(first.context, config)
+    one = haptic_node(first, haptic_device_of(config), config)
     for index in range(300):
         state = turn(first, one, index)
         other.advance_ms(1)
     assert state.mode == "position" and state.motor_force_n[0] != 0.0
-    two = build(other.context, config)
-    restore(two, pack(one), lambda *_: b"")
+    two = handed_over(one, haptic_node(other, haptic_device_of(config), config))
     assert [turn(first, one, index) for index in range(300, 400)] == [
         turn(other, two, index) for index in range(300, 400)
     ]

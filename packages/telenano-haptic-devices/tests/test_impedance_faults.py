@@ -13,7 +13,14 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc", allow_module_level=True)
 
-from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
+from telenano_haptic_devices.doubles.servo_bench import (
+    DEVICES,
+    MS,
+    STIFFNESS_N_PER_M,
+    Emulated,
+    ServoBench,
+    VirtualTime,
+)
 
 from telenano.extend.hands import DeviceError, Gate
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from telenano_haptic_devices.coupled import coupled_plant_step
 
+from telenano import simulate
 from telenano.extend.hands import DriveCommand, SpatialCommand
-from telenano.hand.config import HapticConfig
-from telenano.hand.part import initial_plant
-from telenano.lockstep.simulation import simulate_scenario
-from telenano.numerics.compiler import compiled_form
+from telenano.hand import HapticConfig, initial_plant
+from telenano.numerics import compiled_form
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest
@@ -27,7 +26,7 @@ RATIOS = {
 def test_hold_has_the_ratio_of_the_law_and_the_hand_is_f_over_k_further(law: str) -> None:
     params = HapticConfig.model_validate({"driver": "simulated_impedance"}).to_simulated_params()
     stiffness = params.settings.stiffness_n_per_m[2]
-    coupled, paper = (simulate_scenario("fig12", law=law, settings=given) for given in (DEVICE, {}))
+    coupled, paper = (simulate("fig12", law=law, settings=given) for given in (DEVICE, {}))
     at = int(np.searchsorted(coupled["time_s"], 4.4))
     force_n = coupled["operator_force_n"][at]
     assert force_n == pytest.approx(2.0, rel=1e-6, abs=0.0)

@@ -1,16 +1,10 @@
 """A device that takes a force comes in by an entry point, of a package that nothing in the core names."""
 
-import re
 from typing import Any
 
 import pytest
-import stranger_package
 
-from telenano.hand.config import DRIVERS, SECTIONS, HapticConfig
-from telenano.settings import entries
-from telenano.settings.config import validate
-from telenano.wire.errors import ConfigError
-from telenano.wire.extras import how_to_add_package
+from telenano.testing import install_package, said_with
 
 DRIVER = """
 from telenano.settings import Settings
@@ -48,17 +42,16 @@ class KnobWire:
 """
 PROGRAM = """
 import json, sys, time
-from services.haptic_node.__main__ import _device
-from telenano.hand.config import HapticConfig
-from telenano.settings.config import validate
+from telenano.testing import haptic_config, haptic_device_of, invoke
 
 def imported():
     return sorted(name for name in sys.modules if name.startswith(("my_knob", "telenano_haptic_devices")))
 
 found = {"imported": [imported()]}
-config = validate(HapticConfig, {"driver": "knob", "knob": {"force_n": 3.0}}, "file", "haptic_node")
+section = {"driver": "knob", "knob": {"force_n": 3.0}}
+config = haptic_config(section)
 found["simulated"] = config.simulated
-device = _device(config)
+device = haptic_device_of(config)
 device.open()
 try:
     found["max_force_n"] = device.capabilities.max_force_n
@@ -69,11 +62,9 @@ finally:
     device.close()
 found["imported"].append(imported())
 
-from typer.testing import CliRunner
-from telenano.cli.root import app
 
 def said(*words):
-    done = CliRunner().invoke(app, ["device", *words, "--json"])
+    done = invoke(["device", *words, "--json"])
     return {"code": done.exit_code, **json.loads(done.stdout)}
 
 found["list"] = [row for row in said("list")["packages"] if row["driver"] == "knob"]
@@ -91,8 +82,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what a node and the commands do with the device of a package."""
     site = tmp_path_factory.mktemp("site")
     files = {"__init__.py": DRIVER, "wire.py": WIRE}
-    stranger_package.install(site, "my_knob", files, {"devices": {"knob": "my_knob:KNOB"}})
-    document: dict[str, Any] = stranger_package.said(PROGRAM, site)
+    install_package(site, "my_knob", files, {"devices": {"knob": "my_knob:KNOB"}})
+    document: dict[str, Any] = said_with(PROGRAM, site)
     return document
 
 
@@ -122,17 +113,3 @@ def test_commands_know_it_by_its_entry(found: dict[str, Any]) -> None:
         "haptic_node.driver = serial is not a device that takes a force; take one of simulated_impedance, "
     )
     assert "knob" in error
-
-
-def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing: entries.Loaded[Any] = entries.Loaded({}, {})
-    monkeypatch.setattr(entries, "load", lambda *given: nothing)
-    # what was found before
-    monkeypatch.setattr(DRIVERS, "_asked", {})
-    monkeypatch.setattr(SECTIONS, "_asked", {})
-    how = re.escape(how_to_add_package("telenano-haptic-devices"))
-    named = {name: ("driver", f"driver {name}", name) for name in ("haply", "dhd", "hd", "simulated_impedance")}
-    named |= {name: (name, f"section {name}", {}) for name in ("coupling", "impedance")}
-    for key, words, value in named.values():
-        with pytest.raises(ConfigError, match=f"{key}: the {words} is in the package telenano-haptic-devices: {how}"):
-            validate(HapticConfig, {key: value}, "file", "haptic_node")

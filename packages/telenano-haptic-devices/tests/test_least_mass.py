@@ -9,11 +9,10 @@ import pytest
 from coupling_theory import radius
 from telenano_haptic_devices.coupling import least_mass_kg, stable_stiffness_n_per_m
 from telenano_haptic_devices.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
 from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
+from telenano.testing import invoke
 
 DRAWN = 3000
 # sound of the eigenvalues of a matrix of some thirty rows
@@ -89,7 +88,7 @@ def test_up_refuses_a_simulated_device_whose_damper_acts_too_late(tmp_path: Path
         HapticConfig.model_validate(given)
     options = ["driver=simulated_impedance", "impedance.model=omega", "impedance.delay_s=0.03"]
     chosen = [word for option in options for word in ("--set", f"haptic_node.{option}")]
-    done = CliRunner().invoke(app, ["up", "--scenario", "fig12", "--headless", "--out", str(tmp_path / "up"), *chosen])
+    done = invoke(["up", "--scenario", "fig12", "--headless", "--out", str(tmp_path / "up"), *chosen])
     assert done.exit_code == 2 and "above 0.464 kg" in " ".join(done.output.split()), done.output
 
 

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import library_doubles
 import pytest
 from telenano_haptic_devices import dhd, hd
 from telenano_haptic_devices.checks import check_devices
 from telenano_haptic_devices.coupling import ZERO, CouplingSettings
 from telenano_haptic_devices.dhd import DhdWire
+from telenano_haptic_devices.doubles import libraries
 from telenano_haptic_devices.hd import HdWire
 from telenano_haptic_devices.servo import ServoCommand, ServoSample
 from telenano_haptic_devices.servo_process import ProcessLink
@@ -36,10 +36,10 @@ def waits(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-@library_doubles.needs_cc
+@pytest.mark.skipif(**libraries.WITHOUT_CC)
 @pytest.mark.parametrize("kind", ["dhd", pytest.param("hd", marks=pytest.mark.endurance)])
 def test_servo_runs_beside_the_node_is_started_again_when_killed_and_ends_with_it(kind: str) -> None:
-    link = ProcessLink(kind, {"library": str(library_doubles.build(kind))})
+    link = ProcessLink(kind, {"library": str(libraries.build(kind))})
     link.open()
     try:
         assert link.capabilities.identity.endswith(", emulated")
@@ -76,7 +76,7 @@ def test_device_that_is_not_there_is_the_sentence_of_its_driver_and_leaves_no_pr
 def test_a_library_that_is_another_one_is_refused(tmp_path: Path) -> None:
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler: apt install gcc")
-    link = ProcessLink("dhd", {"library": str(library_doubles.build("hd"))})
+    link = ProcessLink("dhd", {"library": str(libraries.build("hd"))})
     with pytest.raises(DeviceError, match="the library has no dhdGetAvailableCount: it is another library, or too old"):
         link.open()
 

@@ -9,9 +9,8 @@ from telenano_haptic_devices.servo import ServoCommand
 from telenano_haptic_devices.servo_process import SharedServo
 
 from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig
-from telenano.settings import find_scenario
-from telenano.settings.scenario import LoadedScenario
+from telenano.hand import HapticConfig
+from telenano.settings import LoadedScenario, find_scenario
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from telenano_haptic_devices.impedance import coupling_of
 
-from telenano.hand.config import HapticConfig
+from telenano.hand import HapticConfig
 from telenano.virtual import ARMED_S, STARTED_S, VirtualRig, constant_timing
-from telenano.wire.messages import HapticState, SessionEvent
+from telenano.wire import HapticState, SessionEvent
 
 HAND = "haptic_node@master"
 # alpha_f F_s (1 + 1/K_f) = F_m, as on the paper's master

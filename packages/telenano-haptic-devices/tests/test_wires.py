@@ -9,8 +9,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from servo_bench import VirtualTime
 from telenano_haptic_devices import Cadence, Declared, DeviceSample, Frame, declared
+from telenano_haptic_devices.doubles.servo_bench import VirtualTime
 from telenano_haptic_devices.impedance import takes_force
 from telenano_haptic_devices.wires import Mechanics
 

@@ -8,7 +8,6 @@ import pytest
 from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
-from law_loop import loop as run_loop
 from telenano_laws.model_mediated import (
     ModelMediatedConfig,
     master_energy_account,
@@ -27,6 +26,7 @@ from telenano_laws.surface import Surface
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.extend.virtual_mass import tip_reference
+from telenano.testing import run_law
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)
@@ -71,7 +71,7 @@ def test_surface_is_learnt_and_held(delay: int) -> None:
     def environment(x: float) -> float:
         return force_nn(truth, K, RANGE, 1e9 * x) * 1e-9
 
-    run = run_loop(
+    run = run_law(
         "model_mediated",
         lambda n: 1.0 + 0.5 * np.sin(0.004 * n),
         environment,
@@ -91,14 +91,14 @@ def test_surface_is_learnt_and_held(delay: int) -> None:
 @pytest.mark.parametrize("stiffness", [10.0, between(20.0), 38.0])
 @pytest.mark.parametrize("delay", [0, between(50), 250])
 def test_spring_is_held_at_any_delay(stiffness: float, delay: int) -> None:
-    run = run_loop("model_mediated", lambda n: 1.0, lambda x: stiffness * x, 6000, lambda n: delay, lambda n: delay)
+    run = run_law("model_mediated", lambda n: 1.0, lambda x: stiffness * x, 6000, lambda n: delay, lambda n: delay)
     assert np.ptp(1e8 * run.force_n[-500:]) < 1e-2
     assert 1e8 * run.force_n[-1] == pytest.approx(1.0, rel=0.03, abs=0.0)
     assert master_energy_account(PARAMS, run.masters[-1]).dissipated_j >= 0.0
 
 
 def test_updates_are_paid_from_the_damper_at_all_times() -> None:
-    run = run_loop(
+    run = run_law(
         "model_mediated", lambda n: 2.0, lambda x: max(38.0 * (x - 5e-9), 0.0), 6000, lambda n: 250, lambda n: 9
     )
     injected = np.array([state.injected_j for state in run.masters])
@@ -135,7 +135,7 @@ def test_the_tip_never_takes_more_than_the_hand_has_worked(seed: int) -> None:
     draw = random.Random(seed)
     stiffness, delay, size = draw.uniform(5.0, 150.0), draw.randrange(10, 150), draw.uniform(0.5, 3.0)
     mean, rate = draw.uniform(-1.0, 1.0) * size, draw.uniform(4e-3, 8e-3)
-    run = run_loop(
+    run = run_law(
         "model_mediated",
         lambda n: mean + size * np.sin(rate * n),
         lambda x: stiffness * x,

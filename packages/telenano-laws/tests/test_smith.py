@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from law_loop import loop as run_loop
 from telenano_laws.smith import (
     HISTORY,
     Estimate,
@@ -19,6 +18,7 @@ from telenano_laws.smith import (
 )
 
 from telenano.extend.laws import NO_SIGNAL, HandSample
+from telenano.testing import run_law
 
 T = 1e-3
 PARAMS = SmithConfig().to_params(T)
@@ -39,9 +39,9 @@ def undelayed() -> dict[str, Any]:
 @pytest.mark.parametrize(("forward", "backward"), [(10, 0), (0, 30), (100, 150)])
 def test_exact_model_gives_the_undelayed_loop_shifted(undelayed: dict[str, Any], forward: int, backward: int) -> None:
     if not undelayed:
-        undelayed["run"] = run_loop("smith", lambda n: 1.0 if n >= 1200 else 0.01, spring, 3000, **EXACT)
+        undelayed["run"] = run_law("smith", lambda n: 1.0 if n >= 1200 else 0.01, spring, 3000, **EXACT)
     direct = undelayed["run"]
-    late = run_loop(
+    late = run_law(
         "smith", lambda n: 1.0 if n >= 1200 else 0.01, spring, 3000, lambda n: forward, lambda n: backward, **EXACT
     )
     # before the first answer the hand is not coupled: the two runs meet once both have settled
@@ -57,7 +57,7 @@ def test_wrong_model_brings_the_delay_back() -> None:
     growth = []
     for stiffness in (0.0, 12.0):
         settings = {**EXACT, "environment_stiffness_n_per_m": stiffness}
-        run = run_loop("smith", lambda n: 0.1, spring, 3000, lambda n: 30, lambda n: 30, **settings)
+        run = run_law("smith", lambda n: 0.1, spring, 3000, lambda n: 30, lambda n: 30, **settings)
         growth.append(np.ptp(run.force_n[-300:]) / np.ptp(run.force_n[600:900]))
     assert growth[0] > 10.0
     assert growth[1] < 0.1
@@ -65,7 +65,7 @@ def test_wrong_model_brings_the_delay_back() -> None:
 
 @pytest.mark.parametrize("stiffness", [5.0, 20.0, 38.0])
 def test_stiffness_is_estimated_from_what_returns(stiffness: float) -> None:
-    run = run_loop(
+    run = run_law(
         "smith",
         lambda n: 1.0 + 0.5 * np.sin(0.02 * n),
         lambda x: stiffness * (x + 1e-10),
@@ -79,7 +79,7 @@ def test_stiffness_is_estimated_from_what_returns(stiffness: float) -> None:
 def test_jitter_and_loss_do_not_disturb_an_exact_model() -> None:
     rng = np.random.default_rng(3)
     fate = rng.integers(-2, 60, size=(2, 3000)).clip(-1)
-    run = run_loop(
+    run = run_law(
         "smith",
         lambda n: 1.0,
         spring,

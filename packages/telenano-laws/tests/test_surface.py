@@ -1,13 +1,13 @@
 """The compact surface: its limits, its derivatives, its potential, and that the fit finds it."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
-from instrument_theory import base_for
 from telenano_laws.model_mediated import ModelMediatedConfig
 from telenano_laws.surface import (
     BINS,
@@ -25,8 +25,8 @@ from telenano_laws.surface import (
     unknown,
 )
 
-from telenano.afm.config import AfmConfig
-from telenano.numerics.compiler import compiled_form
+from telenano.afm import AfmConfig, branch_force
+from telenano.numerics import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm
@@ -39,6 +39,12 @@ surfaces = st.builds(Surface, st.floats(-20.0, 20.0), st.floats(0.5, 200.0), st.
 def test_root_solves_its_equation(y: float, ratio: float) -> None:
     r = root_of(y, ratio)
     assert r * r * (1.0 + ratio * r) == pytest.approx(y, rel=1e-12, abs=0.0)
+
+
+def base_for(plant: Any, distance_m: float) -> float:
+    """Return the base position [m] that holds the tip in contact, within a meniscus, at a distance [m]."""
+    force, _ = branch_force(plant.tip, distance_m, True, True)
+    return float(plant.rest_distance_m - distance_m + force / plant.stiffness_n_per_m)
 
 
 def test_the_roots_of_all_samples_at_once_are_those_of_each_by_itself() -> None:
@@ -111,7 +117,7 @@ def test_fit_reproduces_the_maugis_dugdale_contact_of_table_2() -> None:
     deltas = np.linspace(-0.05e-9, 2e-9, 3000)
     samples = []
     for delta in np.concatenate([deltas, deltas[::-1], deltas]):
-        x = base_for(plant, a0 - delta, True, True)
+        x = base_for(plant, a0 - delta)
         samples.append((1e9 * x, 1e9 * plant.stiffness_n_per_m * (a0 - delta + x - plant.rest_distance_m)))
     fit = met(FIT, *samples[0])
     for x, force in samples[1:]:
@@ -121,7 +127,7 @@ def test_fit_reproduces_the_maugis_dugdale_contact_of_table_2() -> None:
     assert np.abs(errors).max() < 0.4
     # and its stiffness at the base, k k_c / (k + k_c), with the paper's contact stiffness at 0.2, 0.5, 1 and 2 nm
     for delta, contact in ((0.2e-9, 13.15), (0.5e-9, 19.6), (1e-9, 27.4), (1.99e-9, 38.6)):
-        x = 1e9 * base_for(plant, a0 - delta, True, True)
+        x = 1e9 * base_for(plant, a0 - delta)
         slope = (force_nn(fit.surface, K, RANGE, x + 1e-4) - force_nn(fit.surface, K, RANGE, x - 1e-4)) / 2e-4
         assert slope == pytest.approx(40.0 * contact / (40.0 + contact), rel=0.05, abs=0.0)
 

@@ -12,9 +12,8 @@ from telenano_microscopy.correlated_noise import _whitened, correlated_noise
 from telenano_microscopy.curve_models import compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, read_measured
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
-from telenano.wire.errors import ConfigError
+from telenano.afm import AfmConfig, DisturbanceConfig, noise_start, noise_step
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 SOFT = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 8.0}})

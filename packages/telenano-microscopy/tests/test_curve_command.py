@@ -5,16 +5,13 @@ from pathlib import Path
 
 import pytest
 from telenano_microscopy import adhesion_fit
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
-
-RUNNER = CliRunner()
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 
 def curve(*arguments: str) -> dict[str, object]:
-    result = RUNNER.invoke(app, ["curve", "--points", "60", *arguments, "--json"])
+    result = invoke(["curve", "--points", "60", *arguments, "--json"])
     assert result.exit_code == 0, result.stderr
     found: dict[str, object] = json.loads(result.stdout)
     return found

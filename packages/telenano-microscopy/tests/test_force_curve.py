@@ -14,8 +14,8 @@ from telenano_microscopy.force_curve import (
 )
 from telenano_microscopy.force_curve_figure import curve_figure
 
-from telenano.afm.config import AfmConfig
-from telenano.wire.errors import ConfigError, RigError
+from telenano.afm import AfmConfig
+from telenano.wire import ConfigError, RigError
 
 
 def with_stiffness(k, **changes):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from telenano_microscopy.image_files import LiveImage
 
-from telenano.wire.messages import AfmScanline, Array
+from telenano.wire import AfmScanline, Array
 
 
 def line(

@@ -4,8 +4,7 @@ import msgspec
 import pytest
 from telenano_microscopy.program_view import bar_of, refuse_foreign
 
-from telenano.wire.errors import ConfigError
-from telenano.wire.instrument import AfmProgram
+from telenano.wire import AfmProgram, ConfigError
 
 
 def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from telenano_microscopy.image_files import Image, write_gsf
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
+from telenano.testing import invoke
 
 
 @pytest.mark.parametrize(
@@ -25,7 +24,7 @@ def test_the_level_of_a_file_is_said_with_its_heights(
     heights = -4e-7 + 1e-9 * np.arange(-8.0, 8.0)[None, :] + 0.5e-9 + np.zeros((16, 1))
     write_gsf(tmp_path / "map.gsf", Image("Height", "m", heights, 1e-7, 1e-7))
     options = ["sample", "--sample", str(tmp_path / "map.gsf"), "--out", str(tmp_path / "out"), "--json"]
-    result = CliRunner().invoke(app, [*options, *(["--set", f"level={level}"] if level else [])])
+    result = invoke([*options, *(["--set", f"level={level}"] if level else [])])
     assert result.exit_code == 0
     found = json.loads(result.stdout)
     assert found["level"] == said
@@ -37,8 +36,8 @@ def test_the_level_of_a_file_is_said_with_its_heights(
 
 def test_a_computed_sample_has_no_level_to_choose(tmp_path: Path) -> None:
     options = ["sample", "--sample", "flat", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, [*options, "--json"])
+    result = invoke([*options, "--json"])
     assert "level" not in json.loads(result.stdout)
-    refused = CliRunner().invoke(app, [*options, "--set", "level=plane"])
+    refused = invoke([*options, "--set", "level=plane"])
     assert refused.exit_code != 0
     assert "level: is for files; flat has heights of its own" in " ".join(refused.output.split())

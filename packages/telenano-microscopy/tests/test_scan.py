@@ -8,9 +8,9 @@ import pytest
 from telenano_microscopy.force_curve import force_curve
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
-from telenano.afm.config import AfmConfig
+from telenano.afm import AfmConfig
 from telenano.devices import VirtualInstrument
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 SOFT = {"cantilever": {"stiffness_n_per_m": 1.0}}

@@ -3,11 +3,8 @@
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-
-RUNNER = CliRunner()
+from telenano.testing import invoke
 
 
 @pytest.mark.parametrize(
@@ -30,7 +27,7 @@ RUNNER = CliRunner()
 def test_an_impossible_gain_is_refused_by_the_name_of_its_option(
     options: tuple[str, ...], words: str, tmp_path: Path
 ) -> None:
-    result = RUNNER.invoke(app, ["scan", "--out", str(tmp_path / "out"), *options])
+    result = invoke(["scan", "--out", str(tmp_path / "out"), *options])
     assert (result.exit_code, result.stdout) == (2, "")
     assert words in result.stderr
     assert result.stderr.strip().count("\n") == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_networks.line_log import read_log
 
-from telenano.wire.errors import TelenanoError
+from telenano.wire import TelenanoError
 
 PINGED = "PING a (1)\n" + "".join(
     f"[{1.7e9 + 0.1 * n:.6f}] 64 bytes from a: icmp_seq={n} ttl=57 time=2{n % 7}.5 ms\n" for n in range(1, 400)

@@ -25,19 +25,13 @@ from telenano_networks.line_fit import (
 from telenano_networks.line_log import LineLog, Segment, read_log
 from telenano_networks.line_page import SLOWER
 from telenano_networks.line_tally import correlation_of, scale_of, tally_of
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.link.config import LinkSettings
-from telenano.link.direction import DirectionEngine
-from telenano.link.fate import Direction
-from telenano.link.profiles import Profile
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.link import Direction, DirectionEngine, LinkSettings, Profile
+from telenano.recording import FileSettings, RecordingWriter
 from telenano.serving import web_folder
-from telenano.settings.config import validate
-from telenano.wire import encode
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import LinkFate, LinkFates
+from telenano.settings import validate
+from telenano.testing import invoke
+from telenano.wire import ConfigError, LinkFate, LinkFates, encode
 
 FOLDER = web_folder() / "gallery"
 WAYS: tuple[Direction, ...] = ("forward", "backward")
@@ -371,18 +365,18 @@ def test_a_delivery_trace_is_what_small_messages_would_have_met(tmp_path: Path) 
 def test_a_histogram_becomes_a_profile_that_says_that_no_memory_is_known(tmp_path: Path) -> None:
     path = tmp_path / "bins.csv"
     path.write_text("3.0,5\n4.0,90\n5.0,5\n6.0,0\n")
-    done = CliRunner().invoke(app, ["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
+    done = invoke(["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
     assert done.exit_code != 0
     assert "does not say the unit of its bins; give --unit ms" in done.stderr
     command = ["link", "fit", str(path), "--histogram", "--unit", "ms", "--out", str(tmp_path / "line")]
-    done = CliRunner().invoke(app, command)
+    done = invoke(command)
     assert done.exit_code == 0, done.output
     assert "No memory known" in done.output
     profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
     assert profile["about"] == "a measured line (no memory known)"
     assert profile["statistics"]["forward"]["percentiles_ms"][50] == pytest.approx(4.5, abs=0.02)
     path.write_text("bin_ms,count\n3.0,5\n2.0,5\n")
-    done = CliRunner().invoke(app, ["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
+    done = invoke(["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
     assert "bins.csv, line 3: the bins have to rise" in done.stderr
 
 
@@ -399,9 +393,7 @@ def test_the_age_at_a_reader_is_that_of_the_newest_message_and_grows_through_a_s
 
 def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     log = table_of(tmp_path / "log.csv", seconds=120.0)
-    done = CliRunner().invoke(
-        app, ["link", "fit", str(log), "--out", str(tmp_path / "line"), "--cite", "our own", "--anyway"]
-    )
+    done = invoke(["link", "fit", str(log), "--out", str(tmp_path / "line"), "--cite", "our own", "--anyway"])
     assert done.exit_code in (0, 3), done.output
     assert "stalls per minute" in done.output
     way = json.loads((tmp_path / "line" / "way.json").read_text(encoding="utf-8"))
@@ -410,9 +402,7 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     assert settings.forward.jitter.correlation_time_s == pytest.approx(TIME_S, rel=0.3)
     profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
     assert validate(Profile, profile, "profile.yaml").round_trip_ms > 40.0
-    done = CliRunner().invoke(
-        app, ["link", "fit", str(log), "--out", str(tmp_path / "twin"), "--without-memory", "--anyway"]
-    )
+    done = invoke(["link", "fit", str(log), "--out", str(tmp_path / "twin"), "--without-memory", "--anyway"])
     twin = yaml.safe_load((tmp_path / "twin" / "profile.yaml").read_text(encoding="utf-8"))
     assert twin["statistics"]["forward"]["mean_ms"] == pytest.approx(
         profile["statistics"]["forward"]["mean_ms"], rel=0.1
@@ -433,7 +423,7 @@ def test_what_is_judged_is_drawn_from_the_settings_that_are_written(options: tup
     path = tmp_path / "log.csv"
     text = "".join(f"{sent:.3f},{'' if math.isnan(delay) else f'{delay:.6f}'}\n" for sent, delay in rows)
     path.write_text(f"sent_ms,delay_ms\n{text}", encoding="utf-8")
-    done = CliRunner().invoke(app, ["link", "fit", str(path), "--out", str(tmp_path / "line"), "--anyway", *options])
+    done = invoke(["link", "fit", str(path), "--out", str(tmp_path / "line"), "--anyway", *options])
     assert done.exit_code in (0, 3), done.output
     document = json.loads((tmp_path / "line" / "fit.json").read_text(encoding="utf-8"))
     judged = {row["what"]: row["generated"] for row in document["agreement"]}
@@ -452,7 +442,7 @@ def test_what_is_judged_is_drawn_from_the_settings_that_are_written(options: tup
 
 def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:
     command = ["link", "picture", "starlink_driving", "clean", "--out", str(tmp_path / "p"), "--json"]
-    done = CliRunner().invoke(app, command)
+    done = invoke(command)
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["networks"]
     assert found["clean"]["delay_ms"] == {"p50": 0.0, "p99": 0.0}
@@ -472,7 +462,7 @@ def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:
     for what in ("delay_ms", "age_ms"):
         found = curves["networks"]["starlink_driving"][what]
         assert shipped["networks"]["starlink_driving"][what] == pytest.approx(found, rel=0.02), what
-    refused = CliRunner().invoke(app, ["link", "picture", "mars", "--out", str(tmp_path / "p")])
+    refused = invoke(["link", "picture", "mars", "--out", str(tmp_path / "p")])
     assert "unknown profile 'mars'" in refused.stderr
 
 

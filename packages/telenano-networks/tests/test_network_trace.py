@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from telenano.link.config import LinkSettings
-from telenano.link.direction import DirectionEngine
-from telenano.timing.clock_offset import OffsetFilter
-from telenano.wire.errors import TelenanoError
-from telenano.wire.messages import Array, LinkClock
-from telenano.wire.network_messages import LinkNetwork
+from telenano.link import DirectionEngine, LinkSettings
+from telenano.timing import OffsetFilter
+from telenano.wire import Array, LinkClock, LinkNetwork, TelenanoError
 
 NS_PER_MS = 1_000_000
 BEGAN_NS = 10**18

@@ -9,7 +9,7 @@ import pytest
 from telenano_networks.line_log import read_log
 from telenano_networks.ping_log import is_ping_log, round_trips
 
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError
 
 LINUX = """PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.
 [1700000000.020000] 64 bytes from 192.0.2.1: icmp_seq=1 ttl=57 time=20.0 ms

@@ -20,15 +20,12 @@ from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.link.config import LinkSettings
-from telenano.link.fate import Direction
-from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.runtime.byte_link import ByteLink
-from telenano.runtime.loop.machine import resident_bytes
-from telenano.signals import children
+from telenano.link import Direction, LinkSettings
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.runtime import ByteLink
+from telenano.signals import run, start
 from telenano.testing import NodeBench
-from telenano.wire import encode
-from telenano.wire.errors import ConfigError
+from telenano.wire import ConfigError, encode
 
 MS = 1_000_000
 
@@ -462,7 +459,7 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
         port = free.getsockname()[1]
     out = tmp_path / "out.mcap"
     target = f"127.0.0.1:{echo.address[1]}"
-    link = children.start(
+    link = start(
         [*telenano, "link", "udp", str(port), target, "--set", "forward.delay_s=0.02", "--set",
          "backward.loss.probability=1", "--record", str(out), "--json"],
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -478,12 +475,12 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
                 client.sendto(b"%d" % number, ("127.0.0.1", port))
             assert echo.answer() == [b"%d" % number for number in range(100)]
             change = [*telenano, "link", "set", "profile=clean"]
-            answer = children.run(change, env=environment, capture_output=True, text=True)
+            answer = run(change, env=environment, capture_output=True, text=True)
             assert answer.stdout == "delay_node@master ack: set profile = clean\n", answer.stderr
             client.sendto(b"last", ("127.0.0.1", port))
             assert echo.answer() == [b"last"]
             assert client.recv(100).startswith(b"last from ")
-        beside = children.run([*telenano, "link", "udp", "1", target], env=environment, capture_output=True, text=True)
+        beside = run([*telenano, "link", "udp", "1", target], env=environment, capture_output=True, text=True)
         assert (beside.returncode, beside.stdout) == (1, "")
         assert "another link runs beside it with --rig NAME" in beside.stderr
     finally:
@@ -496,11 +493,5 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
     assert document["recording"] == str(out)
     fates = fates_in(out)
     assert [row[3] for row in fates["forward"]] == [20 * MS] * 100 + [0]
-    report = children.run([*telenano, "link", "report", str(out), "--json"], capture_output=True, text=True, check=True)
+    report = run([*telenano, "link", "report", str(out), "--json"], capture_output=True, text=True, check=True)
     assert json.loads(report.stdout)["backward"]["lost_share"] == pytest.approx(100 / 101)
-
-
-def test_a_node_without_a_descriptor_left_says_nothing_of_its_memory_and_goes_on() -> None:
-    assert resident_bytes() > 0
-    with room_for(0):
-        assert resident_bytes() == 0

@@ -14,17 +14,11 @@ import numpy as np
 import pytest
 from telenano_microscopy.image_files import Image, ImageFacts
 from telenano_nexus.nexus_files import write_images
-from typer.testing import CliRunner
 
 import telenano
-from telenano.cli.root import app
-from telenano.recording.channel_filter import Selection
-from telenano.recording.export import export_recording
-from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
-from telenano.wire.messages import AfmScanline, Array
+from telenano.recording import FileSettings, RecordingWriter, Selection, export_recording
+from telenano.testing import invoke
+from telenano.wire import AfmScanline, Array, RecordingError, encode
 
 # groups of which NXafm, NXspm and NXsensor_scan demand one, with the fields that they demand in them
 DEMANDED = {
@@ -78,10 +72,8 @@ def checked(path: Path) -> Any:
 def test_a_session_becomes_tip_hand_and_force_against_distance(
     recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    path = recording_of("fig12_wave")
-    said = CliRunner().invoke(
-        app, ["bag", "export", str(path), "--to", "nexus", "--out", str(tmp_path / "s.nxs"), "--json"]
-    )
+    path = recording_of("wave")
+    said = invoke(["bag", "export", str(path), "--to", "nexus", "--out", str(tmp_path / "s.nxs"), "--json"])
     assert said.exit_code == 0, said.output
     session = telenano.open(path)
     tip, hand = session.table("afm/state"), session.table("haptic/state")
@@ -116,7 +108,7 @@ def scanline(number: int, direction: str, heights: list[float], lines: int = 2) 
 
 
 def test_each_image_of_a_recording_is_in_the_file_with_its_axes(tmp_path: Path) -> None:
-    writer = RecordingWriter.create("recorder@slave", RecorderConfig(directory=tmp_path, file_name="images.mcap"))
+    writer = RecordingWriter.create("recorder@slave", FileSettings(directory=tmp_path, file_name="images.mcap"))
     channel = writer.channel("afm/scanline", "afm_node@slave", "slave")
     at_ns = 1_700_000_000_000_000_000
     # two images, of which the second ended after its first line
@@ -155,7 +147,7 @@ def test_the_validator_of_the_field_finds_nothing_wrong(recording_of: Callable[[
     validator = shutil.which("pynx")
     if validator is None:
         pytest.skip("needs the command pynx: pip install pynxtools, in an environment of its own")
-    export_recording(recording_of("fig12_wave"), tmp_path / "s.nxs", "nexus")
+    export_recording(recording_of("wave"), tmp_path / "s.nxs", "nexus")
     heights = np.arange(12.0).reshape(3, 4) * 1e-9
     facts = ImageFacts("tapping", "simulated AFM", "0.1.0", "dots")
     write_images(tmp_path / "scan.nxs", {"height": Image("Height", "m", heights, 40e-9, 30e-9)}, facts)

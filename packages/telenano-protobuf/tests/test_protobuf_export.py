@@ -12,11 +12,10 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from telenano_protobuf.export import _payload_of
 
-from telenano.recording import recorded
-from telenano.recording.export import export_recording
-from telenano.recording.made_records import write_recording
+from telenano.recording import export_recording, recorded
+from telenano.testing import write_recording
+from telenano.wire import OWN_TOPICS as TOPICS
 from telenano.wire import example
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 EPOCH_NS = 1_750_000_000_000_000_000
 

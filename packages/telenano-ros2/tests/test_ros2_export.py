@@ -12,10 +12,8 @@ from rosbags import typesys
 from rosbags.highlevel import AnyReader
 from telenano_ros2.crtk import Encoder, definitions
 
-from telenano.recording import RecordedMessage, recorded
-from telenano.recording.export import export_recording
-from telenano.recording.made_records import write_recording
-from telenano.testing import EPOCH_NS, hand_state, numbered
+from telenano.recording import RecordedMessage, export_recording, recorded
+from telenano.testing import EPOCH_NS, hand_state, numbered, write_recording
 
 SECOND_NS = 10**9
 

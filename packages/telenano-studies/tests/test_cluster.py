@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 from cluster_cells import KIND, WaitingCell
-from free_ports import free_ports
 from telenano_studies.loops import sweep as sweeps
 from telenano_studies.loops.sweep import Journal, Sweep
 
-from telenano.wire.errors import ConfigError
+from telenano.testing import free_ports
+from telenano.wire import ConfigError
 
 distributed = pytest.importorskip("dask.distributed")
 

@@ -9,12 +9,9 @@ from typing import Any
 
 import pytest
 from telenano_studies.comparison import names_of, recordings_of, sessions_in
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
-
-RUNNER = CliRunner()
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 
 @pytest.fixture(scope="module")
@@ -22,10 +19,10 @@ def compared(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempP
     folder = tmp_path_factory.mktemp("compare")
     for name, law in (("a", "wave"), ("b", "position_force")):
         (folder / name).mkdir()
-        shutil.copy(recording_of(f"fig12_{law}"), folder / name / "session.mcap")
+        shutil.copy(recording_of(law), folder / name / "session.mcap")
     out = folder / "out"
     arguments = ["compare", str(folder / "a"), str(folder / "b" / "session.mcap"), "--out", str(out)]
-    result = RUNNER.invoke(app, [*arguments, "--format", "png,svg", "--json"])
+    result = invoke([*arguments, "--format", "png,svg", "--json"])
     assert result.exit_code == 0, result.stderr
     return out, json.loads(result.stdout)
 
@@ -55,7 +52,7 @@ def test_the_figure_is_written_in_every_format_with_every_session(compared: tupl
 
 
 def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
-    assert RUNNER.invoke(app, ["compare", "a.mcap"]).exit_code == 2
+    assert invoke(["compare", "a.mcap"]).exit_code == 2
     with pytest.raises(ConfigError, match=r"has no session\.mcap in it"):
         recordings_of(tmp_path)
 

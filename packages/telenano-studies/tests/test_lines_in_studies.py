@@ -1,7 +1,6 @@
 """A line of one's own in every study: its fitted network is taken, and a log or a table is refused with what to do."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,9 @@ from telenano_experiments.benchmark.plan import plan_of
 from telenano_studies.loops.advice import Question
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.validate import scenario_of
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.link import profiles
-from telenano.link.config import LinkSettings
-from telenano.link.profiles import profile_named
+from telenano.link import LinkSettings, profile_named
+from telenano.testing import invoke
 
 # What takes a network by its name; NAME stands for what a person gives.
 NETWORKS = {
@@ -60,7 +56,7 @@ def written(folder: Path, kind: str) -> Path:
 
 def _run(command: list[str], name: Path, folder: Path) -> str:
     words = [word.replace("NAME", str(name)).replace("OUT", str(folder / "out")) for word in command]
-    done = CliRunner().invoke(app, words)
+    done = invoke(words)
     assert done.exit_code != 0, done.output
     assert not (folder / "out").exists()
     return re.sub(r"[\s│]+", " ", done.output)
@@ -80,23 +76,13 @@ def test_a_file_of_a_line_is_refused_with_the_way_it_goes_in(study: str, kind: s
 
 
 def test_each_study_is_in_the_table() -> None:
-    listed = CliRunner().invoke(app, ["study", "--help"]).output.partition("Commands:")[2]
+    listed = invoke(["study", "--help"]).output.partition("Commands:")[2]
     names = set(re.findall(r"^  (\w+) ", listed, re.MULTILINE))
     assert names == {*NETWORKS, *NUMBERS, *OTHERS, *OWN} - {"benchmark", "profile", "picture", "udp", "up"}
 
 
-@pytest.fixture
-def _own_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    written(tmp_path, "a fitted profile")
-    monkeypatch.setenv("TELENANO_NETWORKS", str(tmp_path))
-    profiles._names.cache_clear()
-    yield
-    profiles._names.cache_clear()
-    profiles._read.cache_clear()
-
-
-@pytest.mark.usefixtures("_own_networks")
-def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one() -> None:
+def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one(networks_folder: Path) -> None:
+    written(networks_folder, "a fitted profile")
     # the parts that each of the commands begins with
     assert profile_named("my_line").round_trip_ms == 60.0
     assert LinkSettings.of({"profile": "my_line"}).forward.order == "link"
@@ -107,4 +93,4 @@ def test_a_fitted_network_of_a_folder_goes_into_each_study_that_takes_one() -> N
         )
     )
     assert plan_of(["wave"], quick=True, networks=["my_line"]).networks == ("my_line",)
-    assert "a line" in CliRunner().invoke(app, ["link", "profile", "my_line", "--show"]).output
+    assert "a line" in invoke(["link", "profile", "my_line", "--show"]).output

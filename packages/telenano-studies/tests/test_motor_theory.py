@@ -6,12 +6,11 @@ from typing import Any
 import pytest
 from telenano_studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
-from telenano.hand import MotorParams
-from telenano.hand.config import DeviceConfig
+from telenano.hand import HapticConfig, MotorParams
 
 
 def device(preset: Any = "paper_bandwidth", **changes: Any) -> MotorParams:
-    return DeviceConfig(preset=preset, **changes).to_params()
+    return HapticConfig.model_validate({"device": {"preset": preset, **changes}}).device.to_params()
 
 
 def test_poles_and_bandwidth_of_the_printed_gain() -> None:
@@ -25,7 +24,7 @@ def test_poles_and_bandwidth_of_the_printed_gain() -> None:
 
 def test_bandwidth_of_the_default_preset_is_the_printed_one() -> None:
     assert f"{bandwidth_hz(device()):.1f}" == "30.0"
-    assert DeviceConfig().preset == "paper_bandwidth"
+    assert HapticConfig().device.preset == "paper_bandwidth"
 
 
 @pytest.mark.parametrize("gain", [1e4, 1.917e5, 2.7e5, 3e6])

@@ -4,22 +4,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 from telenano_studies import plot
 from telenano_studies.plot import Trace, extremes, read_traces
 
-from telenano.recording.indexed import IndexedRecording
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.testing import EPOCH_NS, hand_state, numbered
 from telenano.wire import encode
 
 
 def test_a_ramp_stays_a_ramp_where_the_recorder_was_late(tmp_path: Path) -> None:
-    writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for n in range(600):
-        state = haptic_state(n, t_ns=EPOCH_NS + n * MILLISECOND_NS)
+        state = hand_state(n, t_ns=EPOCH_NS + n * 1_000_000)
         # received in heaps, 200 ms apart
-        writer.write(channel, EPOCH_NS + (1 + n // 200) * 200 * MILLISECOND_NS, state.t_ns, n, encode(state))
+        writer.write(channel, EPOCH_NS + (1 + n // 200) * 200 * 1_000_000, state.t_ns, n, encode(state))
     writer.finish()
     (trace,) = read_traces(writer.path, ["haptic/state.position_m.2"])
     assert trace.time_s[0] == 0.0
@@ -58,40 +57,22 @@ def _between(time_s: plot.Floats, begin_s: float) -> "np.ndarray[tuple[int], np.
 
 def _hand(folder: Path, messages: int) -> Path:
     """Write the hand at 1 kHz in many chunks, an event in the first and the last of them."""
-    writer = RecordingWriter.create(NODE, FileSettings(directory=folder, chunk_size_bytes=8192))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder, chunk_size_bytes=8192))
     hand = writer.channel("haptic/state", "haptic_node@master", "master")
     events = writer.channel("session/event", "launcher@master", "master")
     for n in range(messages):
-        state = haptic_state(n, t_ns=EPOCH_NS + n * MILLISECOND_NS)
+        state = hand_state(n, t_ns=EPOCH_NS + n * 1_000_000)
         writer.write(hand, state.t_ns + 1000, state.t_ns, n, encode(state))
         if n in (0, messages - 1):
-            event = sample("session/event", n, src="launcher@master")
+            event = numbered("session/event", n, src="launcher@master")
             writer.write(events, state.t_ns + 1000, state.t_ns, n, encode(event))
     writer.finish()
     return writer.path
 
 
-def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, unpacked = _hand(tmp_path, 2000), []
-    inside = IndexedRecording._content
-    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
-    monkeypatch.setattr("telenano.recording.messages.RecordedMessage.fields", None)
-    (trace,) = read_traces(path, ["session/event.seq"])
-    assert trace.values.tolist() == [0.0, 1999.0]
-    assert len(unpacked) == 2
-    unpacked.clear()
-    first, second = read_traces(path, ["haptic/state.seq", "haptic/state.position_m.2"])
-    assert (len(first.values), len(second.values)) == (2000, 2000)
-    # both fields by one pass
-    assert len(unpacked) == len(set(unpacked))
-
-
 def test_a_trace_of_any_length_is_kept_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = _hand(tmp_path, 3000)
     (whole,) = read_traces(path, ["haptic/state.position_m.2"])
-    monkeypatch.setattr("telenano.recording.columns._AT_ONCE", 100)
     monkeypatch.setattr(plot, "_MOST_KEPT", 400)
     (bounded,) = read_traces(path, ["haptic/state.position_m.2"])
     assert len(whole.values) == 3000

@@ -5,27 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 from telenano_studies.plot import Trace, draw
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.testing import EPOCH_NS, hand_state, invoke
 from telenano.wire import encode
 
 
 def run(*arguments: str | Path, exit_code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["bag", *(str(argument) for argument in arguments)])
+    result = invoke(["bag", *(str(argument) for argument in arguments)])
     assert result.exit_code == exit_code, result.output
     return result.stdout
 
 
 def recorded(folder: Path) -> Path:
-    writer = RecordingWriter.create(NODE, FileSettings(directory=folder))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for seq in range(40):
-        log_ns = EPOCH_NS + seq * MILLISECOND_NS
-        writer.write(channel, log_ns + 100, log_ns, seq, encode(haptic_state(seq, t_ns=log_ns)))
+        log_ns = EPOCH_NS + seq * 1_000_000
+        writer.write(channel, log_ns + 100, log_ns, seq, encode(hand_state(seq, t_ns=log_ns)))
     writer.finish()
     return writer.path
 

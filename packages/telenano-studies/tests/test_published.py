@@ -9,8 +9,8 @@ import pytest
 from telenano_studies.comparison import Compared, beside, compare_figure
 from telenano_studies.published import nearest, paper_points, read_published
 
-from telenano.analysis.fig12 import SessionSeries
-from telenano.wire.errors import ConfigError
+from telenano.analysis import SessionSeries
+from telenano.wire import ConfigError
 
 TIMES_S = np.linspace(0.0, 8.0, 801)
 HEAD = "# Authors, Title, 1998, Fig. 12\n"

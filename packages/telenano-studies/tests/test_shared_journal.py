@@ -7,7 +7,7 @@ from typing import Any
 
 from telenano_studies.loops.sweep import Journal, Kind
 
-from tests.doubles.shared_files import Shared, fill_at_each_write, race
+from telenano.testing import Shared, fill_at_each_write, race
 
 
 def result_of(document: dict[str, Any]) -> Any:

@@ -11,11 +11,10 @@ from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import COMPARED_LAWS, Jitter
 
-from telenano.hand.operator_config import ARMS
-from telenano.laws.config import LAWS
-from telenano.lockstep import lockstep
-from telenano.lockstep.trajectory import Trajectory
-from telenano.wire.errors import ConfigError
+from telenano.hand import ARMS
+from telenano.laws import LAWS
+from telenano.lockstep import Trajectory
+from telenano.wire import ConfigError
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:
@@ -30,21 +29,15 @@ def cell(hand: Any = "ordinary", **changes: Any) -> Cell:
     return Cell(**{**values, **changes})
 
 
-@pytest.fixture
-def plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the loop without the compiler: no law has to be compiled into it."""
-    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
-
-
 @pytest.mark.parametrize("hand", ARMS)
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_arm_presses_with_the_force_of_the_programme_if_hand_and_sample_are_one(hand: str) -> None:
     course = trajectory_of(cell(hand))
     assert 1e8 * course.tip_force_n[-1] == pytest.approx(1.0, rel=0.01, abs=0.0)
     assert course.hand_force_n[-1] == pytest.approx(1e8 * course.tip_force_n[-1], rel=1e-3, abs=0.0)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_wall_only_pushes_and_is_met_on_the_way() -> None:
     course = trajectory_of(cell(environment="wall"))
     assert course.tip_force_n.min() == 0.0
@@ -52,7 +45,7 @@ def test_wall_only_pushes_and_is_met_on_the_way() -> None:
     assert 1e8 * course.tip_force_n[-1] == pytest.approx(1.0, rel=0.02, abs=0.0)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_result_tells_force_peak_and_what_hand_and_tip_are_apart() -> None:
     result = run_cell(cell("force", law="passivity", round_trip_ms=20.0))
     assert result.verdict == "stable"
@@ -90,7 +83,7 @@ def laws(**held: tuple[str, float, float]) -> Answered:
     return Answered(answer)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -160,7 +153,7 @@ def test_a_network_stands_in_the_place_of_delay_jitter_and_loss() -> None:
         Question(network="mars")
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_a_cell_over_a_network_meets_what_its_link_does() -> None:
     shorter = run_cell(cell("force", network="lan", round_trip_ms=0.4, session_s=2.0))
     longer = run_cell(cell("force", network="transatlantic", round_trip_ms=78.0, session_s=2.0))

@@ -11,12 +11,12 @@ from telenano_studies.loops import body as model
 from telenano_studies.loops.body import BodyParams, body_params
 from telenano_studies.loops.cells import Cell, run_cell
 
-from telenano.afm.section_config import SafetyConfig
+from telenano.afm import AfmConfig
 from telenano.extend.instruments import SafetyParams
 
 DT = 1e-3
 pushed: Any = model.pushed
-SAFETY = SafetyParams(**SafetyConfig().model_dump())
+SAFETY = SafetyParams(**AfmConfig().safety.model_dump())
 
 
 def body(mass_kg: float = 0.01, damping: float = 0.02, rest_m: float = 0.0) -> BodyParams:

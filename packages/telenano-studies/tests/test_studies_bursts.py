@@ -21,8 +21,8 @@ from telenano_studies.loops.cells import (
 )
 
 from telenano.extend.virtual_mass import FOLLOWED_M
-from telenano.link.config import LinkSettings
-from telenano.lockstep.link import Schedule, schedule_from
+from telenano.link import LinkSettings
+from telenano.lockstep import Schedule, schedule_from
 
 PERIOD_NS = 1_000_000
 # a tenth of a microjoule is what the servo of the device makes of a ripple

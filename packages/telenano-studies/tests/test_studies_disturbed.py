@@ -1,4 +1,4 @@
-"""Disturbances in the lockstep: those of the node, one for one, and what they do to a cell."""
+"""Disturbances in the lockstep: what they do to a cell."""
 
 from typing import Any
 
@@ -7,49 +7,7 @@ import pytest
 from telenano_studies import option_values
 from telenano_studies.loops.cells import Cell, course_of, run_cell
 
-from telenano.afm import safety
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.disturbed import noisy_params
-from telenano.afm.sim import simulated_afm
-from telenano.afm.step import AfmInputs, initial_afm_state, step
-from telenano.lockstep import lockstep
-from telenano.wire.errors import ConfigError
-
-AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
-ALL = {
-    "seed": 8,
-    "vibration": {"enabled": True},
-    "hysteresis": {"enabled": True, "range_m": 30e-9},
-    "creep": {"enabled": True},
-    "stage": {"enabled": True, "resonance_hz": 150.0},
-    "drift": {"enabled": True, "speed_m_per_s": 2e-9},
-    "thermal": {"enabled": True},
-    "readout": {"enabled": True},
-    "electrostatic": {"enabled": True, "voltage_v": 1.5, "noise_v": 0.3},
-}
-
-
-@pytest.mark.parametrize("name", [*(key for key in ALL if key != "seed"), "all"])
-def test_each_disturbs_as_in_the_node(name: str) -> None:
-    config = DisturbanceConfig.model_validate(ALL if name == "all" else {"seed": 8, name: ALL[name]})
-    node = simulated_afm(AFM, disturbances=config)
-    node.open()
-    params = AFM._replace(plant=noisy_params(config, AFM.plant, 0.5))
-    state = initial_afm_state(params)
-    rng = np.random.Generator(np.random.PCG64(1))
-    references = np.concatenate([np.linspace(-20e-9, 25e-9, 150), np.linspace(25e-9, -20e-9, 150)])
-    forces = []
-    # the first one is where both begin at rest
-    for reference in (-100e-9, *(references + rng.normal(0.0, 0.2e-9, 300)).tolist()):
-        asked = AfmInputs(reference, 0.0, safety.ACTION_POSITION, True, False)
-        state, (found, _) = step(params, state, asked, 1e-3)
-        node.elapse(1e-3)
-        expected = node.exchange(found.base_m)
-        # the same parts, bit for bit
-        assert found == expected
-        forces.append(found.force_n)
-    assert max(forces) > 3e-9 > -3e-9 > min(forces)
+from telenano.wire import ConfigError
 
 
 def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
@@ -74,7 +32,7 @@ def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
     assert cell("tip_sample").key != cell("tip_sample", "drift").key
 
 
-def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(request: pytest.FixtureRequest) -> None:
     def course(seed: int, *disturbed: str) -> Any:
         cell = Cell(
             law="virtual_impedance", environment="tip_sample", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
@@ -88,7 +46,7 @@ def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pyt
     assert not np.array_equal(noisy.tip_force_n, quiet.tip_force_n)
     assert not np.array_equal(noisy.tip_force_n, other.tip_force_n)
     # the plain steps of the node give the same bits
-    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
+    request.getfixturevalue("plain_loop")
     plain = course(1, *noise)
     for name in ("tip_force_n", "base_position_m", "hand_position_m", "in_contact", "instrument_mode"):
         assert np.array_equal(getattr(noisy, name), getattr(plain, name)), name

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 from telenano_studies.figure_colours import VERDICTS
 
-from telenano.analysis.verdict import Kind
+from telenano.analysis import Kind
 
 Colour = npt.NDArray[np.float64]
 

@@ -7,8 +7,6 @@ import pytest
 from telenano_studies.loops.cells import LAWS as INSTALLED
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
 
-from telenano.lockstep import lockstep
-
 LAWS = ("wave", "passivity", "model_mediated")
 # These come with telenano-laws, and are tried where it is installed.
 PACKAGE_LAWS = ("bounded_model", "fractal_impedance", "matched_wave")
@@ -53,10 +51,9 @@ def is_borne(result: CellResult) -> bool:
     ("law", "line"), [("wave", LOSSY[1]), ("passivity", UNEVEN[9]), ("model_mediated", UNEVEN[9])], ids=LAWS
 )
 def test_a_line_with_gaps_is_borne_to_its_limit_and_not_to_that_of_an_even_one(
-    law: str, line: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    law: str, line: dict[str, Any], plain_loop: None
 ) -> None:
     # The loop runs without the compiler, which would take longer over the law than the run does.
-    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     assert is_borne(at_share(law, 0.9, line, SEEDS[0], 1.8))
     # 16/7 of it is what an even line bears
     assert not is_borne(at_share(law, 0.9 * 16.0 / 7.0, line, SEEDS[0], 1.8))

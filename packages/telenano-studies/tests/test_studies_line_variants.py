@@ -8,9 +8,7 @@ import pytest
 from telenano_studies.loops import line_variants
 from telenano_studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
-from telenano.link import profile_named
-from telenano.link.config import LinkSettings
-from telenano.link.direction import DirectionEngine
+from telenano.link import DirectionEngine, LinkSettings, profile_named
 
 PERIOD_S, TIME_S = 0.2, 0.4
 

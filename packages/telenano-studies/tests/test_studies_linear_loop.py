@@ -11,9 +11,8 @@ from telenano_studies.loops.stability import Axes, Line, theory_of
 from telenano_studies.loops.theory import Arm, Device, arm_response, loop_model
 from telenano_studies.option_values import Jitter
 
-from telenano.hand.config import DeviceConfig
-from telenano.hand.operator_config import ARMS
-from telenano.wire.errors import ConfigError
+from telenano.hand import ARMS, HapticConfig
+from telenano.wire import ConfigError
 
 OMEGA = np.geomspace(0.5, 100.0, 60)
 
@@ -51,7 +50,7 @@ def test_an_arm_is_in_the_transfer_function_as_in_the_study(law: str) -> None:
         undelayed = loop.response(OMEGA) * np.exp(1j * OMEGA * loop.delay_s)
         model = loop_model(law, loop.parameters, 20.0)
         assert model is not None
-        device = Device(*DeviceConfig().to_params().closed_loop_coefficients())
+        device = Device(*HapticConfig().device.to_params().closed_loop_coefficients())
         other = arm_response(model, getattr(loop.parameters, "force_gain", 1.0), Arm(*ARMS[hand]), device)
         assert np.allclose(undelayed, [other(w) for w in OMEGA], rtol=1e-12, atol=0)
 

@@ -10,8 +10,8 @@ import pytest
 from telenano_studies.loops.cells import Cell, run_cell
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from telenano.laws.config import late_periods
-from telenano.wire.errors import ConfigError
+from telenano.laws import late_periods
+from telenano.wire import ConfigError
 
 SHARES = (0.8, 1.2)
 

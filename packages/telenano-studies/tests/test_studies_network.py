@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from telenano_networks.network_trace import DIRECTIONS, NetworkTrace, write_traces
 from telenano_studies.loops.network import measured_network
-from typer.testing import CliRunner
 
-from telenano.cli.root import app
-from telenano.wire.errors import ConfigError
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 LOST = 0.1
 
@@ -38,7 +37,7 @@ def test_a_probe_becomes_its_round_trip_its_losses_and_a_link(tmp_path: Path) ->
 def test_a_law_over_a_measured_network_is_judged_with_its_defaults_and_tuned(tmp_path: Path) -> None:
     folder, out = probe(tmp_path / "probe", 0.06), tmp_path / "laws"
     words = ["study", "network", str(folder), "--law", "virtual_impedance", "--out", str(out), "--json"]
-    done = CliRunner().invoke(app, words)
+    done = invoke(words)
     assert done.exit_code == 0, done.output
     assert (out / "network.html").is_file() and (out / "network.parquet").is_file()
     rows = json.loads(done.stdout)["rows"]

@@ -24,8 +24,7 @@ from telenano_studies.loops.promises import (
 )
 from telenano_studies.loops.sweep import Journal, Sweep
 
-from telenano.afm.safety import MODE_HOLD
-from telenano.lockstep import lockstep
+from telenano.afm import MODE_HOLD
 
 SEEDS = range(25)
 LINKS = ((60.0, 15.0, 0.5), (200.0, 50.0, 0.2), (500.0, 125.0, 0.2))
@@ -50,9 +49,8 @@ def held(law: str, stiffness: float, link: tuple[float, float, float], hand: Han
     return result.lowest_energy_j
 
 
-def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(plain_loop: None) -> None:
     # The loop runs without the compiler, which would take longer over the law than the run does.
-    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     held = run_cell(
         Cell(
             law="wave",

@@ -5,18 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorder_samples import NODE, sample
 from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
-from telenano.link.direction import DirectionEngine
-from telenano.link.fate import Fate
-from telenano.lockstep.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, Schedule
-from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
-from telenano.wire.messages import LinkFate
+from telenano.link import DirectionEngine
+from telenano.lockstep import MESSAGE_BYTES, Schedule
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.testing import numbered
+from telenano.wire import LinkFate, RecordingError, encode
 
 MS = 1_000_000
 EPOCH_NS = 10**18
@@ -36,18 +32,18 @@ class Tape:
     """A recording of a session over a link, written by hand."""
 
     def __init__(self, folder: Path) -> None:
-        self.writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
+        self.writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
         self.path = self.writer.path
 
     def write(self, topic: str, src: str, messages: list[dict[str, Any]]) -> None:
         channel = self.writer.channel(topic, src, src.partition("@")[2])
         for seq, fields in enumerate(messages):
             t_ns = fields.get("t_ns", EPOCH_NS)
-            message = sample(topic, seq, **{**fields, "src": src, "t_ns": t_ns})
+            message = numbered(topic, seq, **{**fields, "src": src, "t_ns": t_ns})
             self.writer.write(channel, t_ns, t_ns, seq, encode(message))
 
 
-def told_of(fates: list[Fate]) -> tuple[LinkFate, ...]:
+def told_of(fates: list[Any]) -> tuple[LinkFate, ...]:
     """Give what the link reports of the fates of its messages."""
     shown = ("topic", "seq", "arrived_ns", "delay_ns", "queue_ns", "held_ns", "dropped", "duplicated", "reordered")
     return tuple(
@@ -63,13 +59,13 @@ def recorded(folder: Path, *, told: bool = True) -> Path:
     session_s = [-1.0] * SETTLE + [1e-3 * n for n in range(SESSION)]
     hand = [{"t_ns": stamp, "session_s": s, "step_s": 1e-3} for stamp, s in zip(stamps, session_s, strict=True)]
     tape.write("haptic/state", "haptic_node@master", hand)
-    tape.write(FORWARD_TOPIC, "controller@master", [{"hand_t_ns": stamp} for stamp in stamps])
+    tape.write("teleop/forward", "controller@master", [{"hand_t_ns": stamp} for stamp in stamps])
     grid = [EPOCH_NS + n * MS for n in range(ticks)]
-    forward = DirectionEngine.fates(SETTINGS, "forward", FORWARD_TOPIC, grid, MESSAGE_BYTES)
+    forward = DirectionEngine.fates(SETTINGS, "forward", "teleop/forward", grid, MESSAGE_BYTES)
     schedule = Schedule.of(SETTINGS, ticks, PERIOD_S)
     backward_at = (EPOCH_NS + schedule.forward_ns).tolist()
-    tape.write(BACKWARD_TOPIC, "controller@slave", [{"hand_t_ns": stamps[n]} for n in schedule.forward_of.tolist()])
-    backward = DirectionEngine.fates(SETTINGS, "backward", BACKWARD_TOPIC, backward_at, MESSAGE_BYTES)
+    tape.write("teleop/backward", "controller@slave", [{"hand_t_ns": stamps[n]} for n in schedule.forward_of.tolist()])
+    backward = DirectionEngine.fates(SETTINGS, "backward", "teleop/backward", backward_at, MESSAGE_BYTES)
     for direction, fates in (("forward", forward), ("backward", backward)) if told else ():
         rows = told_of(fates)
         parts = [{"direction": direction, "fates": rows[n : n + 64]} for n in range(0, len(rows), 64)]

@@ -9,7 +9,7 @@ from telenano_studies.pages import reproduce as module
 from telenano_studies.pages.live_figures import TactilePath
 from telenano_studies.pages.reproduce import FIGURES, equations, reproduce
 
-from telenano.wire.errors import RigError
+from telenano.wire import RigError
 
 
 def test_every_equation_is_within_the_digits_of_its_expected_value():

@@ -7,7 +7,7 @@ import pytest
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, run_cell, settle_ticks
 from telenano_studies.loops.links import symmetric_link
 
-from telenano.lockstep.link import Schedule
+from telenano.lockstep import Schedule
 
 # the model is there as soon as the tip touches
 AT_ONCE = ("smith.stiffness_rate_n_per_m_s", 1e5)

@@ -31,8 +31,8 @@ from telenano_studies.option_values import Jitter
 from telenano_studies.page import Page
 from telenano_studies.pages.stability_page import broken_assumption, summarise, write_stability
 
-from telenano.afm.safety import MODE_HOLD, MODE_RETRACTING
-from telenano.wire.errors import ConfigError
+from telenano.afm import MODE_HOLD, MODE_RETRACTING
+from telenano.wire import ConfigError
 
 
 def axes(**changes: Any) -> Axes:

@@ -24,9 +24,8 @@ from telenano_studies.loops.theory import (
 )
 
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
-from telenano.hand.config import DeviceConfig
-from telenano.laws.position_force import PositionForceConfig
-from telenano.laws.wave import WaveConfig
+from telenano.hand import HapticConfig
+from telenano.laws import LAWS
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)
 PERIOD_S = 1e-3
@@ -104,15 +103,15 @@ def test_loop_below_unity_bears_any_delay() -> None:
 
 
 def test_laws_that_are_no_such_loop_have_none() -> None:
-    assert loop_model("wave", WaveConfig(), 10.0) is None
-    model = loop_model("position_force", PositionForceConfig(), 10.0)
+    assert loop_model("wave", LAWS["wave"].config(), 10.0) is None
+    model = loop_model("position_force", LAWS["position_force"].config(), 10.0)
     assert model is not None
     assert model.gain_n_per_m == pytest.approx(1500.0, rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("law", ["virtual_impedance", "position_force"])
 def test_direct_laws_are_absolutely_stable_without_delay_only(law: str) -> None:
-    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}[law]
+    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": LAWS["position_force"].config()}[law]
     for delay_s, holds in ((0.0, True), (1e-6, False), (0.04, False)):
         hybrid = hybrid_of(law, config, delay_s, OMEGA)
         assert hybrid is not None
@@ -126,7 +125,7 @@ def test_waves_are_passive_at_every_constant_delay(delays: tuple[float, float], 
     assert llewellyn(hybrid).min() >= -1e-9
     for impedance in (10.0, 100.0, 1000.0):
         assert scattering_norm(hybrid, impedance).max() <= 1.0 + 1e-9
-    law = hybrid_of("wave", WaveConfig(), sum(delays), OMEGA)
+    law = hybrid_of("wave", LAWS["wave"].config(), sum(delays), OMEGA)
     assert law is not None
     assert scattering_norm(law, 100.0).max() <= 1.0 + 1e-9
 
@@ -171,7 +170,7 @@ def test_margin_of_the_sampled_loop_is_found_however_slow_its_crossover_is(stiff
 
 @pytest.mark.parametrize("law", ["virtual_impedance", "position_force"])
 def test_no_margin_of_an_integrating_loop_is_infinite(law: str) -> None:
-    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}[law]
+    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": LAWS["position_force"].config()}[law]
     for stiffness in (0.5, 1.0, 2.0, 3.0, 6.0, 200.0):
         model = loop_model(law, config, stiffness)
         assert model is not None
@@ -201,14 +200,14 @@ ARMS = {
 )
 def test_an_arm_bears_more_delay_than_a_hand_of_constant_force(stiffness: float, arm: str, delay_ms: float) -> None:
     config = VirtualImpedanceConfig()
-    device = Device(*DeviceConfig().to_params().closed_loop_coefficients())
+    device = Device(*HapticConfig().device.to_params().closed_loop_coefficients())
     response = arm_response(paper_loop(stiffness), config.force_gain, Arm(*ARMS[arm]), device)
     assert 1e3 * margin_of(response).delay_s == pytest.approx(delay_ms, rel=5e-3, abs=0.0)
 
 
 @pytest.mark.parametrize("stiffness_n_per_m", [10.0, 20.0, 38.0])
 def test_direct_reflection_bears_nearly_the_delay_of_the_papers_law(stiffness_n_per_m: float) -> None:
-    configs = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}
+    configs = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": LAWS["position_force"].config()}
     loops = [loop_model(law, config, stiffness_n_per_m) for law, config in configs.items()]
     papers, direct = (critical_delay_s(loop) for loop in loops if loop is not None)
     assert direct == pytest.approx(papers, rel=0.06, abs=0.0)

@@ -8,7 +8,7 @@ import pytest
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_force_profile, measure, spectrum
 
-from telenano.hand.config import DeviceConfig
+from telenano.hand import HapticConfig
 
 
 def cell(delay_ms: float, **more: Any) -> Cell:
@@ -61,7 +61,7 @@ def test_programme_is_a_sine_on_a_ramp() -> None:
 
 def servo(omega: float) -> complex:
     """Return x_m/x_mr of the device, whose command acts a period after the force that it answers."""
-    square, damping = DeviceConfig().to_params().closed_loop_coefficients()
+    square, damping = HapticConfig().device.to_params().closed_loop_coefficients()
     return complex(square * np.exp(-1e-3j * omega)) / complex(square - omega**2, damping * omega)
 
 

@@ -20,14 +20,13 @@ from telenano_studies.loops.validate import (
     scenario_of,
 )
 
-from telenano.afm.config import AfmConfig
-from telenano.hand.config import HapticConfig
-from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
-from telenano.lockstep.trajectory import Trajectory
-from telenano.settings.config import validate
-from telenano.settings.scenario import Scenario
-from telenano.wire.errors import ConfigError, RecordingError, RigError
+from telenano.afm import AfmConfig
+from telenano.hand import HapticConfig
+from telenano.laws import ControllerConfig
+from telenano.link import LinkSettings
+from telenano.lockstep import Trajectory
+from telenano.settings import Scenario, validate
+from telenano.wire import ConfigError, RecordingError, RigError
 
 
 def cell(**changes: Any) -> Cell:

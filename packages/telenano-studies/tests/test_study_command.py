@@ -16,8 +16,8 @@ from telenano_studies.option_values import Jitter
 from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
-from telenano.cli.root import app as root
-from telenano.wire.errors import ConfigError
+from telenano.testing import invoke
+from telenano.wire import ConfigError
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
@@ -119,7 +119,7 @@ def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
 def test_a_cluster_without_dask_names_what_adds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
     options = ["--delay", "0", "--stiffness", "38", "--scheduler", "tcp://h:1", "--out", str(tmp_path / "out")]
-    result = RUN.invoke(root, ["study", *STABILITY, *options])
+    result = invoke(["study", *STABILITY, *options])
     assert result.exit_code == 2
     assert "dask is not installed: pip install" in result.stderr
 

@@ -22,11 +22,10 @@ from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.validate import longest_stall_s
 
 import telenano
-from telenano.cli.child_session import run_session
-from telenano.laws.config import ControllerConfig
-from telenano.settings import find_scenario
-from telenano.settings.config import merge, nested, read_yaml
-from telenano.wire.errors import RigError
+from telenano.cli import run_session
+from telenano.laws import ControllerConfig
+from telenano.settings import find_scenario, merge, nested, read_yaml
+from telenano.wire import RigError
 
 STIFFNESS_N_PER_M = 20.0
 HOLD_S = (0.9, 2.4)

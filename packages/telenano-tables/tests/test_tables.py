@@ -11,17 +11,10 @@ import h5py
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
-from export_samples import HEIGHTS, hand_recording, rich_recording
-from recorder_samples import EPOCH_NS, NODE, haptic_state
 
-from telenano.recording import Selection, columns_of
-from telenano.recording.export import export_recording
-from telenano.recording.messages import RawChannel, RawMessage
-from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.rewrite import CopyWriter
-from telenano.recording.writer import RecordingWriter
-from telenano.wire import encode
-from telenano.wire.errors import RecordingError
+from telenano.recording import FileSettings, RecordingWriter, Selection, columns_of, export_recording
+from telenano.testing import EPOCH_NS, HEIGHTS_M, foreign_recording, hand_recording, hand_state, rich_recording
+from telenano.wire import RecordingError, encode
 
 
 @pytest.fixture
@@ -34,12 +27,12 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     copied = export_recording(rich, target, "parquet")
     assert copied.messages == 41
     hand = parquet.read_table(target / "haptic_state.parquet").to_pydict()
-    assert hand["position_m.2"] == [haptic_state(seq).position_m[2] for seq in range(10)]
+    assert hand["position_m.2"] == [hand_state(seq).position_m[2] for seq in range(10)]
     assert hand["limited"] == [seq % 2 == 1 for seq in range(10)]
     forward = parquet.read_table(target / "teleop_forward@slave.parquet").to_pydict()
     assert forward["wave_sqrt_w.2"] == [0.5 if seq == 3 else None for seq in range(10)]
     scan = parquet.read_table(target / "afm_scanline.parquet").to_pydict()
-    assert scan["height_m"] == [(HEIGHTS * seq).tolist() for seq in range(10)]
+    assert scan["height_m"] == [(HEIGHTS_M * seq).tolist() for seq in range(10)]
     event = parquet.read_table(target / "session_event.parquet").to_pydict()
     assert json.loads(event["data"][4]) == {"force_n": 1.5, "k4": "x"}
 
@@ -60,7 +53,7 @@ def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     with (tmp_path / "csv" / "haptic_state.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["operator_force_n.2"]) for row in rows] == [
-        haptic_state(seq).operator_force_n[2] for seq in range(10)
+        hand_state(seq).operator_force_n[2] for seq in range(10)
     ]
     assert [int(row["log_ns"]) for row in rows] == [EPOCH_NS + seq for seq in range(10)]
 
@@ -69,14 +62,14 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
     target = tmp_path / "session.h5"
     export_recording(rich, target, "hdf5")
     with h5py.File(target) as file:
-        assert file["haptic/state/position_m.2"][:].tolist() == [haptic_state(seq).position_m[2] for seq in range(10)]
+        assert file["haptic/state/position_m.2"][:].tolist() == [hand_state(seq).position_m[2] for seq in range(10)]
         assert file["haptic/state/log_ns"].dtype == np.int64
         assert file["haptic/state/limited"].dtype == np.bool_
-        assert file["haptic/state/mode"].asstr()[0] == haptic_state(0).mode
+        assert file["haptic/state/mode"].asstr()[0] == hand_state(0).mode
         wave = file["teleop/forward@slave/wave_sqrt_w.2"][:]
         assert wave[3] == 0.5
         assert np.isnan(np.delete(wave, 3)).all()
-        assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS * 2).tolist()
+        assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS_M * 2).tolist()
         assert file["attachments/site.yaml"][()].tobytes() == b"nodes: {}\n"
         assert file["metadata/versions"].attrs["python"] == "3"
 
@@ -105,12 +98,8 @@ def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path
 
 
 def test_an_attachment_of_a_strangers_recording_is_written_into_the_folder_and_nowhere_else(tmp_path: Path) -> None:
-    with CopyWriter(tmp_path / "s.mcap") as writer:
-        facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
-        channel = RawChannel("new/topic", "msgpack", facts, None)
-        writer.add(RawMessage(channel, EPOCH_NS, EPOCH_NS, 0, b"\x81\xa1a\x01"))
-        for name in ("../outside", "/outside", "columns.csv"):
-            writer.attach(name, "text/plain", b"not ours", EPOCH_NS)
+    names = ("../outside", "/outside", "columns.csv")
+    foreign_recording(tmp_path / "s.mcap", {name: b"not ours" for name in names})
     export_recording(tmp_path / "s.mcap", tmp_path / "csv", "csv")
     assert {path.name for path in tmp_path.iterdir()} == {"s.mcap", "csv"}
     assert (tmp_path / "csv" / "columns.csv").read_text().startswith("channel,column")
@@ -156,10 +145,10 @@ def test_tables_written_in_batches_are_those_written_at_once(
 
 
 def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     for seq in range(1000):
-        writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(haptic_state(seq)))
+        writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(hand_state(seq)))
     writer.finish()
     lengths: list[int] = []
 
@@ -217,7 +206,7 @@ def test_the_memory_of_an_export_does_not_grow_with_the_length(
 def test_a_recording_with_journals_becomes_tables_whose_times_are_whole(
     recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    export_recording(recording_of("fig12_wave"), tmp_path / "tables", "parquet")
+    export_recording(recording_of("wave"), tmp_path / "tables", "parquet")
     parquet = pytest.importorskip("pyarrow.parquet")
     (journal,) = (parquet.read_table(path) for path in (tmp_path / "tables").glob("*journal*.parquet"))
     times = journal["time_ns"].to_pylist()[0]

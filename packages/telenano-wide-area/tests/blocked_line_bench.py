@@ -13,8 +13,9 @@ from typing import Any
 
 import zmq
 from datagram_bench import SOURCES, Side, SocketLog
-from network_bench import payload
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
+
+from telenano.testing import payload
 
 MS, S = 1_000_000, 1_000_000_000
 DEADLINE_S, WITHDRAWN_S = 0.05, 0.25
@@ -233,6 +234,6 @@ class Session:
 
 
 def _free_port() -> int:
-    from free_ports import free_ports
+    from telenano.testing import free_ports
 
     return free_ports(1)[0]

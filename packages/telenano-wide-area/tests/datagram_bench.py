@@ -7,17 +7,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import zmq
-from network_bench import payload
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.place import Place
 from telenano_wide_area.datagram.sparse import SPARSE
 from telenano_wide_area.settings import DatagramSettings
 
-from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
-from telenano.testing import VirtualClock
-from telenano.wire import compose
-from telenano.wire.messages import Message
-from telenano.wire.received import Received
+from telenano.runtime import ConnectionEvent, Subscriber
+from telenano.testing import VirtualClock, payload
+from telenano.wire import Message, Received, compose
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

@@ -4,7 +4,6 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fuzz_frames import Frames
 from telenano_wide_area.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
@@ -19,6 +18,8 @@ from telenano_wide_area.datagram.body import (
 )
 from telenano_wide_area.datagram.replay_window import WINDOW
 from telenano_wide_area.datagram.sealing import Sealer
+
+from telenano.testing import Frames
 
 MOST = 2**64 - 1
 # a jump beyond the window that is possible now and then

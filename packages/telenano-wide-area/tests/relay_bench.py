@@ -12,7 +12,7 @@ from telenano_wide_area.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw
 from telenano_wide_area.sealed import RejectedError
 from zmq.utils import z85
 
-from telenano.runtime.security.keyring import KeyPair, Keyring
+from telenano.runtime import KeyPair, Keyring
 
 Address = tuple[Any, ...]
 STEP_NS = 50_000_000

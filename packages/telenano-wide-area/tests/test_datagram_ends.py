@@ -9,7 +9,6 @@ from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from hypothesis import given
 from hypothesis import strategies as st
-from network_bench import payload
 from telenano_wide_area.datagram.agreement import REKEY_NS, Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord, LinkNetwork
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
@@ -27,6 +26,8 @@ from telenano_wide_area.datagram.sealing import (
 )
 from telenano_wide_area.datagram.touch import Touch
 from telenano_wide_area.sealed import RejectedError
+
+from telenano.testing import payload
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 

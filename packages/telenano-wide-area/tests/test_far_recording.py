@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import hashlib
-import os
 import socket
 import tempfile
 import threading
@@ -20,18 +19,10 @@ from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES,
 from telenano_wide_area.relay.server import Relay
 from telenano_wide_area.relay.site_end import SiteEnd
 
-from telenano.launcher.site_node import SiteNode
-from telenano.launcher.supervisor import Supervisor
-from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.runtime.bus.address_book import AddressBook, NodeEntry
-from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.loop.node_loop import NodeLoop
-from telenano.runtime.security.access_control import AccessControl
-from telenano.runtime.security.keyring import Keyring
-from telenano.runtime.wiring.participant import NO_REALTIME, Participant
-from telenano.wire.errors import ConfigError, RecordingError, RefusedError, RigError
-from telenano.wire.messages import Array
-from telenano.wire.network_messages import RecordingPiece
+from telenano.recording import FileSettings, RecordingWriter
+from telenano.runtime import AccessControl, AddressBook, Keyring, StructuredLog
+from telenano.testing import SiteLauncher
+from telenano.wire import Array, ConfigError, RecordingError, RecordingPiece, RefusedError, RigError
 
 NAME, NS = "session_1.mcap", 1_000_000_000
 
@@ -246,51 +237,11 @@ def test_an_offset_at_the_end_tells_the_size(far: Path) -> None:
     assert (piece.size_bytes, piece.offset_bytes, len(piece.data.to_numpy())) == (size, size, 0)
 
 
-class NoChildren:
-    """No process to look after."""
-
-    def __getattr__(self, name: str) -> Callable[..., dict[str, int]]:
-        return lambda *arguments, **named: {}
-
-
-class FarSite:
-    """The launcher of the slave's site on real sockets, in a thread that may stand still."""
-
-    def __init__(self, book: AddressBook, folder: Path) -> None:
-        self._book, self._folder = book, folder
-        self.runs, self._ends, self._ready = threading.Event(), threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self) -> None:
-        wake, write = os.pipe()
-        with Participant.open("launcher@slave", self._book, wake) as participant:
-            bus = participant.bus(SiteNode.inputs)
-            supervisor = Supervisor(participant.clock, (), NoChildren())
-            loop = NodeLoop(SiteNode(participant.context(bus), supervisor, self._folder, PieceSender), bus, NO_REALTIME)
-            self._ready.set()
-            while not self._ends.is_set():
-                self.runs.wait()
-                loop.turn()
-        os.close(wake)
-        os.close(write)
-
-    def __enter__(self) -> "FarSite":
-        self.runs.set()
-        self._thread.start()
-        assert self._ready.wait(10.0)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._ends.set()
-        self.runs.set()
-        self._thread.join()
-
-
 @pytest.fixture
 def book(tmp_path: Path) -> AddressBook:
     names = ("launcher@slave", "delay_node@slave", "console@master")
     sockets = Path(tempfile.mkdtemp(prefix="tn"))
-    return AddressBook(nodes={name: NodeEntry(local=f"ipc://{sockets}/{name}") for name in names})
+    return AddressBook.model_validate({"nodes": {name: {"local": f"ipc://{sockets}/{name}"} for name in names}})
 
 
 def test_what_was_asked_for_by_a_fetch_that_was_ended_is_none_of_the_next_one(
@@ -301,7 +252,7 @@ def test_what_was_asked_for_by_a_fetch_that_was_ended_is_none_of_the_next_one(
     def ended(name: str, done: int, size: int) -> None:
         raise KeyboardInterrupt
 
-    with FarSite(book, far):
+    with SiteLauncher(book, far, PieceSender):
         for _ in range(3):
             # the other site goes on with what it was asked for, a piece in 65 ms
             with pytest.raises(KeyboardInterrupt):
@@ -315,7 +266,7 @@ def test_a_fetch_goes_on_after_a_kill_and_after_a_silence_of_the_line(
     far: Path, tmp_path: Path, book: AddressBook
 ) -> None:
     whole, shown = (far / NAME).read_bytes(), []
-    with FarSite(book, far) as site:
+    with SiteLauncher(book, far, PieceSender) as site:
 
         def ended(name: str, done: int, size: int) -> None:
             raise KeyboardInterrupt
@@ -396,7 +347,7 @@ def test_a_fetch_is_at_the_relay_by_itself_and_leaves_it_again(
 ) -> None:
     # The rig has ended, and with it the end of this site at the relay.
     at_site(monkeypatch, tmp_path, "slave")
-    with FarSite(relayed, far):
+    with SiteLauncher(relayed, far, PieceSender):
         at_site(monkeypatch, tmp_path, "master")
         for folder in ("far", "again"):
             (fetched,) = fetch(relayed, [NAME], tmp_path / folder)

@@ -11,7 +11,7 @@ from telenano_wide_area.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 
-from telenano.timing.clock_offset import OffsetFilter
+from telenano.timing import OffsetFilter
 
 # TELENANO_FUZZ_DATAGRAMS in the environment replaces it, for a longer search
 COUNT = int(os.environ.get("TELENANO_FUZZ_DATAGRAMS", 1500))

@@ -8,7 +8,6 @@ from statistics import median
 import datagram_bench
 import pytest
 from datagram_bench import Pair, pair
-from network_bench import payload
 from telenano_wide_area.datagram import end
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.body import (
@@ -31,6 +30,8 @@ from telenano_wide_area.datagram.replay_window import ReplayWindow
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
 from test_datagram_ends import _Blocked
+
+from telenano.testing import payload
 
 MS = 1_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)

@@ -6,7 +6,7 @@ import pytest
 from line_bench import MS, Bottleneck, run
 from test_line import MBIT, TO_MASTER, TO_SLAVE
 
-from telenano.lockstep.simulation import simulate_scenario
+from telenano import simulate
 
 pytestmark = [pytest.mark.endurance, pytest.mark.timeout(300)]
 
@@ -43,7 +43,7 @@ def test_a_law_rests_in_contact_over_1_mbit_each_way(tmp_path: Path, law: str, s
             settings[f"delay_node.{direction}.{trace}_trace.by"] = "number"
         settings[f"delay_node.{direction}.delay_trace.interpolation"] = "hold"
         settings[f"delay_node.{direction}.order"] = "link"
-    session = simulate_scenario("fig12", law=law, round_trip_ms=40.0, duration_s=5.0, settings=settings)
+    session = simulate("fig12", law=law, round_trip_ms=40.0, duration_s=5.0, settings=settings)
     assert session.verdict in AT_REST[law]
 
 
@@ -61,7 +61,7 @@ def test_passivity_rests_with_few_samples_and_lands_later(tmp_path: Path) -> Non
                 settings[f"delay_node.{direction}.order"] = "link"
                 if pauses:
                     settings[f"delay_node.{direction}.delay_trace.file"] = str(tmp_path / "delay")
-            session = simulate_scenario("fig12", law="passivity", round_trip_ms=40.0, duration_s=5.0, settings=settings)
+            session = simulate("fig12", law="passivity", round_trip_ms=40.0, duration_s=5.0, settings=settings)
             assert session.verdict in {"stable", "cannot_say"}, session.reason
             assert session.holds[1].verdict == "stable"
             assert session.holds[1].peak_to_peak_n < 1e-3

@@ -16,7 +16,7 @@ from telenano_wide_area.relay.protocol import (
 )
 from telenano_wide_area.sealed import RejectedError
 
-from telenano.runtime.security.keyring import KeyPair
+from telenano.runtime import KeyPair
 
 ELSEWHERE = ("192.0.2.66", 666)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from free_ports import free_ports
 from relay_bench import ring
 from telenano_wide_area.relay import channel as channels
 from telenano_wide_area.relay import server, site_end
@@ -21,10 +20,9 @@ from telenano_wide_area.relay.server import Relay
 from telenano_wide_area.relay.site_end import SiteEnd
 from telenano_wide_area.sealed import RejectedError
 
-from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.security.access_control import AccessControl
-from telenano.wire.errors import ConfigError
+from telenano.runtime import AccessControl, AddressBook, StructuredLog
+from telenano.testing import free_ports
+from telenano.wire import ConfigError
 
 pytestmark = pytest.mark.anyio
 PATIENCE_S = 30.0

@@ -1,7 +1,7 @@
 """Loaded by every Python of a site whose PYTHONPATH has this folder: makes its half of the law a liar with a key.
 
 Beside each datagram that it sends there is one of `fuzz_datagrams`, and beside each message over TCP an extreme or a
-broken one of `fuzz_frames`, in the name and with the key of its machine.
+broken one of `telenano.testing.Frames`, in the name and with the key of its machine.
 """
 
 import sys
@@ -10,11 +10,11 @@ if "services.controller" in sys.orig_argv:
     import time
 
     from fuzz_datagrams import Datagrams
-    from fuzz_frames import Frames, stream
     from telenano_wide_area.datagram.body import DATAGRAMS_OF
     from telenano_wide_area.datagram.end import DatagramEnd
 
     from telenano.runtime.bus.publisher import ZmqPublisher
+    from telenano.testing.frames import Frames, stream
     from telenano.wire.topics import OWN_TOPICS as TOPICS
 
     # A frame for so many messages: the link's bytes are counted, and what is genuine should still get through.

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import Nanonis
-from stage_line import PARAMS, Rig
 from telenano_afm_controllers import nanonis_client, nanonis_model, nanonis_wire
+from telenano_afm_controllers.controller_line import Nanonis
 from telenano_afm_controllers.nanonis_client import approach
 from telenano_afm_controllers.nanonis_model import ExternalInput
+from telenano_emulators.stage_line import PARAMS, StageRig
 from telenano_emulators.t7_model import T7Model
 
 from telenano.afm.sim import simulated_afm
@@ -30,7 +30,7 @@ class Both:
         self.nanonis = Nanonis(guarded=False)
         # a quicker z-controller than the emulator's usual one, for a shorter approach
         self.nanonis.model._values["ZCtrl.Gain"] = [2e-7, 1e-3, 2e-4]
-        self.rig = Rig(bench)
+        self.rig = StageRig(bench)
         stage = self.rig.line
         usual = stage.pass_ms
 

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing import install_package, said_with
 
 PACKAGE = """
 from typing import NamedTuple
@@ -61,8 +62,8 @@ print(json.dumps(said))
 
 def felt(path: Path, **environment: str) -> Any:
     """Return what a process says of a map, with the packages that are installed and one of its own."""
-    install(path.parent, "of_walls", {"__init__.py": PACKAGE}, {"maps": {"wall": "of_walls:WALL"}})
-    return said(PROGRAM, path.parent, str(path), **environment)
+    install_package(path.parent, "of_walls", {"__init__.py": PACKAGE}, {"maps": {"wall": "of_walls:WALL"}})
+    return said_with(PROGRAM, path.parent, str(path), **environment)
 
 
 @pytest.mark.check("takes 0.7 s")

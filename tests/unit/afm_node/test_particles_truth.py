@@ -5,12 +5,12 @@ from pathlib import Path
 import msgpack
 import pytest
 from telenano_assembly.messages import AfmParticles
-from wire_contract import examples
 
 from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
+from telenano.testing.examples import examples
 from telenano.wire import Topic
 from telenano.wire.codec import WireError, accept, fields_of
 from telenano.wire.schema import json_schema

@@ -100,7 +100,7 @@ def test_what_happened_outside_the_session_does_not_count(recording: Recording) 
 
 
 def test_a_session_states_its_round_trip_and_versions(recording_of: Callable[[str], Path]) -> None:
-    found = Session.of(Recording(recording_of("fig12_wave"))).conditions
+    found = Session.of(Recording(recording_of("wave"))).conditions
     # 4 ms each way, and what the loop itself takes, in whole periods
     assert 8.0 <= found["loop_round_trip_ms"] <= 12.0
     assert found["version"] != "unknown"

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import msgspec
 import pytest
-from wire_contract import examples
 
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
+from telenano.testing.examples import examples
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS
 

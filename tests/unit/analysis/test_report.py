@@ -27,7 +27,7 @@ from telenano.wire.errors import ReportError
 @pytest.fixture(scope="module")
 def session(recording_of: Callable[[str], Path]) -> Path:
     """Return the recording of two seconds of a session, with its scenario."""
-    return recording_of("fig12_wave")
+    return recording_of("wave")
 
 
 @pytest.fixture(scope="module")

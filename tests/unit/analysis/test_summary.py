@@ -57,7 +57,7 @@ def summaries(
     recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, dict[str, Any]]:
     """Summaries of sessions under two laws, of one of them in two parts, and of sessions that are made up."""
-    files = {law: [recording_of(f"fig12_{law}")] for law in ("virtual_impedance", "wave")}
+    files = {law: [recording_of(law)] for law in ("virtual_impedance", "wave")}
     parts = [tmp_path_factory.mktemp("parts") / name for name in ("session.mcap", "session_1.mcap")]
     filter_recording(files["wave"][0], parts[0], ALL, end_s=1.2)
     filter_recording(files["wave"][0], parts[1], ALL, start_s=1.5)
@@ -98,7 +98,7 @@ def test_every_summary_is_what_the_model_and_the_file_hold(
         text = json.dumps(summary)
         again = Summary.model_validate_json(text).model_dump(exclude_unset=True)
         assert json.dumps(again) == text, name
-    assert write_report(recording_of("fig12_wave"), tmp_path) == summaries["wave"]
+    assert write_report(recording_of("wave"), tmp_path) == summaries["wave"]
     assert (tmp_path / "summary.json").read_text() == json.dumps(summaries["wave"], indent=2) + "\n"
 
 

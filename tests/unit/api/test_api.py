@@ -25,7 +25,7 @@ from telenano.wire.errors import ConfigError, RecordingError, RigError
 
 @pytest.fixture(scope="module")
 def session(recording_of: Callable[[str], Path]) -> telenano.RecordedSession:
-    return telenano.open(recording_of("fig12_wave"))
+    return telenano.open(recording_of("wave"))
 
 
 def test_a_table_has_the_time_of_the_session_and_a_unit_for_each_column(session: telenano.RecordedSession) -> None:
@@ -62,7 +62,7 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
 def test_a_folder_is_opened_where_it_has_one_recording(recording_of: Callable[[str], Path], tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"is a folder with 0 recordings \(\.mcap\); give the file"):
         telenano.open(tmp_path)
-    recording = recording_of("fig12_wave").resolve()
+    recording = recording_of("wave").resolve()
     (tmp_path / "session.mcap").symlink_to(recording)
     (tmp_path / "summary.json").write_text("{}")
     assert telenano.open(tmp_path).channels == telenano.open(recording).channels
@@ -82,7 +82,7 @@ def test_a_value_that_is_not_there_is_nan(
     session: telenano.RecordedSession, recording_of: Callable[[str], Path]
 ) -> None:
     assert np.isfinite(session.table("teleop/forward")["wave_sqrt_w.2"]).all()
-    other = telenano.open(recording_of("fig12_virtual_impedance")).table("teleop/forward")
+    other = telenano.open(recording_of("virtual_impedance")).table("teleop/forward")
     assert set(other["wave_sqrt_w"]) == {None}
 
 
@@ -97,7 +97,7 @@ def test_a_data_frame_is_the_table(session: telenano.RecordedSession) -> None:
 
 
 def test_a_simulation_and_a_recording_are_read_by_the_same_code(recording_of: Callable[[str], Path]) -> None:
-    session = telenano.open(recording_of("fig12_virtual_impedance"))
+    session = telenano.open(recording_of("virtual_impedance"))
     simulated = telenano.simulate("fig12", law="virtual_impedance", round_trip_ms=8.0, duration_s=1.1)
     assert "virtual_impedance" in repr(simulated)
     assert simulated.verdict in repr(simulated)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import command_page
 import pytest
-from command_line import run
 
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
@@ -15,6 +14,7 @@ from telenano.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins
 from telenano.settings.included import site_file_named
 from telenano.settings.known_packages import known_of
+from telenano.testing import run
 from telenano.wire.errors import RigError
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stranger_package import describe
 from telenano_microscopy.force_curve import read_measured
 from telenano_microscopy.image_files import Image
 from telenano_microscopy.image_output import write_images
@@ -23,6 +22,7 @@ from telenano.recording.export import export_recording
 from telenano.recording.made_records import write_recording
 from telenano.recording.provenance import plugin_facts
 from telenano.settings import plugins
+from telenano.testing import describe_package
 from telenano.wire import example
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import how_to_add_package
@@ -42,7 +42,7 @@ class Made:
         for file, text in {"__init__.py": "", **files}.items():
             (self.folder / name / file).write_text(text)
         rows = {kind: dict(line.split(" = ") for line in lines.splitlines()) for kind, lines in entries.items()}
-        describe(self.folder, name, rows, more=f"Requires-Dist: {requires}\n")
+        describe_package(self.folder, name, rows, more=f"Requires-Dist: {requires}\n")
         forget()
 
 

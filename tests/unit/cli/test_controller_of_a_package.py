@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing import install_package, said_with
 
 # A controller of lines: `z METRES` is answered with z and the deflection's signal.
 PACKAGE = """
@@ -102,8 +103,8 @@ print(json.dumps(found))
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("line")
     entries = {"devices": {"line_afm": "telenano_line_afm:LINE_AFM"}}
-    install(folder, "telenano_line_afm", {"__init__.py": PACKAGE}, entries)
-    answers: dict[str, Any] = said(PROGRAM, folder, str(folder))
+    install_package(folder, "telenano_line_afm", {"__init__.py": PACKAGE}, entries)
+    answers: dict[str, Any] = said_with(PROGRAM, folder, str(folder))
     return answers
 
 

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import run
 from rich.console import Console
 
 from telenano.cli import live_view, output
 from telenano.cli.live_view import LineView, LiveView
+from telenano.testing import run
 
 MakeFile = Callable[..., Path]
 FULL = Path("/dev/full")
@@ -48,7 +48,7 @@ def in_the_way(tmp_path: Path) -> Path:
 def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
     in_the_way: Path, recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session = recording_of("fig12_wave")
+    session = recording_of("wave")
     cases = [(in_the_way, "File exists"), (in_the_way / "report", "Not a directory")]
     for out, reason in cases:
         code, table, err = run("report", session, "--out", out)
@@ -100,7 +100,7 @@ def test_output_that_cannot_be_written_is_one_sentence(
     arguments: tuple[str, ...], code: int, said: str, recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}
-    arguments = tuple(str(recording_of("fig12_wave")) if word == "SESSION" else word for word in arguments)
+    arguments = tuple(str(recording_of("wave")) if word == "SESSION" else word for word in arguments)
     with FULL.open("w") as full:
         command = [sys.executable, "-m", "telenano", *arguments]
         done = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -121,7 +121,7 @@ def test_a_reader_that_has_what_it_wanted_ends_a_command_without_a_word(
     words: str, recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}
-    arguments = words.replace("SESSION", str(recording_of("fig12_wave"))).split()
+    arguments = words.replace("SESSION", str(recording_of("wave"))).split()
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "wb") as closed:

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import stranger_package
 
 from telenano.cli.new_package import new_package
 from telenano.settings.plugins import KINDS
+from telenano.testing import describe_package, environment_with
 
 pytestmark = pytest.mark.check("one process loads every entry of every kind and runs the doctor")
 
@@ -140,7 +140,7 @@ def install(site: Path) -> None:
     entries["topics"] = {f"wind_{fault}": target for fault, target in TARGETS.items()}
     entries["exports"]["unfinished"] = "hollow.failing:unfinished"
     entries["commands"] = {"rows": "hollow.rows:ROWS", **{f"table_{name}": to for name, to in TARGETS.items()}}
-    stranger_package.describe(site, "hollow", entries)
+    describe_package(site, "hollow", entries)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         (folder / f"a.{name}").write_bytes(b"a file of this package")
         (folder / f"experiment_{name}.yaml").write_text(EXPERIMENT.format(name))
     lines = [line.format(fault) for kind, lines in ASKED.items() for line in lines for fault in faults_of(kind)]
-    found = stranger_package.environment(folder / "site")
+    found = environment_with(folder / "site")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(lines), capture_output=True, text=True, cwd=folder, env=found, check=True,

@@ -118,7 +118,7 @@ def with_recordings(recording_of: Callable[[str], Path]) -> Callable[[str], str]
     """Put the paths of recordings into a template, which keeps the place of its output."""
 
     def fill(template: str) -> str:
-        recording, other = recording_of("fig12_wave"), recording_of("fig12_position_force")
+        recording, other = recording_of("wave"), recording_of("position_force")
         return template.format(out="{out}", recording=recording, other=other)
 
     return fill

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 import zmq
-from command_line import run
 from zmq.utils import z85
 
 from telenano.runtime.security.keyring import Keyring, utc_today
+from telenano.testing import run
 
 # the same at each collection: they stand in the names of tests, which two workers must agree on
 KEY, OTHER = (zmq.curve_public(z85.encode(bytes([number]) * 32)).decode() for number in (1, 2))

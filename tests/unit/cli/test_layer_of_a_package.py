@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import describe, said
 from test_package_commands import ROOT
+
+from telenano.testing import describe_package, said_with
 
 PAGE = (ROOT / "docs" / "extending.md").read_text("utf-8")
 BLOCKS = {
@@ -100,11 +101,11 @@ def run(site: Path, *words: str) -> dict[str, Any]:
     assert ENTRY is not None
     group = re.search(r'"telenano.(.*?)"\]\n(\w+) = "(.*?)"', ENTRY[1])
     assert group is not None
-    describe(site, "my_package", {group[1]: {group[2]: group[3]}})
+    describe_package(site, "my_package", {group[1]: {group[2]: group[3]}})
     for name, block in BLOCKS.items():
         assert block is not None
         (site / f"{name}.py").write_text(block[1])
-    document: dict[str, Any] = said(PROGRAM, site, *words, XDG_CACHE_HOME=str(site / "cache"))
+    document: dict[str, Any] = said_with(PROGRAM, site, *words, XDG_CACHE_HOME=str(site / "cache"))
     return document
 
 

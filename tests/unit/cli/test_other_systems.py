@@ -50,7 +50,7 @@ print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdic
 @pytest.mark.check("takes 3.5 s")
 def test_recordings_and_figures_work_where_posix_is_not(recording_of: Callable[[str], Path]) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", PROGRAM, str(recording_of("fig12_wave"))]
+    command = [sys.executable, "-c", PROGRAM, str(recording_of("wave"))]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from stranger_package import said
 from typer.testing import CliRunner
 
 from telenano.cli.commands import new as new_command
 from telenano.cli.new_package import Kind, new_package
 from telenano.cli.root import app
 from telenano.extend.samples import AfmSample
+from telenano.testing import said_with
 from telenano.wire.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -41,7 +41,7 @@ from telenano.afm.config import AfmConfig
 from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
 from telenano.extend.laws import HandSample
 from telenano.laws.law_rules import broken_rules
-from services.haptic_node.__main__ import _device
+from services.haptic_node.__main__ import device_of
 from telenano.hand.config import HapticConfig
 from msgspec import msgpack
 from telenano.extend.hands import DriveCommand
@@ -65,7 +65,7 @@ def survives(state, start):
 found["state_survives"] = survives(state, state._replace())
 
 haptic = HapticConfig.model_validate({"operator": {"kind": "trembling", "tremor_n": 0.5, "tremor_hz": 5.0}})
-device = _device(haptic)
+device = device_of(haptic)
 device.open()
 forces = [device.read(0.5 + 1e-3 * tick, 1e-3).operator_force_n for tick in range(200)]
 found["forces"] = [min(forces), max(forces)]
@@ -74,7 +74,7 @@ afm = driver_of(AfmConfig.model_validate({"environment": "layered", "layered": {
 afm.open()
 found["tip_n"] = [afm.exchange(base_m).force_n for base_m in (0.0, 3.5e-9, 5e-9)]
 
-handle = _device(HapticConfig.model_validate({"driver": "stub_handle", "stub_handle": {"force_n": 0.25}}))
+handle = device_of(HapticConfig.model_validate({"driver": "stub_handle", "stub_handle": {"force_n": 0.25}}))
 handle.open()
 found["handle_n"] = handle.read(1.0, 1e-3).operator_force_n
 start = handle.state
@@ -158,7 +158,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         new_package(kind, name, site / name)
         put_on_path(site / name, site)
         folders.append(site / name)
-    document: dict[str, Any] = said(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
+    document: dict[str, Any] = said_with(PROGRAM, site, PYTHONPATH=os.pathsep.join(map(str, folders)))
     return document
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stranger_package import said
 from test_package_commands import ROOT, put_on_path
 
 from telenano.cli.new_package import new_package
+from telenano.testing import said_with
 
 ON_THE_BENCH = """
 import json, math
@@ -87,7 +87,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     tests = ROOT / "tests" / "unit"
     folders = [site, site / "circle", site / "broken", ROOT, tests, tests / "afm"]
     paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "XDG_CACHE_HOME": str(site / "cache")}
-    document: dict[str, Any] = said(ON_THE_BENCH, site, **paths)
+    document: dict[str, Any] = said_with(ON_THE_BENCH, site, **paths)
     return document
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 import scenario_page
 import yaml
-from command_line import run
 
 from telenano.cli import completion
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
 from telenano.settings.config import read_yaml
 from telenano.settings.included import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
+from telenano.testing import run
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import SERVICES
 

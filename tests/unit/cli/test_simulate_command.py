@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from command_line import run
+from telenano.testing import run
 
 FAST = ("--duration", "0.6", "--set", "realtime.rate_hz=250")
 

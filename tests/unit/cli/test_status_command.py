@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-import command_line
 import msgspec
 import pytest
 import zmq
@@ -28,6 +27,7 @@ from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.testing.commands import run as outcome
 from telenano.timing.clock import SystemClock
 from telenano.wire.codec import fields_of
 from telenano.wire.messages import InputHealth, Message, NodeHealth
@@ -124,7 +124,7 @@ class FakeObserver:
 def run(monkeypatch: pytest.MonkeyPatch, *messages: Message, arguments: tuple[str, ...] = ()) -> tuple[int, str, str]:
     monkeypatch.setattr(status, "Observer", FakeObserver)
     monkeypatch.setattr(FakeObserver, "messages", messages)
-    return command_line.run("status", *arguments)
+    return outcome("status", *arguments)
 
 
 def test_the_nodes_that_report_while_a_rig_runs() -> None:

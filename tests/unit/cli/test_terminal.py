@@ -6,13 +6,12 @@ from pathlib import Path
 
 import damaged_files as files
 import pytest
-from command_line import run_apart
 from rich.console import Console
-from stranger_package import install
 
 from telenano.cli import output, terminal
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.files.printable import printable
+from telenano.testing import install_package, run_apart
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction
@@ -57,7 +56,7 @@ def test_a_cell_of_a_table_is_text_and_the_table_is_drawn(monkeypatch: pytest.Mo
 
 def package(folder: Path, source: str) -> Path:
     """Make an installed package of one module with a law that is called `hostile`."""
-    install(folder, "hostile", {"__init__.py": source}, {"laws": {"hostile": "hostile:LAW"}})
+    install_package(folder, "hostile", {"__init__.py": source}, {"laws": {"hostile": "hostile:LAW"}})
     return folder
 
 

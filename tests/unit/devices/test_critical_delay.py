@@ -5,7 +5,7 @@ from collections import deque
 from typing import NamedTuple
 
 import pytest
-from stage_line import StageLine, calibration
+from telenano_emulators.stage_line import StageLine, calibration
 from telenano_emulators.t7_model import T7Model
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 

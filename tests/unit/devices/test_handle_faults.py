@@ -11,7 +11,7 @@ if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
 from handle_answers import pack_fault, pack_hello
-from handle_line import MS, PATH, Line, Rig
+from telenano_emulators.handle_line import PATH, HandleLine, HandleRig
 
 from services.haptic_node.node import HapticNode
 from telenano.devices.hand import serial_driver, wire
@@ -19,12 +19,14 @@ from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.hand.config import HapticConfig
 from telenano.wire.errors import ConfigError
 
+MS = 1_000_000
+
 SPEED_M_PER_S = HapticConfig().limits.max_speed_m_per_s
 # the device lets its arm go a fifth faster than the guard, for the jitter of two clocks
 STEP_M = 1.25e-3 * SPEED_M_PER_S
 
 
-def nothing(line: Line) -> None:
+def nothing(line: HandleLine) -> None:
     """Do nothing."""
 
 
@@ -35,44 +37,44 @@ class Fault(NamedTuple):
     duration_ms: how long; seen: what else driver and device count.
     """
 
-    begin: Callable[[Line], None]
+    begin: Callable[[HandleLine], None]
     text: str
     status: str = "lost"
     duration_ms: int = 40
-    end: Callable[[Line], None] = nothing
-    seen: Callable[[Line], None] = nothing
+    end: Callable[[HandleLine], None] = nothing
+    seen: Callable[[HandleLine], None] = nothing
 
 
-def mended(line: Line) -> None:
+def mended(line: HandleLine) -> None:
     line.plugged = line.reading = True
     line.holder = ""
     line.to_host = line.to_device = lambda sent: sent
 
 
-def pull(line: Line) -> None:
+def pull(line: HandleLine) -> None:
     line.plugged = False
 
 
-def take_port(line: Line) -> None:
+def take_port(line: HandleLine) -> None:
     """Let another program open the port while the cable is out for a moment."""
     line.plugged = False
     line.driver.read(-1.0, 1e-3)
     line.plugged, line.holder = True, "ModemManager (812)"
 
 
-def fall_silent(line: Line) -> None:
+def fall_silent(line: HandleLine) -> None:
     line.to_host = lambda sent: b""
 
 
-def mix_in_garbage(line: Line) -> None:
+def mix_in_garbage(line: HandleLine) -> None:
     line.to_host = lambda sent: b"AT+CGMI\r\0\x05" + sent if sent else b""
 
 
-def cut_frames(line: Line) -> None:
+def cut_frames(line: HandleLine) -> None:
     line.to_host = every(3, lambda sent, number: sent[:-9])
 
 
-def disturb_device(line: Line) -> None:
+def disturb_device(line: HandleLine) -> None:
     line.to_device = lambda frame: b"ATZ\r\0" + frame
 
 
@@ -90,7 +92,7 @@ def every(count: int, change: Callable[[bytes, int], bytes]) -> Callable[[bytes]
     return sabotage
 
 
-def drop_bytes(line: Line) -> None:
+def drop_bytes(line: HandleLine) -> None:
     def drop(sent: bytes, number: int) -> bytes:
         place = number % len(sent)
         return sent[:place] + sent[place + 1 :]
@@ -98,7 +100,7 @@ def drop_bytes(line: Line) -> None:
     line.to_host, line.to_device = every(3, drop), every(5, drop)
 
 
-def flip_bits(line: Line) -> None:
+def flip_bits(line: HandleLine) -> None:
     def flip(sent: bytes, number: int) -> bytes:
         damaged = bytearray(sent)
         damaged[number % len(damaged)] ^= 1 << (number % 8)
@@ -107,10 +109,10 @@ def flip_bits(line: Line) -> None:
     line.to_host, line.to_device = every(3, flip), every(5, flip)
 
 
-def exchange_for(**answer: Any) -> Callable[[Line], None]:
+def exchange_for(**answer: Any) -> Callable[[HandleLine], None]:
     """Return what puts another device on the port, which says other things of itself."""
 
-    def exchange(line: Line) -> None:
+    def exchange(line: HandleLine) -> None:
         reader = wire.FrameReader()
 
         def other(sent: bytes) -> bytes:
@@ -124,49 +126,49 @@ def exchange_for(**answer: Any) -> Callable[[Line], None]:
     return exchange
 
 
-def reset(line: Line) -> None:
+def reset(line: HandleLine) -> None:
     line.handle.reset(0x1234)
 
 
-def slow_down(line: Line) -> None:
+def slow_down(line: HandleLine) -> None:
     line.latency_ms = 8.0
 
 
-def speed_up(line: Line) -> None:
+def speed_up(line: HandleLine) -> None:
     line.latency_ms = 0.0
 
 
-def stop_reading(line: Line) -> None:
+def stop_reading(line: HandleLine) -> None:
     line.reading = False
 
 
-def report_fault(line: Line) -> None:
+def report_fault(line: HandleLine) -> None:
     fault = wire.encode_frame(pack_fault(wire.DeviceFault(0, 9, wire.SEVERITY_FATAL, "supply too low")))
     line.to_host = lambda sent: sent + fault if sent else b""
 
 
-def driver_counts_bad_frames(line: Line) -> None:
+def driver_counts_bad_frames(line: HandleLine) -> None:
     assert sum(line.driver.reader.errors.values()) > 5
     assert line.handle.core.receive_errors == 0
 
 
-def both_count_bad_frames(line: Line) -> None:
+def both_count_bad_frames(line: HandleLine) -> None:
     assert sum(line.driver.reader.errors.values()) > 5
     assert line.driver.missed > 5
     assert line.handle.core.receive_errors > 3
 
 
-def device_counts_bad_frames(line: Line) -> None:
+def device_counts_bad_frames(line: HandleLine) -> None:
     assert line.handle.core.receive_errors == 40
     assert sum(line.driver.reader.errors.values()) == 0
 
 
-def driver_drops_commands(line: Line) -> None:
+def driver_drops_commands(line: HandleLine) -> None:
     assert line.driver.dropped == 50
     assert line.closed >= 1
 
 
-def device_was_never_configured(line: Line) -> None:
+def device_was_never_configured(line: HandleLine) -> None:
     assert not line.handle.core.mode
     assert not line.handle.core.tripped
 
@@ -201,10 +203,10 @@ FAULTS: dict[str, Fault] = {
 
 
 @pytest.fixture
-def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> Rig:
+def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> HandleRig:
     """Give a node whose arm has come to 2 mm and is now asked for 5 mm; a lost device is looked for more often."""
     monkeypatch.setattr(serial_driver, "RETRY_NS", 100 * MS)
-    found = Rig(bench_of("haptic_node@master"))
+    found = HandleRig(bench_of("haptic_node@master"))
     found.x_m = 2e-3
     found.tick(100)
     assert found.bench.take("haptic/state")[-1].mode == "position"
@@ -214,7 +216,7 @@ def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> Rig:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault(rig: Rig, name: str) -> None:
+def test_fault(rig: HandleRig, name: str) -> None:
     fault, line = FAULTS[name], rig.line
     events: list[str] = []
     places_m = [line.handle.position_m]
@@ -262,7 +264,7 @@ def test_fault(rig: Rig, name: str) -> None:
     assert states[-1].mode == "position"
 
 
-def hold_port(line: Line) -> None:
+def hold_port(line: HandleLine) -> None:
     line.holder = "minicom (4242)"
 
 
@@ -277,7 +279,7 @@ def hold_port(line: Line) -> None:
     ],
 )
 def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
-    bench, line = bench_of("haptic_node@master"), Line()
+    bench, line = bench_of("haptic_node@master"), HandleLine()
     begin(line)
     with pytest.raises(ConfigError, match=text):
         HapticNode(bench.context, HapticConfig(), line.driver)

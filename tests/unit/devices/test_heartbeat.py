@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMultipleRegistersResponse
-from stage_line import PARAMS, StageLine, calibration
+from telenano_emulators.stage_line import PARAMS, StageLine, calibration
 from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
 from services.afm_node.node import AfmNode

@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from request_line import MS
-from stage_line import PARAMS, StageLine, calibration
+from telenano_emulators.stage_line import PARAMS, StageLine, calibration
 
 from telenano.devices.afm.host_address import HostAddress
 from telenano.devices.afm.modbus_driver import ModbusAfm
 from telenano.devices.afm.modbus_line import NAME_NS, STEP_NS, TcpConnector
 from telenano.devices.afm.register_map import read_map
 from telenano.extend.instruments import DeviceError
+
+MS = 1_000_000
 
 NAME = "instrument.test"
 ANSWER = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", 502))]

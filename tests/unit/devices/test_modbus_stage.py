@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ModbusPDU
-from request_line import MS
-from stage_line import PARAMS, Rig, StageLine, calibration
 from telenano_emulators import t7_model
+from telenano_emulators.stage_line import PARAMS, StageLine, StageRig, calibration
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
@@ -19,6 +18,8 @@ from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
 from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError
+
+MS = 1_000_000
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V
@@ -306,7 +307,7 @@ def test_function_76_has_the_bytes_of_the_manual() -> None:
 
 
 def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:
-    rig = Rig(bench_of("afm_node@slave"))
+    rig = StageRig(bench_of("afm_node@slave"))
     rig.tick(5)
     rig.control("arm", place="hand")
     rig.tick(400)

@@ -8,7 +8,7 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from handle_line import PATH, Line, Rig, calibration
+from telenano_emulators.handle_line import PATH, HandleLine, HandleRig, calibration
 from telenano_emulators.simulate import handled
 
 from telenano.devices.hand.serial_driver import refusal
@@ -25,13 +25,13 @@ def towards(position_m: float) -> DriveCommand:
 
 
 @pytest.fixture
-def line() -> Line:
-    found = Line()
+def line() -> HandleLine:
+    found = HandleLine()
     found.driver.open()
     return found
 
 
-def tick(line: Line, command: DriveCommand = OFF, count: int = 1, session_s: float = -1.0) -> Any:
+def tick(line: HandleLine, command: DriveCommand = OFF, count: int = 1, session_s: float = -1.0) -> Any:
     """Let the driver do what a node does in so many milliseconds; return the last reading."""
     for _ in range(count):
         line.driver.write(command)
@@ -40,7 +40,7 @@ def tick(line: Line, command: DriveCommand = OFF, count: int = 1, session_s: flo
     return reading
 
 
-def test_opens_configures_and_follows(line: Line) -> None:
+def test_opens_configures_and_follows(line: HandleLine) -> None:
     assert line.driver.report.status == "ok"
     assert "telenano posix 0102030405060708, firmware 1.0, emulated is ready" in line.driver.report.text
     assert line.driver.capabilities.modes == (MODE_OFF, MODE_POSITION)
@@ -52,7 +52,7 @@ def test_opens_configures_and_follows(line: Line) -> None:
     assert sum(line.driver.reader.errors.values()) == line.handle.core.receive_errors == 0
 
 
-def test_device_limits_travel_speed_and_drive_by_itself(line: Line) -> None:
+def test_device_limits_travel_speed_and_drive_by_itself(line: HandleLine) -> None:
     before_m = line.handle.position_m
     tick(line, towards(1.0), 100)
     speed = (line.handle.position_m - before_m) / 0.1
@@ -61,13 +61,13 @@ def test_device_limits_travel_speed_and_drive_by_itself(line: Line) -> None:
     assert line.handle.position_m == pytest.approx(0.0145, abs=5e-6, rel=0.0)
 
 
-def test_hand_moves_with_the_session_and_its_force_is_measured(line: Line) -> None:
+def test_hand_moves_with_the_session_and_its_force_is_measured(line: HandleLine) -> None:
     tick(line, towards(0.0), 3)
     reading = tick(line, towards(0.0), 1300, session_s=0.1)
     assert reading.operator_force_n == pytest.approx(1.0, abs=1e-4, rel=0.0)
 
 
-def test_declared_latency_is_what_the_arm_is_behind_a_simulated_one(line: Line) -> None:
+def test_declared_latency_is_what_the_arm_is_behind_a_simulated_one(line: HandleLine) -> None:
     line.latency_ms = 0.6
     config = HapticConfig()
     simulated = SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
@@ -85,12 +85,12 @@ def test_declared_latency_is_what_the_arm_is_behind_a_simulated_one(line: Line) 
     # once both servos follow
     assert sum(lags_s[300:]) / 200 == pytest.approx(2.5e-3, abs=0.05e-3, rel=0.0)
     assert line.driver.capabilities.latency_s == pytest.approx(2.5e-3)
-    own = Line(calibration(latency_s=5e-3))
+    own = HandleLine(calibration(latency_s=5e-3))
     own.driver.open()
     assert own.driver.capabilities.latency_s == 5e-3
 
 
-def test_age_is_that_of_the_sample(line: Line) -> None:
+def test_age_is_that_of_the_sample(line: HandleLine) -> None:
     tick(line, count=100)
     # the answer is seen a millisecond after the command; a half of that is the way back
     young_s = line.driver.report.age_s
@@ -100,12 +100,12 @@ def test_age_is_that_of_the_sample(line: Line) -> None:
     assert line.driver.report.age_s == pytest.approx(young_s + 4e-3, abs=1e-9, rel=0.0)
 
 
-def test_modes_that_the_device_has_not_are_refused(line: Line) -> None:
+def test_modes_that_the_device_has_not_are_refused(line: HandleLine) -> None:
     with pytest.raises(DeviceError, match="cannot be driven in mode force"):
         line.driver.write(DriveCommand(MODE_FORCE, 0.0, 1.0))
 
 
-def test_silence_switches_the_motor_off_within_the_watchdog(line: Line) -> None:
+def test_silence_switches_the_motor_off_within_the_watchdog(line: HandleLine) -> None:
     tick(line, towards(5e-3), 50)
     assert line.handle.core.mode == MODE_POSITION
     since_ms = 0
@@ -117,7 +117,7 @@ def test_silence_switches_the_motor_off_within_the_watchdog(line: Line) -> None:
     assert line.handle.drive_v == 0.0
 
 
-def test_watchdog_is_left_only_by_a_command_off(line: Line) -> None:
+def test_watchdog_is_left_only_by_a_command_off(line: HandleLine) -> None:
     tick(line, towards(5e-3), 50)
     line.pass_ms(25)
     line.driver.read(-1.0, 1e-3)
@@ -130,7 +130,7 @@ def test_watchdog_is_left_only_by_a_command_off(line: Line) -> None:
     assert line.handle.core.mode == MODE_POSITION
 
 
-def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
+def test_dropped_frames_are_counted_by_their_numbers(line: HandleLine) -> None:
     tick(line, count=10)
     line.to_host = lambda sent: b""
     tick(line, count=3)
@@ -140,7 +140,7 @@ def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
     assert line.driver.report.status == "ok"
 
 
-def test_two_commands_in_one_period_of_the_device_lose_no_frame(line: Line) -> None:
+def test_two_commands_in_one_period_of_the_device_lose_no_frame(line: HandleLine) -> None:
     """The clocks of host and device drift, so that this comes about once a second."""
     for _ in range(5):
         tick(line, count=10)
@@ -149,7 +149,7 @@ def test_two_commands_in_one_period_of_the_device_lose_no_frame(line: Line) -> N
     assert (line.driver.missed, line.driver.repeated) == (0, 5)
 
 
-def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
+def test_silent_device_is_stale_and_then_lost(line: HandleLine) -> None:
     tick(line, count=5)
     line.to_host = lambda sent: b""
     seen = []
@@ -162,7 +162,7 @@ def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
     assert "silent for 50 ms" in line.driver.report.text
 
 
-def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: Line) -> None:
+def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: HandleLine) -> None:
     tick(line, towards(2e-3), 50)
     line.to_host = lambda sent: b""
     tick(line, towards(2e-3), 60)
@@ -175,7 +175,7 @@ def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: Line
 
 
 @pytest.mark.parametrize(("rate_hz", "refused"), [(100, False), (1000, False), (2000, True)])
-def test_a_handle_is_refused_by_a_loop_that_is_faster_than_it(line: Line, rate_hz: int, refused: bool) -> None:
+def test_a_handle_is_refused_by_a_loop_that_is_faster_than_it(line: HandleLine, rate_hz: int, refused: bool) -> None:
     line.driver.open()
     assert line.driver.hello is not None
     slow = line.driver.hello._replace(max_rate_hz=1000)
@@ -184,7 +184,7 @@ def test_a_handle_is_refused_by_a_loop_that_is_faster_than_it(line: Line, rate_h
 
 
 def test_nobody_there_is_a_sentence_after_three_seconds() -> None:
-    line = Line()
+    line = HandleLine()
     line.to_host = lambda sent: b""
     began_ns = line.now_ns
     with pytest.raises(DeviceError, match=r"nothing answers in handle protocol 1 at 1000000 baud"):
@@ -221,7 +221,7 @@ def test_sign_of_the_calibration_turns_everything_round() -> None:
     assert turned.drive_force_n(4) < 0.0
 
 
-def test_gauges_and_masses_at_the_emulated_handle_until_it_is_driven(line: Line) -> None:
+def test_gauges_and_masses_at_the_emulated_handle_until_it_is_driven(line: HandleLine) -> None:
     assert handled(line.handle, "gauge 0.005\n") == "the arm stands at 0.005 m until it is driven"
     assert handled(line.handle, "mass 0.2\n") == "0.2 kg pull at the arm until it is driven"
     reading = tick(line, count=5)
@@ -235,7 +235,7 @@ def test_gauges_and_masses_at_the_emulated_handle_until_it_is_driven(line: Line)
 
 
 def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any) -> None:
-    rig = Rig(bench_of("haptic_node@master"))
+    rig = HandleRig(bench_of("haptic_node@master"))
     rig.line.latency_ms = 0.6
     rig.tick(20)
     states = rig.bench.take("haptic/state")
@@ -267,7 +267,7 @@ def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any)
 
 
 def test_emergency_stop_of_the_device_latches_at_the_node(bench_of: Any) -> None:
-    rig = Rig(bench_of("haptic_node@master"))
+    rig = HandleRig(bench_of("haptic_node@master"))
     rig.tick(10)
     rig.line.handle.estop_pressed = True
     rig.tick(3)
@@ -279,7 +279,7 @@ def test_emergency_stop_of_the_device_latches_at_the_node(bench_of: Any) -> None
 
 
 def test_a_handle_that_holds_its_own_stop_is_not_armed_until_it_is_connected_anew(bench_of: Any) -> None:
-    rig = Rig(bench_of("haptic_node@master"))
+    rig = HandleRig(bench_of("haptic_node@master"))
     rig.tick(10)
     fields = {"id": "a", "command": "arm", "target": "*", "parameters": {}}
     arm = rig.bench.make("session/control", "console@master", **fields)

@@ -6,15 +6,16 @@ from typing import Any, NamedTuple
 
 import pytest
 from pymodbus.pdu import ExceptionResponse
-from request_line import MS
-from stage_line import PARAMS, Rig, StageLine
 from telenano_emulators import t7_model
+from telenano_emulators.stage_line import PARAMS, StageLine, StageRig
 from telenano_emulators.t7_server import respond
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig
 from telenano.devices.afm import modbus_line
 from telenano.wire.errors import ConfigError
+
+MS = 1_000_000
 
 DAC_STEP_V = 5.0 / 4095.0
 # a place before the sample, and the voltage there
@@ -161,16 +162,16 @@ FAULTS: dict[str, Fault] = {
 
 
 @pytest.fixture
-def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> Rig:
+def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> StageRig:
     """Give a node that follows near the sample; a device that is lost is looked for more often."""
     monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
     monkeypatch.setattr(modbus_line, "STEP_NS", 150 * MS)
-    found = Rig(bench_of("afm_node@slave"))
+    found = StageRig(bench_of("afm_node@slave"))
     approach(found)
     return found
 
 
-def approach(rig: Rig) -> None:
+def approach(rig: StageRig) -> None:
     """Arm, and follow to the place near the sample, no faster than the guard lets the base go."""
     rig.tick(3, NEAR_M)
     rig.control("arm", place="hand")
@@ -186,7 +187,7 @@ def approach(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault(rig: Rig, name: str) -> None:
+def test_fault(rig: StageRig, name: str) -> None:
     fault, line = FAULTS[name], rig.line
     exchanges, events, volts = line.driver.exchanges, [], []
 

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from command_line import run
 
 from telenano.cli.commands import doctor
 from telenano.doctor import checks
@@ -21,6 +20,7 @@ from telenano.laws.config import KNOWN_LAWS
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.testing import run
 
 REQUIRES = [
     "msgpack>=1.1",

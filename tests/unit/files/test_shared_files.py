@@ -19,8 +19,8 @@ from telenano.runtime.loop import kept_stop
 from telenano.runtime.security.keyring import Keyring
 from telenano.serving.people import People
 from telenano.serving.serve import announced
+from telenano.testing import Shared, SharedFiles, race, small_disk
 from telenano.wire.errors import RigError
-from tests.doubles.shared_files import Shared, SharedFiles, race, small_disk
 
 ROUNDS = 12
 KEYS = [f"{'0' * 36}{number:04}" for number in range(300)]

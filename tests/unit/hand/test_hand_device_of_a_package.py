@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from stranger_package import install, said
+
+from telenano.testing import install_package, said_with
 
 PAGE = (Path(__file__).parents[3] / "docs" / "extending.md").read_text("utf-8")
 BLOCK = re.search(r"## My simulated hand device.*?```python\n(.*?)```", PAGE, re.DOTALL)
@@ -39,7 +40,7 @@ print(json.dumps([float(ratio), texts, node.capture() is not None, all(readings)
 @pytest.mark.check("takes 2.8 s")
 def test_it_runs_in_lockstep_on_its_node_and_compiled_alike(tmp_path: Path) -> None:
     assert BLOCK is not None
-    install(tmp_path, "my_slide", {"__init__.py": BLOCK[1]}, {"devices": {"my_slide": "my_slide:MY_SLIDE"}})
-    ratio, texts, runs_again, is_equal = said(PROGRAM, tmp_path)
+    install_package(tmp_path, "my_slide", {"__init__.py": BLOCK[1]}, {"devices": {"my_slide": "my_slide:MY_SLIDE"}})
+    ratio, texts, runs_again, is_equal = said_with(PROGRAM, tmp_path)
     assert ratio == pytest.approx(1.05, rel=0.005, abs=0.0)
     assert "a slide: chosen, not measured" in texts and runs_again and is_equal

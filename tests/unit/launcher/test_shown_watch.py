@@ -6,7 +6,6 @@ from typing import Any
 import msgspec
 import pytest
 from launcher_bench import Rig
-from wire_contract import examples
 
 from telenano.launcher import shown_watch
 from telenano.launcher.shown import Cell, Place, Shown
@@ -14,6 +13,7 @@ from telenano.launcher.shown_watch import ShownWatch, laws_as_shown
 from telenano.laws.config import ControllerConfig
 from telenano.runtime.loop.log import StructuredLog
 from telenano.settings.config import validate
+from telenano.testing.examples import examples
 from telenano.wire.messages import Message, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival

@@ -3,10 +3,11 @@
 from collections.abc import Callable
 
 import pytest
-from law_loop import Run, loop
+
+from telenano.testing import LawRun, run_law
 
 
 @pytest.fixture
-def run_loop() -> Callable[..., Run]:
-    """Give `loop`."""
-    return loop
+def run_loop() -> Callable[..., LawRun]:
+    """Return `run_law`."""
+    return run_law

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from law_loop import TRIED_LAWS
 from telenano_studies.loops.cells import Cell, trajectory_of
+from tried_laws import TRIED_LAWS
 
 from telenano.extend.laws import NO_SIGNAL, SlaveReference, TipMeasurement
 from telenano.laws.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped

@@ -4,7 +4,7 @@ from itertools import pairwise, permutations
 from typing import Any
 
 import pytest
-from law_loop import TRIED_LAWS as LAWS
+from tried_laws import TRIED_LAWS as LAWS
 
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController

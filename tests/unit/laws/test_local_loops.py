@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from law_loop import TRIED_LAWS
+from tried_laws import TRIED_LAWS
 
 from telenano.afm.config import AfmConfig
 from telenano.extend.laws import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement

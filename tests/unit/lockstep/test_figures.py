@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from figure_layout import faults
-from law_loop import TRIED_LAWS as ALL_LAWS
 from matplotlib.figure import Figure
 from telenano_experiments.benchmark import results
 from telenano_experiments.benchmark_page import benchmark_figure
@@ -16,6 +15,7 @@ from telenano_networks.network_trace import NetworkTrace, trace_figure
 from telenano_studies.loops.push_study import Row
 from telenano_studies.pages.stability_page import _edges, _up_to
 from telenano_studies.push_command import push_figure
+from tried_laws import TRIED_LAWS as ALL_LAWS
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
@@ -114,7 +114,7 @@ def test_no_figure_of_a_command_is_cut_off(
         found[f"figure {len(found) + 1}"] = faults(figure)
 
     monkeypatch.setattr(Figure, "savefig", checked)
-    names = {"RECORDING": "fig12_wave", "OTHER": "fig12_position_force"}
+    names = {"RECORDING": "wave", "OTHER": "position_force"}
     words = [str(recording_of(names[word])) if word in names else word for word in line.split()]
     out = tmp_path / ("plot.png" if line.startswith("bag plot") else "out")
     done = CliRunner().invoke(app, [*words, "--out", str(out)])

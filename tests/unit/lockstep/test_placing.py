@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from law_loop import TRIED_LAWS
+from tried_laws import TRIED_LAWS
 
 import telenano
 from telenano.wire.errors import RigError

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from law_loop import TRIED_LAWS as LAWS
 from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
 from telenano_studies.loops.links import symmetric_link
+from tried_laws import TRIED_LAWS as LAWS
 
 from telenano.afm import step as afm
 from telenano.afm.config import AfmConfig

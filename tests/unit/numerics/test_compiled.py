@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from stranger_package import describe
 
 from telenano.numerics.digests import (
     KEPT_FOLDERS,
@@ -17,6 +16,7 @@ from telenano.numerics.digests import (
     remove_unused,
     source_digest,
 )
+from telenano.testing import describe_package
 
 ROOT = Path(__file__).parents[3]
 # errors, models of settings and messages, and what loads packages: nothing of them is compiled
@@ -117,7 +117,7 @@ def test_the_folder_lies_in_the_cache_of_the_user_unless_numba_is_given_one(
 
 def install(folder: Path, package: str, kind: str = "laws") -> None:
     """Make a module in a folder that of an installed package with an entry."""
-    describe(folder, package, {kind: {package: f"{package}:LAW"}})
+    describe_package(folder, package, {kind: {package: f"{package}:LAW"}})
 
 
 def write_model(folder: Path, *, installed: bool = True) -> None:

@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from export_samples import HEIGHTS, hand_recording, rich_recording
 from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
-from wire_contract import examples
 
 from telenano.recording.channel_filter import Selection
 from telenano.recording.export import export_recording, plain_schema
@@ -19,6 +17,8 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import REJECTED_TOPIC
 from telenano.recording.tables import line
 from telenano.recording.writer import RecordingWriter
+from telenano.testing import HEIGHTS_M, hand_recording, rich_recording
+from telenano.testing.examples import examples
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmScanline
@@ -71,8 +71,8 @@ def test_the_json_recording_is_read_by_the_reference_reader(rich: Path, tmp_path
     hand = [json.loads(message.data) for _, channel, message in rows if channel.topic == "haptic/state"]
     assert [fields["position_m"] for fields in hand] == [list(haptic_state(seq).position_m) for seq in range(10)]
     scan = [json.loads(message.data) for _, channel, message in rows if channel.topic == "afm/scanline"]
-    assert scan[3]["height_m"] == (HEIGHTS * 3).tolist()
-    assert scan[3]["amplitude_m"] == (HEIGHTS * 3).tolist()
+    assert scan[3]["height_m"] == (HEIGHTS_M * 3).tolist()
+    assert scan[3]["amplitude_m"] == (HEIGHTS_M * 3).tolist()
     (rejected,) = [json.loads(message.data) for _, channel, message in rows if channel.topic == REJECTED_TOPIC]
     assert rejected["frames"] == ["AP8="]
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 import pytest
-from wire_contract import examples
 
 from telenano.recording.reader import Recording
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.testing.examples import examples
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS

@@ -11,11 +11,11 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from controller_line import PARAMS, Gwyscope, Nanonis
-from handle_line import Line
-from stage_line import StageLine
+from telenano_afm_controllers.controller_line import PARAMS, Gwyscope, Nanonis
 from telenano_afm_controllers.nanonis_driver import FrameLog
 from telenano_afm_controllers.nanonis_model import DEFLECTION
+from telenano_emulators.handle_line import HandleLine
+from telenano_emulators.stage_line import StageLine
 
 from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_OFF, DriveCommand
@@ -92,7 +92,7 @@ def modbus(kind: str) -> list[TakenReading]:
 
 
 def handle(kind: str) -> list[TakenReading]:
-    line = Line()
+    line = HandleLine()
     line.driver.open()
     between(line, kind)
     put, sent_ns = line.to_host, {}
@@ -119,7 +119,7 @@ def handle(kind: str) -> list[TakenReading]:
 DRIVERS = {"gwyscope": gwyscope, "nanonis": nanonis, "modbus": modbus, "handle": handle}
 
 
-def lost_text(line: Line, latency_ms: Callable[[int], float], count: int) -> str:
+def lost_text(line: HandleLine, latency_ms: Callable[[int], float], count: int) -> str:
     """Let a handle answer ever later, or as it does; return what its driver said."""
     told = ""
     for number in range(count):
@@ -133,12 +133,12 @@ def lost_text(line: Line, latency_ms: Callable[[int], float], count: int) -> str
 
 
 def test_a_handle_that_answers_late_or_again_is_lost_with_the_reason() -> None:
-    line = Line()
+    line = HandleLine()
     line.driver.open()
     between(line, "repeated")
     assert "has been silent for 50 ms, but for 5" in lost_text(line, lambda number: 0.0, BEGINS_MS + 100)
     # a queue of the line that grows, and is never silent
-    line = Line()
+    line = HandleLine()
     line.driver.open()
     assert "the handle answers commands of 5" in lost_text(line, lambda number: 0.25 * number, 1000)
 

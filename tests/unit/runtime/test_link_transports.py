@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from free_ports import free_ports
 from network_bench import AFM, CONTROLLER, LINK, Machine, payload, turns, two_machine_book
-from stranger_package import describe
 
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.launcher.run import line_check_of
@@ -23,7 +21,7 @@ from telenano.runtime.wiring.link_transports import LinkEnds, LinkSide
 from telenano.runtime.wiring.participant import Participant
 from telenano.settings import TWO_SITES_FILE, plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
-from telenano.testing import NodeBench
+from telenano.testing import NodeBench, describe_package, free_ports
 from telenano.wire.errors import ConfigError, RefusedError
 
 PACKAGE = KNOWN_PACKAGES["transport datagram"]
@@ -152,7 +150,7 @@ def ends_of(machine: Machine, key: str, log: Log) -> LinkEnds:
 def radio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Install the transport of a stranger, as pip does."""
     site = tmp_path / "site"
-    describe(site, "telenano_my_radio", {"transports": {"my_radio": "radio_transport:MY_RADIO"}})
+    describe_package(site, "telenano_my_radio", {"transports": {"my_radio": "radio_transport:MY_RADIO"}})
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(plugins, "_problems", {})
     plugins._installed.cache_clear()

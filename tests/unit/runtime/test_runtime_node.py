@@ -14,7 +14,6 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from wire_contract import examples
 
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop import journal
@@ -25,6 +24,7 @@ from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
+from telenano.testing.examples import examples
 from telenano.timing.clock import NEVER_NS
 from telenano.wire import Message, compose, encode
 from telenano.wire.codec import fields_of

@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 
 import pytest
 import zmq
-from free_ports import free_ports
 from network_bench import (
     AFM,
     CONTROLLER,
@@ -39,7 +38,7 @@ from telenano.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, 
 from telenano.runtime.security.zap_authenticator import _is_of_this_user
 from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
-from telenano.testing import VirtualClock
+from telenano.testing import VirtualClock, free_ports
 from telenano.timing.clock import SystemClock
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError

@@ -3,7 +3,8 @@
 from typing import Any
 
 import pytest
-import stranger_package
+
+from telenano.testing import install_package, said_with
 
 PACKAGE = """
 import dataclasses
@@ -103,8 +104,8 @@ print(json.dumps(said))
 def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return what a process with such a package says."""
     site = tmp_path_factory.mktemp("site")
-    stranger_package.install(site, "of_methods", {"__init__.py": PACKAGE}, ENTRIES)
-    found: dict[str, Any] = stranger_package.said(PROGRAM, site)
+    install_package(site, "of_methods", {"__init__.py": PACKAGE}, ENTRIES)
+    found: dict[str, Any] = said_with(PROGRAM, site)
     return found
 
 

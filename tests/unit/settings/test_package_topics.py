@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import pytest
 from mcap.reader import make_reader
 from msgspec import Meta
-from stranger_package import install, run
 
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
+from telenano.testing import install_package, run_with
 from telenano.wire import TOPICS, DurationS, Message, Topic, about, decode, encode
 from telenano.wire.topics import MOST_UNKNOWN, keep_unknown, register_topic, row_of
 
@@ -77,7 +77,7 @@ print(json.dumps(told))
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    install(tmp_path / "site", "wind", {"__init__.py": "", "messages.py": MESSAGES}, ENTRIES)
+    install_package(tmp_path / "site", "wind", {"__init__.py": "", "messages.py": MESSAGES}, ENTRIES)
     return tmp_path / "site"
 
 
@@ -91,7 +91,7 @@ def table() -> Iterator[None]:
 
 @pytest.mark.check("takes 1.6 s")
 def test_a_topic_of_a_package_is_sent_limited_read_and_recorded_with_its_schema(site: Path, tmp_path: Path) -> None:
-    found = json.loads(run(RECORD, site, str(tmp_path / "recorded")))
+    found = json.loads(run_with(RECORD, site, str(tmp_path / "recorded")))
     assert "wind/speed" in found["named"] and found["before"] == [] and found["after"] == ["wind", "wind.messages"]
     assert found["speeds"] == [3.5, 200.0]
     assert found["limited"] == ["WindSpeed: speed_m_per_s = 1000.0 is out of range and is sent at the end of the range"]
@@ -112,12 +112,12 @@ def test_a_topic_of_a_package_is_sent_limited_read_and_recorded_with_its_schema(
 
 @pytest.mark.check("takes 3.2 s")
 def test_commands_read_a_recording_with_and_without_the_package(site: Path, tmp_path: Path) -> None:
-    run(RECORD, site, str(tmp_path / "recorded"))
+    run_with(RECORD, site, str(tmp_path / "recorded"))
     file = tmp_path / "recorded" / "session.mcap"
     lines = [f"bag info {file}", f"bag verify {file}", f"bag export {file} --to mcap-json --out {tmp_path}/OUT.mcap"]
     for without in ("", "1"):
         asked = [line.replace("OUT", f"out{without}") for line in lines]
-        told = json.loads(run(READ, site, json.dumps(asked), TELENANO_WITHOUT_PACKAGES=without))
+        told = json.loads(run_with(READ, site, json.dumps(asked), TELENANO_WITHOUT_PACKAGES=without))
         assert [code for code, _, _ in told.values()] == [0, 0, 0], told
         assert "wind/speed" in told[asked[0]][1]
         assert ("no installed package declares" in told[asked[1]][1]) == bool(without)
@@ -221,8 +221,10 @@ def test_an_entry_that_is_no_such_topic_is_told_of_where_it_is_named(site: Path,
         ("speed", "wind.messages:SPEED", "is a Range, must be a Topic of telenano.wire"),
     ):
         folder = tmp_path / kind
-        install(folder, "wind", {"__init__.py": "", "messages.py": MESSAGES}, {"topics": {f"wind_{kind}": target}})
+        install_package(
+            folder, "wind", {"__init__.py": "", "messages.py": MESSAGES}, {"topics": {f"wind_{kind}": target}}
+        )
         lines = [f"topic info wind/{kind}"]
-        told = json.loads(run(READ, folder, json.dumps(lines)))
+        told = json.loads(run_with(READ, folder, json.dumps(lines)))
         code, _, err = told[lines[0]]
         assert code == 2 and said in err, told

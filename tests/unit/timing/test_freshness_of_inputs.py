@@ -5,10 +5,10 @@ from typing import Any
 
 import msgspec
 import pytest
-from wire_contract import examples
 
 from telenano.link.declared_delay import DeclaredDelay
 from telenano.link.fate import Release, delayed
+from telenano.testing.examples import examples
 from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
 from telenano.wire import encode
 from telenano.wire.codec import fields_of

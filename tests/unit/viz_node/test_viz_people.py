@@ -15,7 +15,6 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 from test_viz_server import ACCESS, Page, Rig, command
 from typer.testing import CliRunner
-from waiting import until
 
 from services.viz_node import command as view_command
 from services.viz_node import hub as hubs
@@ -25,6 +24,7 @@ from services.viz_node.metrics import metrics_text
 from telenano.cli.root import app
 from telenano.serving.access import Role
 from telenano.serving.people import People
+from telenano.testing import until
 from telenano.timing.loop_age import Part
 from telenano.wire.errors import ConfigError
 

@@ -5,13 +5,13 @@ import msgspec
 import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, haptic_state
-from wire_contract import examples
 
 from services.viz_node import playback as playback_module
 from services.viz_node.feed import Feed
 from services.viz_node.playback import RecordingPlayback
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
+from telenano.testing.examples import examples
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Array

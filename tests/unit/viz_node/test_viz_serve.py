@@ -12,7 +12,8 @@ from typing import Any
 import msgpack
 import pytest
 from made_source import MadeSource
-from waiting import PATIENCE_S, until
+
+from telenano.testing import PATIENCE_S, until
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")

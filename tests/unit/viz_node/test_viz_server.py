@@ -15,7 +15,8 @@ import pytest
 from bus_page import ACCESS, HEADERS
 from bus_page import BusPage as Page
 from made_source import MadeSource
-from waiting import until
+
+from telenano.testing import until
 
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import ratio_of_costs
-from wire_contract import examples, schema_of
 
+from telenano.testing.examples import examples, schema_of
 from telenano.wire import Message, decode, encode
 from telenano.wire.codec import (
     MAX_MESSAGE_BYTES,

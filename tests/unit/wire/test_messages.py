@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wire_contract import examples
 
+from telenano.testing.examples import examples
 from telenano.wire import compose
 from telenano.wire.codec import accept, fields_of
 from telenano.wire.messages import Array, HapticState

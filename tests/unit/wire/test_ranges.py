@@ -8,8 +8,8 @@ import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from wire_contract import examples
 
+from telenano.testing.examples import examples
 from telenano.wire import compose, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import InputHealth, LawStatus

@@ -1,0 +1,92 @@
+"""A kit for the tests of packages: nodes, rigs, recordings, wires and damaged files, as a plug-in of pytest.
+
+`pip install telenano[testing]` adds pytest, which finds the fixtures of `telenano.testing.plugin` by itself; what is
+named here serves any other way to test as well. docs/extending.md has a test with each. What an installed package
+brings for tests, by its entry points of the group `telenano.testing`, is imported from here too.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.extend.laws import longest_pause_periods as longest_pause_periods
+    from telenano.extend.laws import paced as paced
+    from telenano.recording.made_records import write_recording as write_recording
+    from telenano.testing.bench import HandRig as HandRig
+    from telenano.testing.bench import InstrumentRig as InstrumentRig
+    from telenano.testing.bench import NodeBench as NodeBench
+    from telenano.testing.bench import afm_config as afm_config
+    from telenano.testing.bench import afm_node as afm_node
+    from telenano.testing.bench import handed_over as handed_over
+    from telenano.testing.bench import haptic_config as haptic_config
+    from telenano.testing.bench import haptic_device_of as haptic_device_of
+    from telenano.testing.bench import haptic_node as haptic_node
+    from telenano.testing.bench import instrument_of as instrument_of
+    from telenano.testing.bench import refused_laws as refused_laws
+    from telenano.testing.bench import refused_program as refused_program
+    from telenano.testing.bench import trial as trial
+    from telenano.testing.commands import invoke as invoke
+    from telenano.testing.commands import options_of as options_of
+    from telenano.testing.commands import run as run
+    from telenano.testing.commands import run_apart as run_apart
+    from telenano.testing.commands import run_program as run_program
+    from telenano.testing.damage import damaged as damaged
+    from telenano.testing.examples import examples as examples
+    from telenano.testing.frames import Frames as Frames
+    from telenano.testing.law_loop import LOST as LOST
+    from telenano.testing.law_loop import LawRun as LawRun
+    from telenano.testing.law_loop import run_law as run_law
+    from telenano.testing.messages import EPOCH_NS as EPOCH_NS
+    from telenano.testing.messages import fields_of as fields_of
+    from telenano.testing.messages import hand_state as hand_state
+    from telenano.testing.messages import numbered as numbered
+    from telenano.testing.messages import payload as payload
+    from telenano.testing.messages import received as received
+    from telenano.testing.packages import describe_package as describe_package
+    from telenano.testing.packages import environment_with as environment_with
+    from telenano.testing.packages import install_package as install_package
+    from telenano.testing.packages import run_with as run_with
+    from telenano.testing.packages import said_with as said_with
+    from telenano.testing.processes import LiveRig as LiveRig
+    from telenano.testing.recordings import HEIGHTS_M as HEIGHTS_M
+    from telenano.testing.recordings import foreign_recording as foreign_recording
+    from telenano.testing.recordings import hand_recording as hand_recording
+    from telenano.testing.recordings import record_fig12 as record_fig12
+    from telenano.testing.recordings import recording_with as recording_with
+    from telenano.testing.recordings import rich_recording as rich_recording
+    from telenano.testing.shared_files import Shared as Shared
+    from telenano.testing.shared_files import SharedFiles as SharedFiles
+    from telenano.testing.shared_files import disk_of as disk_of
+    from telenano.testing.shared_files import fill_at_each_write as fill_at_each_write
+    from telenano.testing.shared_files import race as race
+    from telenano.testing.shared_files import small_disk as small_disk
+    from telenano.testing.sites import SiteLauncher as SiteLauncher
+    from telenano.testing.vectors import assert_same_bytes as assert_same_bytes
+    from telenano.testing.vectors import assert_same_schema as assert_same_schema
+    from telenano.testing.vectors import case_of as case_of
+    from telenano.testing.vectors import vectors_of as vectors_of
+    from telenano.testing.waiting import PATIENCE_S as PATIENCE_S
+    from telenano.testing.waiting import free_ports as free_ports
+    from telenano.testing.waiting import until as until
+    from telenano.testing.wires import RequestLine as RequestLine
+    from telenano.testing.wires import handle_wire as handle_wire
+    from telenano.testing.wires import shorten_waits as shorten_waits
+    from telenano.timing.clock import VirtualClock as VirtualClock
+    from telenano.virtual.rig import VirtualRig as VirtualRig
+    from telenano.virtual.rig import record_session as record_session
+else:
+    _named, __dir__ = face(__name__)
+
+    def __getattr__(name: str) -> Any:
+        """Return a name of this kit, or what an installed package brings for tests."""
+        try:
+            return _named(name)
+        except AttributeError:
+            if name.startswith("__"):
+                raise
+        from importlib.metadata import entry_points
+
+        for entry in entry_points(group="telenano.testing", name=name):
+            return entry.load()
+        raise AttributeError(f"telenano.testing has no {name}, and no installed package brings it")

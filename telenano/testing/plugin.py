@@ -1,0 +1,116 @@
+"""The fixtures of the kit, which pytest finds by the entry point of the wheel.
+
+Every pytest on a machine with telenano imports this module, and so it imports nothing before a fixture is asked for.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from telenano.testing.bench import NodeBench
+    from telenano.testing.processes import LiveRig
+    from telenano.virtual import VirtualRig
+
+
+@pytest.fixture
+def bench_of() -> "type[NodeBench]":
+    """Return the class of benches of one node in virtual time; call it with node@site."""
+    from telenano.testing.bench import NodeBench
+
+    return NodeBench
+
+
+@pytest.fixture
+def virtual_rig(tmp_path: Path) -> "Iterator[Callable[..., VirtualRig]]":
+    """Return what makes a rig of both sites in virtual time, of settings as `--set` takes them, and closes it.
+
+    Its recording is in a folder of its own; `seed`, `scenario` and `timing` are those of `VirtualRig`. Where it is to
+    be `running`, both devices are armed and the programme of the hand has begun, 0.3 s after the nodes.
+    """
+    from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
+
+    rigs: list[VirtualRig] = []
+
+    def made(*settings: str, seed: int = 1, running: bool = False, **given: Any) -> VirtualRig:
+        rig = VirtualRig(tmp_path / f"virtual_rig_{len(rigs)}", seed, settings, **given)
+        rigs.append(rig)
+        if running:
+            rig.run_until(ARMED_S)
+            rig.command("arm", "*", place="hand")
+            rig.run_until(STARTED_S)
+            rig.command("start", "haptic_node")
+        return rig
+
+    yield made
+    for rig in rigs:
+        rig.close()
+
+
+@pytest.fixture
+def live_rig(tmp_path: Path) -> "Iterator[LiveRig]":
+    """Return a rig of real processes that is not started yet, and take it down, whatever becomes of the test."""
+    from telenano.testing.processes import LiveRig
+
+    rig = LiveRig(tmp_path)
+    yield rig
+    rig.close()
+
+
+@pytest.fixture(scope="session")
+def recordings_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the recordings that all tests of a run share."""
+    base = tmp_path_factory.getbasetemp()
+    # the workers of a run have folders of their own in one
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "recorded"
+
+
+@pytest.fixture(scope="session")
+def recording_of(recordings_folder: Path) -> Callable[..., Path]:
+    """Return what records the beginning of Fig. 12 in virtual time, as `record_fig12` does, once for all tests.
+
+    It takes a law and settings as `--set` takes them. The file belongs to all tests: copy it before changing it.
+    """
+    from telenano.testing.recordings import record_fig12, recording_with
+
+    def recorded(law: str = "virtual_impedance", *settings: str, **given: Any) -> Path:
+        def make(folder: Path) -> Path:
+            return record_fig12(folder, law, settings, **given)
+
+        words = [*settings, *(f"{key}={value}" for key, value in sorted(given.items()))]
+        name = f"fig12_{law}" + (f"_{hashlib.sha256(repr(words).encode()).hexdigest()[:16]}" if words else "")
+        return recording_with(recordings_folder, name, make)
+
+    return recorded
+
+
+@pytest.fixture
+def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the closed loop of studies as plain Python: the same bits, and a short one is done before it is compiled."""
+    monkeypatch.setattr("telenano.lockstep.lockstep.compiled_call", lambda step, given: step(*given))
+    monkeypatch.setattr("telenano.lockstep.lockstep.is_compiled", lambda step, given: False)
+
+
+@pytest.fixture
+def without_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no command of this process request real-time scheduling, which would outlast the test."""
+    monkeypatch.setattr("telenano.runtime.loop.realtime.apply_realtime", lambda *settings: None)
+
+
+@pytest.fixture
+def networks_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return a folder whose profiles of networks are known by name in this test, as TELENANO_NETWORKS makes them."""
+    from telenano.link import profiles
+
+    def forget() -> None:
+        profiles._names.cache_clear()
+        profiles._read.cache_clear()
+
+    monkeypatch.setenv("TELENANO_NETWORKS", str(tmp_path))
+    forget()
+    yield tmp_path
+    forget()

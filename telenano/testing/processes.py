@@ -1,0 +1,169 @@
+"""A rig of real processes on this machine: `telenano up` in the background, and the commands of a person beside it."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from telenano.recording import Recording
+
+# far beyond what is expected: it only keeps a broken rig from holding the suite
+PATIENCE_S = 150.0
+# the end of a log that a failure shows [characters]
+_LOG_END = 1500
+
+
+class LiveRig:
+    """A rig in a folder of its own, with runtime files that no other rig sees.
+
+    Args:
+        folder: The folder, which gets the session's own `out`.
+    """
+
+    # what a rig is started with, beside the words of the test
+    usual: Sequence[str] = ()
+    # called in each process of `telenano up` before it begins
+    before_start: Callable[[], None] | None = None
+    # where its commands run; None for the folder of the tests
+    working_folder: Path | None = None
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.out = folder / "out"
+        # the path of a socket is short by law, and folders of tests are not
+        self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
+        self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self, *arguments: str, scenario: str = "fig12") -> None:
+        """Start a session.
+
+        Args:
+            arguments: Further words of `telenano up`.
+            scenario: The scenario.
+        """
+        command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json"]
+        self.process = subprocess.Popen(
+            self.command(*command, *self.usual, *arguments),
+            env=self.environment,
+            cwd=self.working_folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=self.before_start,
+        )
+
+    def finish(self) -> tuple[int, dict[str, Any], str]:
+        """Wait for the end of the session; return exit code, summary and standard error."""
+        assert self.process is not None, "no session was started"
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, json.loads(out) if out.strip() else {}, err
+
+    def stop(self) -> tuple[int, dict[str, Any], str]:
+        """End the session as Ctrl-C does and wait for its end; return as `finish` does."""
+        assert self.process is not None, "no session was started"
+        self.process.send_signal(signal.SIGINT)
+        return self.finish()
+
+    def command(self, *arguments: str) -> list[str]:
+        """Return the command line of a command of telenano."""
+        return [sys.executable, "-m", "telenano", *arguments]
+
+    def telenano(self, *arguments: str, patience_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
+        """Run another command beside the rig."""
+        return subprocess.run(
+            self.command(*arguments), env=self.environment, cwd=self.working_folder, stdin=subprocess.DEVNULL,
+            capture_output=True, text=True, timeout=patience_s, check=False,
+        )  # fmt: skip
+
+    def process_of(self, node: str) -> int | None:
+        """Return the process id of a node of this rig, such as controller@slave; None where it does not run."""
+        name, _, site = node.partition("@")
+        for process_id, words in _processes():
+            if f"services.{name}" in words and site in words and str(self.out / "scenario.yaml") in words:
+                return process_id
+        return None
+
+    def process_ids(self) -> list[int]:
+        """Return the ids of all processes that run for this rig, its launcher included."""
+        # the process that reads the nodes for all observers knows their endpoints alone
+        own = (str(self.out), f"ipc://{self.sockets}")
+        return [process_id for process_id, words in _processes() if any(word.startswith(own) for word in words)]
+
+    def kill(self, node: str) -> int:
+        """Kill the process of a node with SIGKILL and return its id."""
+        process_id = self.process_of(node)
+        assert process_id is not None, f"{node} does not run"
+        os.kill(process_id, signal.SIGKILL)
+        return process_id
+
+    def session(self) -> "Recording":
+        """Return the recording of the session so far."""
+        from telenano.recording import Recording
+
+        return Recording(max(self.out.glob("*.mcap"), key=lambda path: path.stat().st_mtime))
+
+    def logs(self) -> str:
+        """Return the ends of the logs of all nodes."""
+        paths = sorted((self.out / "logs").glob("*.log"))
+        return "\n".join(f"== {path.name}\n" + path.read_text()[-_LOG_END:] for path in paths)
+
+    def log_has(self, node: str, text: str, times: int = 1) -> bool:
+        """Return whether the log of a node has a text, or has it a number of times."""
+        path = self.out / "logs" / f"{node}.log"
+        return path.exists() and path.read_text().count(text) >= times
+
+    def running(self) -> bool:
+        """Return whether the programme of the hand has been started."""
+        return self.log_has("launcher@master", "the session is running")
+
+    def wait_until(self, condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+        """Wait until something is true of the rig.
+
+        Args:
+            condition: Returns whether it is true.
+            what: What is waited for, in words, for the failure.
+            patience_s: How long [s].
+        """
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            if condition():
+                return
+            assert self.process is None or self.process.poll() is None, f"the rig ended: {self.finish()}{self.logs()}"
+            time.sleep(0.1)
+        raise AssertionError(f"waited in vain for: {what}\n{self.logs()}")
+
+    def close(self) -> None:
+        """Take down what still runs and leave no socket behind."""
+        if self.process is not None:
+            if self.process.poll() is None:
+                self.process.terminate()
+            try:
+                self.process.communicate(timeout=30)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.communicate()
+            except ValueError:
+                # the pipes were read to their end and closed by `finish`
+                self.process.wait()
+        shutil.rmtree(self.sockets, ignore_errors=True)
+
+
+def _processes() -> list[tuple[int, list[str]]]:
+    """Return the ids of all processes with the words of their command lines."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
+        except OSError:
+            continue
+        if words:
+            found.append((int(entry.name), words))
+    return found
