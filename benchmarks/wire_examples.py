@@ -11,6 +11,6 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "contract"))
 
 def ordinary_example(topic: str) -> Message:
     """Return the ordinary example of a topic."""
-    from telenano.testing.examples import examples
+    from telenano.testing.filled_messages import examples
 
     return examples(TOPICS[topic])["ordinary"]

@@ -1,4 +1,4 @@
-"""What a package that extends telenano imports, one module a kind; `messages` and `testing` are for tests too.
+"""What a package that extends telenano imports, one module a kind.
 
 `telenano new law NAME` makes such a package; docs/extending.md explains each kind.
 """

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.extend.laws import longest_pause_periods as longest_pause_periods
-    from telenano.extend.laws import paced as paced
-    from telenano.recording.made_records import write_recording as write_recording
     from telenano.testing.bench import HandRig as HandRig
     from telenano.testing.bench import InstrumentRig as InstrumentRig
     from telenano.testing.bench import NodeBench as NodeBench
+    from telenano.testing.bench import VirtualClock as VirtualClock
     from telenano.testing.bench import afm_config as afm_config
     from telenano.testing.bench import afm_node as afm_node
     from telenano.testing.bench import handed_over as handed_over
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from telenano.testing.commands import run_apart as run_apart
     from telenano.testing.commands import run_program as run_program
     from telenano.testing.damage import damaged as damaged
-    from telenano.testing.examples import examples as examples
+    from telenano.testing.filled_messages import examples as examples
     from telenano.testing.frames import Frames as Frames
     from telenano.testing.law_loop import LOST as LOST
     from telenano.testing.law_loop import LawRun as LawRun
@@ -55,6 +53,7 @@ if TYPE_CHECKING:
     from telenano.testing.recordings import record_fig12 as record_fig12
     from telenano.testing.recordings import recording_with as recording_with
     from telenano.testing.recordings import rich_recording as rich_recording
+    from telenano.testing.recordings import write_recording as write_recording
     from telenano.testing.shared_files import Shared as Shared
     from telenano.testing.shared_files import SharedFiles as SharedFiles
     from telenano.testing.shared_files import disk_of as disk_of
@@ -72,9 +71,6 @@ if TYPE_CHECKING:
     from telenano.testing.wires import RequestLine as RequestLine
     from telenano.testing.wires import handle_wire as handle_wire
     from telenano.testing.wires import shorten_waits as shorten_waits
-    from telenano.timing.clock import VirtualClock as VirtualClock
-    from telenano.virtual.rig import VirtualRig as VirtualRig
-    from telenano.virtual.rig import record_session as record_session
 else:
     _named, __dir__ = face(__name__)
 

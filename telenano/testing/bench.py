@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
-from telenano.timing.clock import VirtualClock
+from telenano.timing.clock import VirtualClock as VirtualClock
 from telenano.wire import TOPICS, compose, encode
 from telenano.wire.messages import Message
 from telenano.wire.nodes import HAND, TIP, module_of, name_of

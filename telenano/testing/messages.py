@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 
 from telenano.recording import RecordedMessage, recorded
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import TOPICS, Message, encode, example
 from telenano.wire.codec import fields_of as fields_of_message
 

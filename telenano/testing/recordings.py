@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telenano.recording.made_records import write_recording as write_recording
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.records import RejectedRecord
 from telenano.recording.rewrite import CopyWriter

@@ -11,7 +11,7 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
 from telenano.settings import DEFAULT_SITE_FILE
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

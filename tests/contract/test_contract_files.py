@@ -11,7 +11,7 @@ import pytest
 import spec_client
 from wire_contract import FOLDER, artefacts, present_fields
 
-from telenano.testing.examples import CASES, WITH_OPTIONAL, has_optional_keys
+from telenano.testing.filled_messages import CASES, WITH_OPTIONAL, has_optional_keys
 from telenano.wire import decode, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import Record

@@ -20,7 +20,7 @@ from telenano.recording.rewrite import CopyWriter, merge_recordings
 from telenano.recording.summary_section import quick_info
 from telenano.recording.verify import verify
 from telenano.runtime.bus.bus import Subscriber
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import compose, decode, encode
 from telenano.wire.codec import MAX_PLAIN_BYTES, WireError, accept, decode_header, fields_of, read_header

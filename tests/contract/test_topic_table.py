@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from wire_contract import FOLDER, range_table, topic_table
 
-from telenano.testing.examples import schema_of
+from telenano.testing.filled_messages import schema_of
 from telenano.wire import Topic, instrument, journal_messages, messages, network_messages
 from telenano.wire.codec import MAX_MESSAGE_BYTES, MOST_BYTES, Reason
 from telenano.wire.messages import MAX_KEYS, Message, Record

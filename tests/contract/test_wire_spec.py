@@ -21,7 +21,7 @@ from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.wiring.transport import Transport
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.included import SITE_DIRECTORY
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.messages import AfmScanline, Array, Record, SessionControl

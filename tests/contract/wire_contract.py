@@ -9,7 +9,7 @@ from typing import Any
 
 import msgpack
 
-from telenano.testing.examples import CASES, examples, schema_of
+from telenano.testing.filled_messages import CASES, examples, schema_of
 from telenano.wire.codec import MOST_BYTES, encode
 from telenano.wire.messages import Message
 from telenano.wire.ranges import RANGES

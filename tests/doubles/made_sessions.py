@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.ends import end_data

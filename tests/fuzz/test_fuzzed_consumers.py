@@ -42,7 +42,7 @@ from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.serving.access import Role
 from telenano.testing import VirtualClock
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 

@@ -12,7 +12,7 @@ import msgpack
 import pytest
 from tried_laws import TRIED_LAWS as LAWS
 
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.testing.frames import Frames, stream
 from telenano.wire import encode
 from telenano.wire.codec import accept

@@ -14,7 +14,7 @@ import msgspec
 from browser_page import PAGE_FOLDER
 
 from telenano.testing import free_ports
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire.topics import TOPICS
 
 TOKEN, OBSERVER_TOKEN = "operator-token-0123", "observer-token-0123"

@@ -13,7 +13,7 @@ from slow_proxy import SlowProxy
 
 from services.viz_node.page_hand import HAND_FADE_S, HAND_FRESH_S
 from telenano.testing import free_ports
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire.topics import TOPICS
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]

@@ -54,9 +54,11 @@ class Keys(NamedTuple):
             raise ConfigError(f"{own}: cannot be read: {error.strerror}") from error
         try:
             public, secret = zmq.auth.load_certificate(own)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, IndexError) as error:
+            # The reader of ZeroMQ takes a line that begins with the name of a key for one with a value.
+            reason = "a line of a key has no value" if isinstance(error, IndexError) else error
             raise ConfigError(
-                f"{own}: is no file with a pair of keys, as `telenano keys new` makes: {error}"
+                f"{own}: is no file with a pair of keys, as `telenano keys new` makes: {reason}"
             ) from error
         if secret is None:
             raise ConfigError(f"{own}: has no secret-key; name the file that ends with .key_secret")

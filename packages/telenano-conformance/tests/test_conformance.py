@@ -648,9 +648,10 @@ def test_an_address_that_cannot_be_used_is_refused(client: str, said: str) -> No
 def test_a_pair_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.key_secret: cannot be read: No such file"):
         Keys.of("x" * 40, tmp_path / "none.key_secret")
-    (tmp_path / "text.key_secret").write_text("no key")
-    with pytest.raises(ConfigError, match="is no file with a pair of keys"):
-        Keys.of("x" * 40, tmp_path / "text.key_secret")
+    for text in ("no key", "curve\n    public-key"):
+        (tmp_path / "text.key_secret").write_text(text)
+        with pytest.raises(ConfigError, match="is no file with a pair of keys"):
+            Keys.of("x" * 40, tmp_path / "text.key_secret")
 
 
 def test_the_rules_name_sections_of_the_specification() -> None:

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from telenano.afm import AfmConfig, part_step
 from telenano.afm.sim import SimulatedInstrument
@@ -11,6 +12,8 @@ from telenano.devices import driver_of
 from telenano.extend.samples import PlantInputs
 from telenano.numerics import compiled_form
 from telenano.settings import validate
+
+pytestmark = pytest.mark.check("compiles a layer, takes 13 s")
 
 DEEP = {"base_min_m": -1e-6, "retract_position_m": -7e-7, "base_max_m": 2e-7}
 

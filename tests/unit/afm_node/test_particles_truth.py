@@ -10,7 +10,7 @@ from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import Topic
 from telenano.wire.codec import WireError, accept, fields_of
 from telenano.wire.schema import json_schema

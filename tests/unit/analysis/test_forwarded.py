@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from telenano.analysis.forwarded import Forwarded, compare_forwarded
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS
 

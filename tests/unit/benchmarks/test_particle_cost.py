@@ -1,19 +1,17 @@
 """What particles take of the step of the instrument: little more than the step without them."""
 
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
+from particles import instrument, sweep
 
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
+pytestmark = pytest.mark.check("compares the time of steps, takes 13 s")
 
 
 @pytest.mark.parametrize(("y_m", "most"), [(0.5e-6, 1.6), (0.0, 2.5)])
 def test_fifty_particles_take_a_share_of_a_step(y_m: float, most: float) -> None:
     """Fifty take a share more than one; the shortest of several turns, so that a busy machine counts less."""
-    from particles import instrument, sweep
 
     def turn(count: int) -> Callable[[], None]:
         return lambda: sweep(instrument(count), 300, y_m)

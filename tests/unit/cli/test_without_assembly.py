@@ -14,6 +14,8 @@ from telenano.settings import find_scenario
 from telenano.virtual import ARMED_S, VirtualRig
 from telenano.wire.extras import how_to_add_package
 
+pytestmark = pytest.mark.check("records a session and starts processes, takes 10 s")
+
 PACKAGE = "telenano-assembly"
 TOLD = f"is in the package {PACKAGE}: {how_to_add_package(PACKAGE)}"
 SCENARIO = {

@@ -26,7 +26,7 @@ from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.wiring.transport import EstopInlet
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.codec import fields_of

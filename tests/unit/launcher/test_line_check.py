@@ -8,7 +8,7 @@ from launcher_bench import SECOND_NS, TICK_NS, Rig
 from telenano_wide_area.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
 from telenano_wide_area.transport import DATAGRAM
 
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import TOPICS, LinkNetwork
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")

@@ -13,7 +13,7 @@ from telenano.launcher.shown_watch import ShownWatch, laws_as_shown
 from telenano.laws.config import ControllerConfig
 from telenano.runtime.loop.log import StructuredLog
 from telenano.settings.config import validate
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire.messages import Message, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival

@@ -10,7 +10,7 @@ from telenano.recording.reader import Recording
 from telenano.recording.session_folder import SessionFolder
 from telenano.recording.site_merge import merge_sites, slave_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError
 from telenano.wire.topics import TOPICS

@@ -18,7 +18,7 @@ from telenano.recording.records import REJECTED_TOPIC
 from telenano.recording.tables import line
 from telenano.recording.writer import RecordingWriter
 from telenano.testing import HEIGHTS_M, hand_recording, rich_recording
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import AfmScanline

@@ -12,7 +12,7 @@ import pytest
 from telenano.recording.reader import Recording
 from telenano.recording.site_clock import read_site_clock
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS

@@ -20,7 +20,7 @@ import zmq
 from telenano.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Subscriber, ZmqBus, split_frames
 from telenano.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 from telenano.testing import VirtualClock
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError

@@ -24,7 +24,7 @@ from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.testing import VirtualClock
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.clock import NEVER_NS
 from telenano.wire import Message, compose, encode
 from telenano.wire.codec import fields_of

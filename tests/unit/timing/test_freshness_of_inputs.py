@@ -8,7 +8,7 @@ import pytest
 
 from telenano.link.declared_delay import DeclaredDelay
 from telenano.link.fate import Release, delayed
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.timing.freshness import LOOP_DEADLINE_NS, Freshness
 from telenano.wire import encode
 from telenano.wire.codec import fields_of

@@ -33,7 +33,7 @@ from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import described
 from telenano.serving.access import Access
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import TOPICS, Array, Message
 from telenano.wire.codec import fields_of
 

@@ -11,7 +11,7 @@ from services.viz_node.feed import Feed
 from services.viz_node.playback import RecordingPlayback
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError, RefusedError
 from telenano.wire.messages import Array

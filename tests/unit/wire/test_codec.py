@@ -16,7 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import ratio_of_costs
 
-from telenano.testing.examples import examples, schema_of
+from telenano.testing.filled_messages import examples, schema_of
 from telenano.wire import Message, decode, encode
 from telenano.wire.codec import (
     MAX_MESSAGE_BYTES,

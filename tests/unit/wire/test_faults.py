@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_contract import present_fields
 
-from telenano.testing.examples import CASES, WITH_OPTIONAL, examples, has_optional_keys
+from telenano.testing.filled_messages import CASES, WITH_OPTIONAL, examples, has_optional_keys
 from telenano.wire import compose
 from telenano.wire.codec import WireError, accept
 from telenano.wire.faults import Fault

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import compose
 from telenano.wire.codec import accept, fields_of
 from telenano.wire.messages import Array, HapticState

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from telenano.testing.examples import examples
+from telenano.testing.filled_messages import examples
 from telenano.wire import compose, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import InputHealth, LawStatus
