@@ -335,7 +335,7 @@ def master_receive(
             mass=mass,
             fit=fit,
             model=_now(fit, drift),
-            rendered=fit.known,
+            rendered=False,
             store_j=0.0,
             injected_j=state.injected_j,
             dissipated_j=state.dissipated_j,

@@ -51,6 +51,15 @@ def test_a_device_that_something_else_moves_while_it_is_off_brings_no_energy_int
     assert found.is_kept, found.sentence()
 
 
+@pytest.mark.check("orders of up to twenty seconds")
+@pytest.mark.parametrize(("kind", "longest_s"), [("arm", 5.0), ("end of travel: hand", 20.0)])
+def test_a_surface_that_was_learnt_while_the_device_was_off_throws_no_hand_back(kind: str, longest_s: float) -> None:
+    """The model had the learnt surface at once in which the hand already was: 40 and 6.8 mJ came out."""
+    law = LAWS["model_mediated"]
+    found = balance(law, drawn(78, 0, kind, law.config().silence_limit_s, longest_s))
+    assert found.is_kept and found.contact_share > 0.1, found.sentence()
+
+
 @pytest.mark.check("seventeen orders for every passive law, up to 8 s of processor time each law")
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str) -> None:
