@@ -1,20 +1,20 @@
 """The adversary's draws: what they are stated to be, and again the same from the same seed."""
 
 import pytest
-from telenano_conformance.balance_draws import KINDS, MIXED, SILENCES, drawn
+from telenano_conformance.balance_draws import ADVERSE, ALL_KINDS, EVERYTHING, KINDS, MIXED, SILENCES, drawn
 
 LIMIT_S = 0.2
 SEED = 5
 
 
 def test_the_same_number_is_the_same_order() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         assert drawn(SEED, 3, kind) == drawn(SEED, 3, kind)
         assert drawn(SEED, 3, kind) != drawn(SEED, 4, kind)
 
 
 def test_a_shorter_order_is_the_beginning_of_a_longer_one() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         for case in range(5):
             long, short = drawn(SEED, case, kind), drawn(SEED, case, kind, longest_s=15.0)
             assert (long.hand, long.sample, long.line, long.seed) == (short.hand, short.sample, short.line, short.seed)
@@ -30,7 +30,7 @@ def test_silences_are_of_a_tenth_to_three_times_the_limit_and_reach_both_ends() 
 
 
 def test_events_follow_each_other_within_the_order() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         for case in range(20):
             order = drawn(SEED, case, kind)
             ends_s = 0.0
@@ -60,5 +60,5 @@ def test_each_kind_has_events_of_that_kind_alone() -> None:
 
 
 def test_an_unknown_kind_is_named() -> None:
-    with pytest.raises(ValueError, match="letting go is no kind of transition: known are hold, let go, off"):
+    with pytest.raises(ValueError, match="letting go is no kind of order: known are hold, let go, off"):
         drawn(SEED, 0, "letting go")
