@@ -80,6 +80,7 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    NOTHING_HEARD,
     HandPort,
     Mass,
     MassConfig,
@@ -192,7 +193,10 @@ class PassivityConfig(MassConfig):
 
 
 class Account(NamedTuple):
-    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted."""
+    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted.
+
+    received_j is `NOTHING_HEARD` until the first signal: what the other side had put in before belongs to nobody here.
+    """
 
     in_j: float
     received_j: float
@@ -230,6 +234,8 @@ class SlaveState(NamedTuple):
 @compiled
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
     """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
+    if account.received_j < 0.0:
+        return recount_received(account, energy_j, True)
     added_j = max(energy_j - account.received_j, 0.0)
     left = min(account.remaining_j + added_j, cap_j)
     lost = account.lost_j + (account.remaining_j + added_j - left)
@@ -284,7 +290,7 @@ def recount_received(account: Account, energy_j: float, received: bool) -> Accou
 @compiled
 def opened(start_j: float) -> Account:
     """Start to count, with the energy E_0 [J] to spend."""
-    return Account(0.0, 0.0, start_j, 0.0, start_j)
+    return Account(0.0, NOTHING_HEARD, start_j, 0.0, start_j)
 
 
 @compiled

@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 from telenano.extend.laws import EnergyAccount, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import NOTHING_HEARD, Mass, MassParams
 from telenano.extend.virtual_mass import HandPort as HandPort
-from telenano.extend.virtual_mass import Mass, MassParams
 from telenano.extend.virtual_mass import begun_again as begun_again
 from telenano.extend.virtual_mass import bounded as bounded
 from telenano.extend.virtual_mass import followed as followed
@@ -21,7 +21,10 @@ from telenano.numerics import compiled
 
 
 class Store(NamedTuple):
-    """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted."""
+    """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted.
+
+    received_j is `NOTHING_HEARD` until the first signal: what the other half had sent before belongs to nobody here.
+    """
 
     sent_j: float
     received_j: float
@@ -32,7 +35,7 @@ class Store(NamedTuple):
 @compiled
 def opened(start_j: float) -> Store:
     """Return a store that begins with the energy E_0 [J]."""
-    return Store(0.0, 0.0, start_j, start_j)
+    return Store(0.0, NOTHING_HEARD, start_j, start_j)
 
 
 @compiled
@@ -51,6 +54,8 @@ def recount_received(store: Store, energy_j: float, heard: bool) -> Store:
 @compiled
 def credited(store: Store, energy_j: float, cap_j: float) -> Store:
     """Add what the other side has sent since its last signal; what goes beyond the cap is dissipated."""
+    if store.received_j < 0.0:
+        return recount_received(store, energy_j, True)
     added = max(energy_j - store.received_j, 0.0)
     left = max(min(store.left_j + added, cap_j), store.left_j) if added > 0.0 else store.left_j
     return Store(store.sent_j, store.received_j + added, left, store.granted_j)
