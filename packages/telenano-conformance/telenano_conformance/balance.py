@@ -130,10 +130,13 @@ def silence_limit_s(config: Any) -> float:
 def tolerance_j(law: Law, order: Order, config: Any, stiffest_n_per_m: float) -> float:
     """Return by how much a law may make more than it grants itself in an order [J], stated before the order is run.
 
-    That is what the law states, and what one step of the base's position takes from the sample at the most: a base that
-    can stand at multiples of a quantum q alone goes up to q at once, and the sample takes K q^2 / 2 of that.
+    That is what the law states, and what a base takes that can stand at multiples of a quantum q alone: it may go q/2
+    further than was paid for, against the greatest force F of the hand, and the sample takes F q/2 + K q^2/2 of that,
+    before the law has measured it.
     """
-    step_j = 0.5 * stiffest_n_per_m * order.base_quantum_m**2 * config.force_scale / config.position_scale
+    step_m = order.base_quantum_m / config.position_scale
+    stiffest = stiffest_n_per_m * config.force_scale * config.position_scale
+    step_j = 0.5 * order.hand.most_n * step_m + 0.5 * stiffest * step_m * step_m
     return float(law.passive_within_j + step_j)
 
 

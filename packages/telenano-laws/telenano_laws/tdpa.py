@@ -271,8 +271,16 @@ def slave_receive(
 
 @compiled
 def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Return what the tip measures, and E_in of its port."""
-    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=state.store.sent_j)
+    """Return what the tip measures, and E_in of its port, after the step of the base.
+
+    The work is booked with the force right after the step: until the next signal comes the sample may have moved.
+    """
+    p = params.mass
+    here, force, store = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n, state.store
+    if state.coupled and tip.following:
+        store = tip_worked(store, state.last_m, state.last_n, here, force)
+        state = SlaveState(state.position_m, state.heard_m, here, force, store, True)
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=store.sent_j)
 
 
 @compiled

@@ -26,6 +26,7 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    tip_signal,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -63,7 +64,6 @@ from telenano_laws.tdpa import master_start as master_start
 from telenano_laws.tdpa import retune as retune
 from telenano_laws.tdpa import slave_energy_account as slave_energy_account
 from telenano_laws.tdpa import slave_retune as slave_retune
-from telenano_laws.tdpa import slave_send as slave_send
 from telenano_laws.tdpa import slave_start as slave_start
 
 # A damper that acts on the velocity of the period before is stable below M / Ts; this share of it leaves room.
@@ -179,6 +179,19 @@ def slave_receive(
     way = target - start / p.position_scale
     base = paid_base(p, state.position_m, tip, way, params.stiffest_n_per_m, store.left_j, 0.0)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: TwoLayerParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Return what the tip measures, and what its tank has sent; the work is booked with the force after the step."""
+    p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    if state.coupled and tip.following:
+        store = tank(state.store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
+        state = SlaveState(state.position_m, state.heard_m, here, force, store, True)
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=state.store.sent_j)
 
 
 TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True)
