@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field
 from telenano_conformance.balance import Balance, balance, states_passivity, worst_balances
 from telenano_conformance.balance_command import _facts, _line, _print_findings
-from telenano_conformance.balance_draws import ALL_KINDS, KINDS, MIXED, drawn
+from telenano_conformance.balance_draws import ALL_KINDS, KINDS, drawn
 
 from telenano.extend.laws import (
     EnergyAccount,
