@@ -32,6 +32,9 @@ ARRIVED_M = 1e-3
 # A device that follows is behind its reference by less than this [m]; a reference goes no further from one that is
 # stuck, at the end of its travel say.
 LONGEST_LEAD_M = 2e-3
+# A tip that has got more than was paid for by this presses no further until more has come [J]: what its last step alone
+# has taken is less.
+OVERDRAWN_J = 1e-5
 # The counter received of a half that begins while the other one may have counted for long [J]: the first signal that it
 # hears is where it begins to count, so that nothing is credited twice.
 NOTHING_HEARD = -1.0

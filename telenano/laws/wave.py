@@ -62,6 +62,7 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    OVERDRAWN_J,
     HandPort,
     Mass,
     MassConfig,
@@ -362,6 +363,10 @@ def slave_receive(
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
+    if reserve < -OVERDRAWN_J and way * last_n > 0.0:
+        # A base that goes further than it is told, by steps of its own say, has taken more than has come: it presses no
+        # further until the next waves have paid.
+        way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
     state = SlaveState(
         position_m=base,

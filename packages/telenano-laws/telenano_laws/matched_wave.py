@@ -38,6 +38,7 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    OVERDRAWN_J,
     Mass,
     MassConfig,
     MassParams,
@@ -306,7 +307,8 @@ def slave_receive(
         reserve += 0.5 * wave * wave * p.period_s
         speed, _ = tip_end(params.impedance_n_s_per_m, wave, force)
         way += speed * p.period_s
-    if signal.silence_s > _STANDS_S:
+    if signal.silence_s > _STANDS_S or (reserve < -OVERDRAWN_J and way * force > 0.0):
+        # A port that has given more than has come presses no further until the next waves have paid.
         way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
     # Without a step between them the last measurement is still the one that the work is counted from.

@@ -77,3 +77,29 @@ def test_a_half_that_begins_while_the_other_one_continues_is_credited_nothing_of
         master, _ = law.master_receive(params, begun, HAND, signal, T)
         account = law.master_energy_account(params, master)
         assert account.remaining_j <= account.granted_j + DAMPED_J
+
+
+@pytest.mark.parametrize("name", ["wave", "matched_wave", "passivity", "tdpa", "two_layer", "bounded_model"])
+@pytest.mark.parametrize("overdrawn_j", [1e-2, 1.0])
+def test_a_tip_that_has_got_more_than_was_paid_for_presses_no_further(name: str, overdrawn_j: float) -> None:
+    """A base that goes by steps of its own, or a sample that jumps, takes more than the law has let it."""
+    law = LAWS[name]
+    params = law.config().to_params(T)  # type: ignore[attr-defined]
+    tip, pressed_n = NO_TIP._replace(following=True), 1e-9
+    start = ANSWER._replace(energy_j=1.0, force_n=4e-8)
+    slave, _ = law.slave_receive(params, law.slave_start(params, tip), start, tip, T)
+    slave, _ = law.slave_send(params, slave, tip, T)
+    scale, gain = params.mass.position_scale, params.mass.force_scale
+    way_m = 2.0 * scale * overdrawn_j / (gain * pressed_n)
+    gone = tip._replace(base_position_m=way_m, force_n=pressed_n, in_contact=True)
+    slave = slave._replace(position_m=way_m)
+    slave, _ = law.slave_send(params, slave, gone, T)
+    # the position of a law of waves is a counter, and that of the others the place of the hand
+    place_m = 0.0 if law.uses_waves else 2.0 * way_m
+    for tick in range(5):
+        # what comes pays for a small part of it only
+        more_j, more_m = 1e-5 * (tick + 1), scale * 1e-4 * (tick + 1)
+        signal = start._replace(energy_j=1.0 + more_j, position_m=place_m + more_m, wave_sqrt_w=0.1)
+        slave, wanted = law.slave_receive(params, slave, signal, gone, T)
+        assert wanted.position_m <= way_m * (1.0 + 1e-9)
+        slave, _ = law.slave_send(params, slave, gone, T)
