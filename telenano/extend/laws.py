@@ -218,7 +218,8 @@ class Law:
     and instrument has a gain, and a slow instrument makes it swing. A law whose hand meets a model of the contact, or
     whose hand moves no tip, has none; a loop at the instrument alone is `local_loop`, and its settings state the
     stiffness that it tolerates. `passive`: whether the law states that its two ports together give out no more than its
-    accounts say that it was granted, over any line. `must_know`: the settings of its section that have to be those of
+    accounts say that it was granted, over any line; `passive_within_j`: by how much more at the most [J], for the steps
+    that it has not accounted for yet. `must_know`: the settings of its section that have to be those of
     the instrument or the sample, because the law computes with them and cannot measure them.
 
     `fixed_in_contact`: the settings, besides both scales, that a rig refuses to change while the tip touches, because
@@ -245,6 +246,7 @@ class Law:
     local_loop: bool = False
     link_loop: bool = True
     passive: bool = False
+    passive_within_j: float = 1e-5
     must_know: tuple[str, ...] = ()
     fixed_in_contact: tuple[str, ...] = ()
     slave_retune: Steps = kept

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from telenano.extend import pass_through
 from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
 from telenano.extend.ranges import parameter
-from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded, is_retracted
+from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, at_hand, bounded
 from telenano.numerics.compiler import compiled
 from telenano.numerics.discretisation import Discretisation, exact_discretisation
 from telenano.settings.config import filled
@@ -94,11 +94,11 @@ def master_receive(
     tip are on the line through zero again.
     """
     scaled_force = params.force_scale * signal.force_n
-    coupled = signal.active and signal.silence_s <= params.silence_limit_s
-    if not (coupled and hand.following):
-        offset = 0.0 if is_retracted(params, signal) else _offset_that_keeps(params, state, hand.position_m)
+    may = at_hand(params, hand, signal, False, 0.0, dt, False)
+    if not may.acts:
+        offset = 0.0 if may.renews else _offset_that_keeps(params, state, hand.position_m)
         held = MasterState(hand.position_m, 0.0, offset)
-        return held, MasterReference(hand.position_m, 0.0, scaled_force if coupled else 0.0, coupled)
+        return held, MasterReference(hand.position_m, 0.0, scaled_force if may.coupled else 0.0, may.coupled)
     drive = params.force_gain * (hand.force_n - scaled_force) - scaled_force
     step = params.impedance
     x, v = state.position_m, state.velocity_m_per_s

@@ -32,6 +32,12 @@ ARRIVED_M = 1e-3
 # A device that follows is behind its reference by less than this [m]; a reference goes no further from one that is
 # stuck, at the end of its travel say.
 LONGEST_LEAD_M = 2e-3
+# A tip that has got more than was paid for by this presses no further until more has come [J]: what its last step alone
+# has taken is less.
+OVERDRAWN_J = 1e-5
+# The counter received of a half that begins while the other one may have counted for long [J]: the first signal that it
+# hears is where it begins to count, so that nothing is credited twice.
+NOTHING_HEARD = -1.0
 # Work of the hand that a law has not used is kept up to this, for the energy of its moving mass [J].
 _KEPT_WORK_J = 1e-3
 
@@ -180,7 +186,7 @@ def tip_reference(params: MassParams, mass: Mass) -> float:
 
 
 @compiled
-def is_coupled(params: MassParams, signal: PortSignal) -> bool:
+def is_coupled(params: Any, signal: PortSignal) -> bool:
     """Return whether the tip follows and its last signal is recent enough."""
     return signal.active and signal.silence_s <= params.silence_limit_s
 
@@ -189,6 +195,91 @@ def is_coupled(params: MassParams, signal: PortSignal) -> bool:
 def is_retracted(params: Any, signal: PortSignal) -> bool:
     """Return whether the other half says that the tip neither follows nor touches, and lately: it has to be armed."""
     return not signal.active and not signal.in_contact and signal.silence_s <= params.silence_limit_s
+
+
+class AtHand(NamedTuple):
+    """What the master half of a law may do with a sample of the hand: `at_hand` decides it for all laws.
+
+    acts: what the law has of the tip, its model, store or reference, moves the hand; stands: the device is off for a
+    moment, so the hand stays where it is and the law continues; where neither is true the hand is let go, and what is
+    rendered begins anew when it is taken up, without a force that nobody has paid. renews: the tip has to be armed, so
+    what was learnt, stored and parted begins again as in a new session. counts: the way to this sample was made at a
+    device that the law moved, so its work is the law's. coupled: the tip follows and was heard of lately; stood_s: for
+    how long the device has been off [s].
+    """
+
+    acts: bool
+    stands: bool
+    renews: bool
+    counts: bool
+    coupled: bool
+    stood_s: float
+
+
+@compiled
+def at_hand(
+    params: Any, hand: HandSample, signal: PortSignal, was_coupled: bool, stood_s: float, dt: float, bridges: bool
+) -> AtHand:
+    """Return what the master half may do: arming, return, silence and a device that is off or begins anew all end here.
+
+    A tip is armed, and a hand comes back, by the same condition: the tip follows, its answer is recent, and the device
+    follows. Nothing that was known before is another reason to act.
+
+    Args:
+        params: With `silence_limit_s`.
+        hand: The newest sample.
+        signal: The newest answer, with the time since.
+        was_coupled: Whether the half acted or stood at the sample before.
+        stood_s: For how long the device had been off then [s].
+        dt: The time since that sample [s].
+        bridges: Whether the law continues over a device that is off for no longer than the silence limit.
+    """
+    coupled = is_coupled(params, signal)
+    off_s = 0.0 if hand.following else stood_s + dt
+    stands = coupled and not hand.following and bridges and was_coupled and off_s <= params.silence_limit_s
+    return AtHand(
+        acts=coupled and hand.following,
+        stands=stands,
+        renews=is_retracted(params, signal),
+        counts=hand.following and was_coupled and stood_s == 0.0,
+        coupled=coupled,
+        stood_s=off_s,
+    )
+
+
+class AtTip(NamedTuple):
+    """What the slave half of a law may do with a measurement: `at_tip` decides it for all laws.
+
+    leads: the hand leads the base; elsewhere the base is at `base_m`: where it was sent last, or where a tip that does
+    not follow is placed. renews: the tip has to be armed, so what was stored begins again. counts: the way to this
+    measurement is the law's. heard: the other half was heard of lately.
+    """
+
+    leads: bool
+    renews: bool
+    counts: bool
+    heard: bool
+    base_m: float
+
+
+@compiled
+def at_tip(params: Any, signal: PortSignal, tip: TipMeasurement, position_m: float, was_coupled: bool) -> AtTip:
+    """Return what the slave half may do.
+
+    Args:
+        params: With `silence_limit_s`.
+        signal: The newest signal of the master half, with the time since.
+        tip: The newest measurement.
+        position_m: Where the base was sent last [m].
+        was_coupled: Whether the hand led the base at the measurement before.
+    """
+    return AtTip(
+        leads=is_coupled(params, signal) and tip.following,
+        renews=not tip.following and not tip.in_contact,
+        counts=was_coupled and tip.following,
+        heard=signal.silence_s <= params.silence_limit_s,
+        base_m=position_m if tip.following else signal.position_m,
+    )
 
 
 @compiled

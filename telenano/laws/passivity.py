@@ -80,16 +80,17 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    NOTHING_HEARD,
     HandPort,
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
+    at_tip,
     begun_again,
     followed,
     has_arrived,
-    is_coupled,
-    is_retracted,
     kept_near,
     let_go,
     moved,
@@ -192,7 +193,10 @@ class PassivityConfig(MassConfig):
 
 
 class Account(NamedTuple):
-    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted."""
+    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted.
+
+    received_j is `NOTHING_HEARD` until the first signal: what the other side had put in before belongs to nobody here.
+    """
 
     in_j: float
     received_j: float
@@ -230,6 +234,8 @@ class SlaveState(NamedTuple):
 @compiled
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
     """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
+    if account.received_j < 0.0:
+        return recount_received(account, energy_j, True)
     added_j = max(energy_j - account.received_j, 0.0)
     left = min(account.remaining_j + added_j, cap_j)
     lost = account.lost_j + (account.remaining_j + added_j - left)
@@ -284,7 +290,7 @@ def recount_received(account: Account, energy_j: float, received: bool) -> Accou
 @compiled
 def opened(start_j: float) -> Account:
     """Start to count, with the energy E_0 [J] to spend."""
-    return Account(0.0, 0.0, start_j, 0.0, start_j)
+    return Account(0.0, NOTHING_HEARD, start_j, 0.0, start_j)
 
 
 @compiled
@@ -390,25 +396,24 @@ def master_receive(
     """Move the virtual mass over dt [s] under the force received last, within the energy that the channel has."""
     p, mass = params.mass, state.mass
     force = p.force_scale * signal.force_n
-    coupled = is_coupled(p, signal)
-    stood = 0.0 if hand.following else state.stood_s + dt
-    port = worked(state.port, hand, hand.following and mass.coupled and state.stood_s == 0.0)
-    if not (coupled and (hand.following or (mass.coupled and stood <= p.silence_limit_s))):
+    may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
+    port = worked(state.port, hand, may.counts)
+    if not (may.acts or may.stands):
         account = recount_received(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
-        if is_retracted(p, signal):
+        if may.renews:
             port = begun_again(port, account.in_j, True)
             account = reopen(account, params.start_j, port.sent_j)
-        state = MasterState(let_go(p, mass, hand, signal), account, stood, port)
-        return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+        state = MasterState(let_go(p, mass, hand, signal), account, may.stood_s, port)
+        return state, MasterReference(hand.position_m, 0.0, force if may.coupled else 0.0, may.coupled)
     account = credited(state.account, signal.energy_j, params.cap_j)
     if not mass.coupled:
         account = granted(account, 0.5 * force * force / params.coupling_n_per_m)
-    if not hand.following:
+    if may.stands:
         # A device that is off for a moment stands still: the lead of its reference is undone, and paid like a motion.
         back_j = force * (hand.position_m - mass.position_m)
         account = shared_out(charged_or_granted(account, back_j), params.shared)
         mass, port = placed(mass, hand.position_m, 0.0), put_in(port, back_j, account.in_j)
-        return MasterState(mass, account, stood, port), MasterReference(hand.position_m, 0.0, force, True)
+        return MasterState(mass, account, may.stood_s, port), MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         mass, account, port = moved_by_what_is_paid(params, mass, account, hand, force, port)
     return MasterState(mass, account, 0.0, port), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
@@ -446,13 +451,12 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p, k = params.mass, params.coupling_n_per_m
-    coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip)
-    if not coupled:
-        base = state.position_m if tip.following else signal.position_m
-        account = recount_received(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
-        if not tip.following and not tip.in_contact:
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    if not (may.leads and has_arrived(p, state.position_m, tip)):
+        account = recount_received(state.account, signal.energy_j, may.heard)
+        if may.renews:
             account = reopen(account, params.start_j, account.in_j)
-        return _standing(params, base, tip, account), SlaveReference(base, True)
+        return _standing(params, may.base_m, tip, account), SlaveReference(may.base_m, True)
     force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)
     if not state.coupled:

@@ -19,8 +19,8 @@ from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
     let_go,
     moved,
     periods_in,
@@ -74,9 +74,10 @@ def master_receive(
     """Move the virtual mass over dt [s] against the force received last."""
     p = params.mass
     force = p.force_scale * signal.force_n
-    coupled = is_coupled(p, signal)
-    if not (coupled and hand.following):
-        return let_go(p, state, hand, signal), MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+    may = at_hand(p, hand, signal, state.coupled, 0.0, dt, False)
+    if not may.acts:
+        shown_n = force if may.coupled else 0.0
+        return let_go(p, state, hand, signal), MasterReference(hand.position_m, 0.0, shown_n, may.coupled)
     for _ in range(periods_in(dt, p.period_s)):
         state = moved(p, state, hand.force_n - force)
     return state, MasterReference(state.position_m, state.velocity_m_per_s, force, True)

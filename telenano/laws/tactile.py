@@ -32,7 +32,12 @@ from telenano.extend.laws import (
 from telenano.extend.pass_through import SlaveState
 from telenano.extend.pass_through import slave_start as slave_start
 from telenano.extend.ranges import parameter
-from telenano.extend.virtual_mass import FARTHEST_M, ScaledConfig, bounded
+from telenano.extend.virtual_mass import (
+    FARTHEST_M,
+    ScaledConfig,
+    at_hand,
+    bounded,
+)
 from telenano.numerics.compiler import compiled
 from telenano.settings.config import filled
 
@@ -146,9 +151,9 @@ def master_receive(
     params: TactileParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
     """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins again."""
-    coupled = signal.active and signal.silence_s <= params.silence_limit_s
-    if not (coupled and hand.following):
-        return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    may = at_hand(params, hand, signal, False, 0.0, dt, False)
+    if not may.acts:
+        return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     zeta = signal.force_n / params.stiffness_n_per_m
     if params.by_impedance:
         # The newest signal may be that of the tick before, and then nothing has moved.

@@ -62,15 +62,16 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    OVERDRAWN_J,
     HandPort,
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
+    at_tip,
     begun_again,
     followed,
-    is_coupled,
-    is_retracted,
     kept_near,
     let_go,
     moved,
@@ -248,10 +249,9 @@ def master_receive(
     """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
-    coupled = is_coupled(p, signal)
-    stood = 0.0 if hand.following else state.stood_s + dt
-    port = worked(state.port, hand, hand.following and state.up and state.stood_s == 0.0)
-    if not (coupled and (hand.following or (state.up and stood <= p.silence_limit_s))):
+    may = at_hand(p, hand, signal, state.up, state.stood_s, dt, True)
+    port = worked(state.port, hand, may.counts)
+    if not (may.acts or may.stands):
         state = MasterState(
             mass=let_go(p, state.mass, hand, signal),
             inbox=emptied(position, signal.energy_j),
@@ -262,23 +262,23 @@ def master_receive(
             granted_j=state.granted_j,
             begun=state.begun,
             up=False,
-            stood_s=stood,
-            port=begun_again(port, state.sent_j, is_retracted(p, signal)),
+            stood_s=may.stood_s,
+            port=begun_again(port, state.sent_j, may.renews),
         )
-        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     # Signals that were sent before the tip was felt are no waves, so counting starts here.
     inbox = state.inbox if state.up else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
     bias = state.bias_n if state.up else (0.0 if state.begun else p.force_scale * signal.force_n)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
-    if not hand.following:
+    if may.stands:
         mass = let_go(p, mass, hand, signal)
     granted = state.granted_j
     root, period = math.sqrt(2.0 * b), p.period_s
     for _ in range(periods_in(dt, period)):
         inbox, wave = drawn(inbox, params.share, b, period)
         before = mass.position_m
-        if hand.following:
+        if may.acts:
             mass = kept_near(mass, moved(p, mass, hand.force_n - bias + root * wave), hand.position_m)
         # the mean velocity gives the mean force of the damper b exactly, and never more energy than it took
         velocity = (mass.position_m - before) / period
@@ -300,7 +300,7 @@ def master_receive(
         granted_j=granted,
         begun=True,
         up=True,
-        stood_s=stood,
+        stood_s=may.stood_s,
         port=port,
     )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
@@ -323,13 +323,12 @@ def slave_receive(
     """
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
-    coupled = is_coupled(p, signal) and tip.following
-    if not coupled:
-        base = state.position_m if tip.following else signal.position_m
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    if not may.leads:
         state = SlaveState(
-            position_m=base,
+            position_m=may.base_m,
             inbox=emptied(position, signal.energy_j),
-            anchor_m=base,
+            anchor_m=may.base_m,
             sent_m=0.0,
             sent_j=state.sent_j,
             wave_sqrt_w=0.0,
@@ -341,7 +340,7 @@ def slave_receive(
             coupled=False,
             begun=state.begun,
         )
-        return state, SlaveReference(base, True)
+        return state, SlaveReference(may.base_m, True)
     # An earlier reference of the master's own is no wave, so counting starts here.
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
@@ -364,6 +363,10 @@ def slave_receive(
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
+    if reserve < -OVERDRAWN_J and way * last_n > 0.0:
+        # A base that goes further than it is told, by steps of its own say, has taken more than has come: it presses no
+        # further until the next waves have paid.
+        way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
     state = SlaveState(
         position_m=base,

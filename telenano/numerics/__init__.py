@@ -6,6 +6,7 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.numerics.compiler import always_compiled as always_compiled
+    from telenano.numerics.compiler import chosen_step as chosen_step
     from telenano.numerics.compiler import compiled as compiled
     from telenano.numerics.compiler import compiled_form as compiled_form
     from telenano.numerics.digests import source_digest as source_digest

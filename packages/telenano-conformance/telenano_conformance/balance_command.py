@@ -8,10 +8,9 @@ import typer
 from telenano.cli import JsonOption, print_json, report_errors
 from telenano.laws import LAWS
 from telenano.wire import ConfigError, TelenanoError
-from telenano_conformance.balance import TOLERANCE_J, Balance, states_passivity, worst_balances
-from telenano_conformance.balance_draws import KINDS, MIXED
+from telenano_conformance.balance import Balance, states_passivity, worst_balances
+from telenano_conformance.balance_draws import ALL_KINDS
 
-_ALL = (*KINDS, MIXED)
 # a law, a kind of transition, and what its draws did, the worst first
 Row = tuple[str, str, list[Balance]]
 
@@ -24,7 +23,7 @@ def law_balance(
         float, typer.Option("--longest", min=5.0, metavar="S", help="Longest order, in the time of the rig [s].")
     ] = 60.0,
     kind: Annotated[
-        list[str] | None, typer.Option("--kind", metavar="KIND", help=f"One of: {', '.join(_ALL)}; default: all.")
+        list[str] | None, typer.Option("--kind", metavar="KIND", help=f"One of: {', '.join(ALL_KINDS)}; default: all.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -33,9 +32,9 @@ def law_balance(
     The exit code is 1 where a law that states passivity gives out more than came in and was granted.
     """
     with report_errors(as_json):
-        kinds = tuple(kind or _ALL)
-        if unknown := [name for name in kinds if name not in _ALL]:
-            raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(_ALL)}")
+        kinds = tuple(kind or ALL_KINDS)
+        if unknown := [name for name in kinds if name not in ALL_KINDS]:
+            raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(ALL_KINDS)}")
         for name in laws:
             states_passivity(LAWS[name])
         rows: list[Row] = []
@@ -47,7 +46,7 @@ def law_balance(
                 typer.echo(_line(_facts(*rows[-1]), laws))
     broken = [row for row in rows if states_passivity(LAWS[row[0]]) and not row[2][0].is_kept]
     if as_json:
-        print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in rows]})
+        print_json({"kept": not broken, "rows": [_facts(*row) for row in rows]})
     else:
         _print_findings(rows, broken)
     if broken:
@@ -68,6 +67,7 @@ def _facts(name: str, kind: str, balances: list[Balance]) -> dict[str, Any]:
         "transition": kind,
         "draws": len(balances),
         "not_kept": sum(not one.is_kept for one in balances),
+        "tolerance_mj": 1e3 * worst.tolerance_j,
         "worst_mj": 1e3 * worst.margin_j,
         "worst_at_reference_mj": 1e3 * min(one.reference_j for one in balances),
         "worst_unstated_mj": 1e3 * min(one.unstated_j for one in balances),

@@ -10,7 +10,7 @@ one of them is then a slope over minutes, while what a passive law has stored is
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from random import Random
 
 # what an order does again and again, apart from what the hand and the sample do anyway
@@ -32,8 +32,27 @@ KINDS = (
     "quantised force",
 )
 MIXED = "mixed"
+# what a line, a sample, an instrument and an arm do that are worse than those of the orders above
+ADVERSE = (
+    "line that steps",
+    "line that overtakes",
+    "line in bursts",
+    "line that loses",
+    "sample that jumps",
+    "sample that creeps",
+    "instrument stalls",
+    "slow servo",
+    "resonant arm",
+    "retune in contact",
+)
+EVERYTHING = "everything"
+ALL_KINDS = (*KINDS, MIXED, *ADVERSE, EVERYTHING)
+RETUNES = ("retune", "retune in contact")
 # the kinds that are a property of the world, and have no events of their own
+_WITH_EVENTS = ("instrument stalls", "retune in contact")
 _OF_THE_WORLD = ("hold", "end of travel: hand", "end of travel: base", "quantised force")
+# the kinds that have events
+_TRANSITIONS = tuple(name for name in KINDS if name not in _OF_THE_WORLD)
 SILENCES = ("silence forward", "silence backward", "silence both")
 
 # The length of a silence is drawn between these multiples of the limit that a law states for silences.
@@ -49,6 +68,8 @@ _MOST_SAMPLE_N_PER_M = 30.0
 _MOST_DELAY_S = 0.2
 # A drift of the sample is drawn up to this, either way.
 _MOST_DRIFT_M_PER_S = 0.5e-9
+# An instrument that stands for longer is lost: the slave half is without its state for longer than the deadline [s].
+_LONGEST_STALL_S = 0.05
 # before this time the instrument is armed, and the line has brought a first answer [s]
 BEGINS_S = 1.0
 _DURATIONS_S = (20.0, 60.0, 120.0, 240.0)
@@ -84,7 +105,8 @@ class SampleDraw:
 
     viscous_n_s_per_m acts in contact and only pushes; hysteresis: the share by which unloading is stiffer than
     loading; adhesion_n holds the tip back until it has left the surface by adhesion_m. Drift is positive away from the
-    tip: the sample recedes.
+    tip: the sample recedes. The surface jumps away by jump_m and back, every jump_every_s; it creeps away by creep_m
+    ln(1 + t / 1 s).
     """
 
     stiffness_n_per_m: float
@@ -94,15 +116,27 @@ class SampleDraw:
     hysteresis: float
     adhesion_n: float
     adhesion_m: float
+    jump_m: float = 0.0
+    jump_every_s: float = 1.0
+    creep_m: float = 0.0
 
 
 @dataclass(frozen=True)
 class LineDraw:
-    """A line: delay each way [s], and the share of messages that it loses."""
+    """A line: the least delay each way [s], and the share of messages that it loses, in bursts of a mean length.
+
+    shape: how the delay changes: constant; in steps, to up to spread_s more, every every_s; as a sawtooth that falls
+    from spread_s to none in every_s, which overtakes where it is steep; random, by up to spread_s from message to
+    message, which overtakes all the time; slots, at whose ends, every every_s, all messages come at once.
+    """
 
     forward_s: float
     backward_s: float
     lost: float
+    shape: str = "constant"
+    spread_s: float = 0.0
+    every_s: float = 1.0
+    burst: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +173,8 @@ class Order:
     """One draw: a world and what happens in it.
 
     hand_travel_m and base_travel_m: the ends of travel, least and most [m]; hand_quantum_n and tip_quantum_n, the steps
-    of the measured forces [N], 0 for none; hand_quantum_m and base_quantum_m, those of the positions [m].
+    of the measured forces [N], 0 for none; hand_quantum_m and base_quantum_m, those of the positions [m]; servo_hz: the
+    bandwidth of the instrument's servo, 0 for one that carries a command out within a period.
     """
 
     name: str
@@ -156,6 +191,7 @@ class Order:
     tip_quantum_n: float = 0.0
     hand_quantum_m: float = 0.0
     base_quantum_m: float = 0.0
+    servo_hz: float = 0.0
     events: tuple[Event, ...] = field(default=())
 
 
@@ -165,32 +201,37 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
     Args:
         seed: The seed of all draws.
         case: The number of the draw.
-        kind: One of `KINDS`, or `MIXED`.
+        kind: One of `ALL_KINDS`.
         silence_limit_s: The silence after which the law says that it lets go [s].
         longest_s: The longest order [s].
 
     Raises:
         ValueError: No such kind.
     """
-    if kind not in (*KINDS, MIXED):
-        raise ValueError(f"{kind} is no kind of transition: known are {', '.join((*KINDS, MIXED))}")
+    if kind not in ALL_KINDS:
+        raise ValueError(f"{kind} is no kind of order: known are {', '.join(ALL_KINDS)}")
     name = f"{seed} {kind} {case}"
     rng = Random(name)
     # The events have numbers of their own, so that a shorter order is the beginning of the longer one.
     event_rng = Random(f"{name} events")
     duration_s = min(rng.choices(_DURATIONS_S, (2, 4, 2, 2))[0], longest_s)
-    ends_hand = kind == "end of travel: hand" or (kind == MIXED and rng.random() < 0.4)
-    ends_base = kind == "end of travel: base" or (kind == MIXED and rng.random() < 0.3)
-    quantised = kind == "quantised force" or (kind == MIXED and rng.random() < 0.4)
+    is_mixed = kind in (MIXED, EVERYTHING)
+    ends_hand = kind == "end of travel: hand" or (is_mixed and rng.random() < 0.4)
+    ends_base = kind == "end of travel: base" or (is_mixed and rng.random() < 0.3)
+    quantised = kind == "quantised force" or (is_mixed and rng.random() < 0.4)
     events: tuple[Event, ...] = ()
-    if kind not in _OF_THE_WORLD:
+    if kind in ADVERSE and kind not in _WITH_EVENTS:
+        # every second one has a transition besides, in which a half may lose hold of the other one
+        if rng.random() < 0.5:
+            events = _events(event_rng, event_rng.choice(_TRANSITIONS), duration_s, silence_limit_s)
+    elif kind not in _OF_THE_WORLD:
         events = _events(event_rng, kind, duration_s, silence_limit_s)
     elif kind.startswith("end of travel") and rng.random() < 0.5:
         # an end of travel matters most where a half loses hold of the other one meanwhile
         events = _events(event_rng, event_rng.choice(SILENCES), duration_s, silence_limit_s)
     reach_m = _log(rng, 3e-4, 8e-3) if ends_hand else 1.0
     sample = _sample(rng)
-    return Order(
+    order = Order(
         name=name,
         kind=kind,
         seed=rng.getrandbits(48),
@@ -207,6 +248,59 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         base_quantum_m=rng.choice((0.0, 1e-11, 1e-10)) if quantised else 0.0,
         events=events,
     )
+    return order if kind in KINDS or kind == MIXED else _worse(order, Random(f"{name} world"))
+
+
+def _worse(order: Order, rng: Random) -> Order:
+    """Return an order with what is worse in its kind; one of everything has each by chance."""
+
+    def has(kind: str) -> bool:
+        return order.kind == kind or (order.kind == EVERYTHING and rng.random() < 0.4)
+
+    line, sample, hand, servo_hz = order.line, order.sample, order.hand, order.servo_hz
+    reach_m = order.hand_travel_m
+    if has("line that steps"):
+        line = replace(line, shape="steps", spread_s=_log(rng, 5e-3, _MOST_DELAY_S), every_s=_log(rng, 0.05, 5.0))
+    if has("line that overtakes"):
+        shape, spread_s = rng.choice(("sawtooth", "random")), _log(rng, 2e-3, 0.1)
+        line = replace(line, shape=shape, spread_s=spread_s, every_s=_log(rng, 2e-3, 1.0))
+    if has("line in bursts"):
+        line = replace(line, shape="slots", every_s=_log(rng, 3e-3, 0.15))
+    if has("line that loses"):
+        line = replace(line, lost=rng.uniform(0.02, 0.4), burst=rng.choice((1.0, _log(rng, 2.0, 100.0))))
+    if has("sample that jumps"):
+        sample = replace(sample, jump_m=_side(rng) * _log(rng, 1e-10, 5e-9), jump_every_s=_log(rng, 0.02, 5.0))
+    if has("sample that creeps"):
+        sample = replace(sample, creep_m=_side(rng) * _log(rng, 1e-10, 1e-8))
+    if has("slow servo"):
+        servo_hz = _log(rng, 15.0, 200.0)
+    if has("resonant arm"):
+        swings = rng.random() < 0.7
+        mass, stiffness = _log(rng, 0.05, 3.0), _log(rng, _LEAST_HAND_N_PER_M, _MOST_HAND_N_PER_M)
+        own_hz = math.sqrt(stiffness / mass) / (2.0 * math.pi)
+        hand = replace(
+            hand,
+            mass_kg=mass,
+            stiffness_n_per_m=stiffness,
+            damping_n_s_per_m=2.0 * _log(rng, 1e-3, 0.05) * math.sqrt(mass * stiffness),
+            arm_n_s_per_m=_log(rng, 0.05, 1.0),
+            bare=False,
+            swing_n=_log(rng, 0.1, 2.0) if swings else 0.0,
+            rate_hz=own_hz * rng.uniform(0.7, 1.3),
+            shape=rng.choice(("sine", "square")),
+        )
+    if order.kind == "retune in contact":
+        hand = replace(hand, push_n=abs(hand.push_n))
+        sample = replace(sample, place_m=min(sample.place_m, 0.0))
+    if order.kind in ADVERSE and rng.random() < 0.3:
+        # a device that is at the end of its travel makes each of them worse
+        most_m = _log(rng, 3e-4, 8e-3)
+        reach_m = (-most_m * rng.uniform(0.2, 1.0), most_m)
+    return replace(order, line=line, sample=sample, hand=hand, servo_hz=servo_hz, hand_travel_m=reach_m)
+
+
+def _side(rng: Random) -> float:
+    return rng.choice((-1.0, 1.0))
 
 
 def _base_travel(rng: Random, place_m: float) -> tuple[float, float]:
@@ -264,8 +358,9 @@ def _line(rng: Random) -> LineDraw:
 def _events(rng: Random, kind: str, duration_s: float, silence_limit_s: float) -> tuple[Event, ...]:
     """Return the events of an order: one, or one every period, or at random times, one after the other."""
     if kind == MIXED:
-        kinds = tuple(name for name in KINDS if name not in _OF_THE_WORLD)
-        chosen = rng.sample(kinds, rng.randint(2, 5))
+        chosen = rng.sample(_TRANSITIONS, rng.randint(2, 5))
+    elif kind == EVERYTHING:
+        chosen = rng.sample((*_TRANSITIONS, "instrument stalls", "retune in contact"), rng.randint(2, 5))
     else:
         chosen = [kind]
     pattern = rng.choices(("single", "periodic", "random"), (1, 6, 3))[0]
@@ -306,12 +401,14 @@ def _event(rng: Random, kind: str, start_s: float, silence_limit_s: float) -> Ev
         return Event(kind, start_s, silence_limit_s * _log(rng, 0.05, 5.0), shift_m=shift_m)
     if kind == "arm":
         return Event(kind, start_s, _log(rng, 0.05, 2.0), shift_m=rng.choice((0.0, shift_m)))
-    if kind == "retune":
+    if kind in RETUNES:
         return Event(
             kind, start_s, 0.0, pick=rng.random(), factor=math.exp(rng.choice((-1, 1)) * rng.uniform(0.05, 1.2))
         )
     if kind == "switch":
         return Event(kind, start_s, _log(rng, 0.02, 1.5), shift_m=shift_m, tip_shift_m=tip_shift_m)
+    if kind == "instrument stalls":
+        return Event(kind, start_s, _log(rng, 2e-3, _LONGEST_STALL_S))
     if kind == "hand lost":
         return Event(kind, start_s, _log(rng, 0.02, 2.5), shift_m=shift_m)
     return Event(kind, start_s, _log(rng, 0.02, 2.0), tip_shift_m=tip_shift_m)

@@ -1,20 +1,22 @@
 """The adversary's draws: what they are stated to be, and again the same from the same seed."""
 
+import math
+
 import pytest
-from telenano_conformance.balance_draws import KINDS, MIXED, SILENCES, drawn
+from telenano_conformance.balance_draws import ALL_KINDS, EVERYTHING, KINDS, MIXED, SILENCES, drawn
 
 LIMIT_S = 0.2
 SEED = 5
 
 
 def test_the_same_number_is_the_same_order() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         assert drawn(SEED, 3, kind) == drawn(SEED, 3, kind)
         assert drawn(SEED, 3, kind) != drawn(SEED, 4, kind)
 
 
 def test_a_shorter_order_is_the_beginning_of_a_longer_one() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         for case in range(5):
             long, short = drawn(SEED, case, kind), drawn(SEED, case, kind, longest_s=15.0)
             assert (long.hand, long.sample, long.line, long.seed) == (short.hand, short.sample, short.line, short.seed)
@@ -30,7 +32,7 @@ def test_silences_are_of_a_tenth_to_three_times_the_limit_and_reach_both_ends() 
 
 
 def test_events_follow_each_other_within_the_order() -> None:
-    for kind in (*KINDS, MIXED):
+    for kind in ALL_KINDS:
         for case in range(20):
             order = drawn(SEED, case, kind)
             ends_s = 0.0
@@ -60,5 +62,39 @@ def test_each_kind_has_events_of_that_kind_alone() -> None:
 
 
 def test_an_unknown_kind_is_named() -> None:
-    with pytest.raises(ValueError, match="letting go is no kind of transition: known are hold, let go, off"):
+    with pytest.raises(ValueError, match="letting go is no kind of order: known are hold, let go, off"):
         drawn(SEED, 0, "letting go")
+
+
+def test_what_is_worse_is_drawn_in_its_kind_alone_and_in_everything() -> None:
+    def worse(kind: str) -> set[str]:
+        found: set[str] = set()
+        for order in (drawn(SEED, case, kind, longest_s=5.0) for case in range(40)):
+            found |= {order.line.shape} - {"constant"}
+            found |= {name for name in ("jump_m", "creep_m") if getattr(order.sample, name)}
+            found |= {"bursts"} if order.line.burst > 1.0 else set()
+            found |= {"servo"} if order.servo_hz else set()
+            found |= {event.kind for event in order.events} & {"instrument stalls", "retune in contact"}
+        return found
+
+    assert [worse(kind) for kind in (*KINDS, MIXED)] == [set()] * (len(KINDS) + 1)
+    assert worse("line that steps") == {"steps"} and worse("line that overtakes") == {"sawtooth", "random"}
+    assert worse("line in bursts") == {"slots"} and worse("line that loses") == {"bursts"}
+    assert worse("sample that jumps") == {"jump_m"} and worse("sample that creeps") == {"creep_m"}
+    assert worse("instrument stalls") == {"instrument stalls"} and worse("slow servo") == {"servo"}
+    assert worse("retune in contact") == {"retune in contact"} and worse("resonant arm") == set()
+    assert worse(EVERYTHING) == {
+        *("steps", "sawtooth", "random", "slots", "bursts", "jump_m", "creep_m", "servo"),
+        *("instrument stalls", "retune in contact"),
+    }
+
+
+def test_an_arm_that_resonates_has_hardly_any_damping_and_is_driven_near_its_own_frequency() -> None:
+    driven = 0
+    for case in range(40):
+        hand = drawn(SEED, case, "resonant arm").hand
+        critical = 2.0 * math.sqrt(hand.mass_kg * hand.stiffness_n_per_m)
+        assert hand.damping_n_s_per_m <= 0.0501 * critical and not hand.bare
+        own_hz = math.sqrt(hand.stiffness_n_per_m / hand.mass_kg) / (2.0 * math.pi)
+        driven += bool(hand.swing_n) and 0.7 <= hand.rate_hz / own_hz <= 1.3
+    assert driven > 20

@@ -39,11 +39,13 @@ from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     FARTHEST_M,
     FASTEST_M_PER_S,
+    AtHand,
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
+    at_tip,
     let_go,
     periods_in,
     rescaled,
@@ -56,12 +58,8 @@ from telenano_laws.ports import (
     Store,
     account_of,
     bounded,
-    continues,
     credited,
     followed,
-    has_to_be_armed,
-    is_heard,
-    is_retracted,
     kept_below,
     of_scales,
     opened,
@@ -407,7 +405,7 @@ def master_send(
 
 @compiled
 def _let_go(
-    params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, stood_s: float
+    params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, may: AtHand, worked_j: float
 ) -> MasterState:
     """Leave the mass with the hand, and what the model had stored in the store; after an arming all begins again."""
     p, store = params.mass, state.store
@@ -419,22 +417,20 @@ def _let_go(
         # The reference goes back to the device, which is a way against the hand's force that Z pays.
         undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
         store = tank(store, min(undone_j, 0.0), params.cap_j)
-        ahead += undone_j - _at_device(state, hand)
-    is_new = is_retracted(p, signal)
+        ahead += undone_j - worked_j
     seen, lag = state.seen, state.lag_s
-    if is_new:
+    if may.renews:
         seen, lag, store, ahead = nothing_seen(), 0.0, reopen(store, 0.0, False, params.start_j), 0.0
     mass = let_go(p, state.mass, hand, signal)
     return MasterState(
-        mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s, hand.position_m, ahead, 0.0
+        mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, may.stood_s, hand.position_m, ahead, 0.0
     )
 
 
 @compiled
-def _at_device(state: MasterState, hand: HandSample) -> float:
+def _at_device(state: MasterState, hand: HandSample, may: AtHand) -> float:
     """Return the work [J] of the hand at its device since the last sample; one that was off was moved by no law."""
-    works = hand.following and state.mass.coupled and state.stood_s == 0.0
-    return hand.force_n * (hand.position_m - state.device_m) if works else 0.0
+    return hand.force_n * (hand.position_m - state.device_m) if may.counts else 0.0
 
 
 @compiled
@@ -469,11 +465,11 @@ def master_receive(
     M v^2 / 2 and V, and what mass, damper and the model's step have taken.
     """
     p, scale = params.mass, params.mass.position_scale
-    coupled = is_coupled(p, signal)
-    off_s = 0.0 if hand.following else state.stood_s + dt
-    if not continues(p, state.mass, hand, signal, off_s):
-        state = _let_go(params, state, hand, signal, off_s)
-        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    may = at_hand(p, hand, signal, state.mass.coupled, state.stood_s, dt, True)
+    worked_j = _at_device(state, hand, may)
+    if not (may.acts or may.stands):
+        state = _let_go(params, state, hand, signal, may, worked_j)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     mass, seen, contact, rendered, store = state.mass, state.seen, state.contact, state.rendered, state.store
     tip_m, tip_n = signal.position_m / scale, p.force_scale * signal.force_n
     lag, heavy = state.lag_s, state.mass_kg
@@ -484,7 +480,7 @@ def master_receive(
         lag += params.lag_share * (min(0.5 * signal.round_trip_s, _LONGEST_LAG_S) - lag)
     offset = mass.tip_offset_m / scale
     goal, held_back, force = goal_of(params, seen), state.held_back, 0.0
-    before, ahead = mass.position_m, state.ahead_j - _at_device(state, hand)
+    before, ahead = mass.position_m, state.ahead_j - worked_j
     lead = mass.position_m - hand.position_m
     # What it costs to undo the lead of a device that is stuck, and what only the reference has got from the hand, is
     # not there to be spent.
@@ -493,10 +489,10 @@ def master_receive(
         y = mass.position_m + offset
         contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j - owed), True
         store = tank(store, -potential(contact, y), params.cap_j)
-    if not hand.following or abs(lead) > _LONGEST_LEAD_M:
+    if may.stands or abs(lead) > _LONGEST_LEAD_M:
         # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
         # and booked like a motion.
-        y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if hand.following else 0.0
+        y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if may.acts else 0.0
         back, tip_offset = kept - lead, mass.tip_offset_m
         if rendered:
             rise = potential(contact, y + back) - potential(contact, y)
@@ -508,10 +504,11 @@ def master_receive(
             force = contact_force(contact, hand.position_m + kept + offset)
         mass = Mass(hand.position_m + kept, 0.0, tip_offset, True)
         store = tank(store, hand.force_n * back, params.cap_j)
-    if not hand.following:
+    if may.stands:
         ahead += hand.force_n * (mass.position_m - before)
+        heavy = params.mass_kg
         state = MasterState(
-            mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s, hand.position_m, ahead, since
+            mass, seen, contact, rendered, lag, held_back, heavy, store, may.stood_s, hand.position_m, ahead, since
         )
         return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
@@ -570,15 +567,14 @@ def slave_receive(
     """
     p, store = params.mass, state.store
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
-    if state.coupled and tip.following:
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    if may.counts:
         store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
-    if not (is_coupled(p, signal) and tip.following):
-        base = state.position_m if tip.following else signal.position_m
-        heard = is_heard(signal, p.silence_limit_s)
-        store = recount_received(store, signal.energy_j, heard)
-        if has_to_be_armed(tip):
-            store = reopen(store, signal.energy_j, heard, params.start_j)
-        return _standing(params, base, tip, store), SlaveReference(base, True)
+    if not may.leads:
+        store = recount_received(store, signal.energy_j, may.heard)
+        if may.renews:
+            store = reopen(store, signal.energy_j, may.heard, params.start_j)
+        return _standing(params, may.base_m, tip, store), SlaveReference(may.base_m, True)
     store = credited(store, signal.energy_j, params.cap_j)
     pressed, start = p.force_scale * signal.force_n, followed(p, state.position_m, tip)
     due = (signal.position_m - start) / p.position_scale

@@ -33,8 +33,9 @@ from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
+    at_tip,
     let_go,
     moved,
     periods_in,
@@ -139,9 +140,9 @@ def master_receive(
 ) -> tuple[MasterState, MasterReference]:
     """Move the mass over dt [s] against the coupling and the force of the tip."""
     p, mass = params.mass, state.mass
-    coupled = is_coupled(p, signal)
-    if not (coupled and hand.following):
-        return MasterState(let_go(p, mass, hand, signal)), MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    may = at_hand(p, hand, signal, mass.coupled, 0.0, dt, False)
+    if not may.acts:
+        return MasterState(let_go(p, mass, hand, signal)), MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     speed, tip_n = signal.velocity_m_per_s / p.position_scale, p.force_scale * signal.force_n
     force = 0.0
     for _ in range(periods_in(dt, p.period_s)):
@@ -166,9 +167,9 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p = params.mass
-    if not (is_coupled(p, signal) and tip.following):
-        base = state.position_m if tip.following else signal.position_m
-        return SlaveState(base, 0.0), SlaveReference(base, True)
+    may = at_tip(p, signal, tip, state.position_m, False)
+    if not may.leads:
+        return SlaveState(may.base_m, 0.0), SlaveReference(may.base_m, True)
     start = followed(p, state.position_m, tip)
     apart = (signal.position_m - start) / p.position_scale
     faster = signal.velocity_m_per_s / p.position_scale - state.velocity_m_per_s

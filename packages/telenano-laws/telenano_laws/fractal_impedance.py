@@ -33,8 +33,9 @@ from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
+    at_tip,
     let_go,
     moved,
     periods_in,
@@ -205,10 +206,10 @@ def master_receive(
 ) -> tuple[MasterState, MasterReference]:
     """Move the mass over dt [s] against the spring to where the tip was last."""
     p, mass, turn = params.mass, state.mass, state.turn
-    coupled = is_coupled(p, signal)
-    if not (coupled and hand.following):
+    may = at_hand(p, hand, signal, mass.coupled, 0.0, dt, False)
+    if not may.acts:
         state = MasterState(let_go(p, mass, hand, signal), _turned_at(0.0))
-        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     target, force = (signal.position_m - mass.tip_offset_m) / p.position_scale, 0.0
     for _ in range(periods_in(dt, p.period_s)):
         turn, force = fractal_force(params.spring, turn, mass.position_m - target)
@@ -231,9 +232,9 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p = params.mass
-    if not (is_coupled(p, signal) and tip.following):
-        base = state.position_m if tip.following else signal.position_m
-        return SlaveState(base, _turned_at(0.0)), SlaveReference(base, True)
+    may = at_tip(p, signal, tip, state.position_m, False)
+    if not may.leads:
+        return SlaveState(may.base_m, _turned_at(0.0)), SlaveReference(may.base_m, True)
     start = followed(p, state.position_m, tip)
     turn, pulled = fractal_force(params.spring, state.turn, (signal.position_m - start) / p.position_scale)
     speed = (pulled - p.force_scale * tip.force_n) / params.damping_n_s_per_m

@@ -38,30 +38,30 @@ from telenano.extend.laws import (
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    OVERDRAWN_J,
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
+    at_tip,
     let_go,
     moved,
     periods_in,
     rescaled,
     resumed,
     tip_reference,
+    worked,
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import (
     HandPort,
     begun_again,
-    continues,
     followed,
-    is_retracted,
     kept_near,
     of_scales,
     put_in,
     slid_work,
-    worked_at,
 )
 
 # after such a silence no wave is in transit any more, and the base stands [s]
@@ -234,9 +234,9 @@ def master_receive(
     """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
-    off_s = 0.0 if hand.following else state.stood_s + dt
-    port = worked_at(state, hand)
-    if not continues(p, state.mass, hand, signal, off_s):
+    may = at_hand(p, hand, signal, state.mass.coupled, state.stood_s, dt, True)
+    port = worked(state.port, hand, may.counts)
+    if not (may.acts or may.stands):
         mass = let_go(p, state.mass, hand, signal)
         state = MasterState(
             mass,
@@ -244,21 +244,21 @@ def master_receive(
             0.0,
             port.sent_j,
             0.0,
-            off_s,
-            begun_again(port, state.sent_j, is_retracted(p, signal)),
+            may.stood_s,
+            begun_again(port, state.sent_j, may.renews),
         )
-        return state, MasterReference(hand.position_m, 0.0, 0.0, is_coupled(p, signal))
+        return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     # Signals that were sent before the tip was felt are no waves, so counting starts here.
     inbox = received(state.inbox, position, signal.energy_j)
     if not state.mass.coupled:
         inbox = emptied(position, signal.energy_j)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
-    if not hand.following:
+    if may.stands:
         mass = let_go(p, mass, hand, signal)
     for _ in range(periods_in(dt, p.period_s)):
         inbox, wave = drawn(params, inbox, signal.wave_sqrt_w)
         before = mass.position_m
-        if hand.following:
+        if may.acts:
             mass = kept_near(mass, moved(p, mass, hand.force_n + math.sqrt(2.0 * b) * wave), hand.position_m)
         # The mean velocity gives the mean force of the damper b exactly.
         force, out = hand_end(b, (mass.position_m - before) / p.period_s, wave)
@@ -266,7 +266,7 @@ def master_receive(
         sent += 0.5 * out * out * p.period_s
         port = put_in(port, force * (mass.position_m - before), sent)
     mass = Mass(mass.position_m, mass.velocity_m_per_s, mass.tip_offset_m, True)
-    state = MasterState(mass, inbox, impulse, sent, out, off_s, port)
+    state = MasterState(mass, inbox, impulse, sent, out, may.stood_s, port)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -295,10 +295,10 @@ def slave_receive(
     """
     p = params.mass
     position = signal.position_m / p.position_scale
-    if not (is_coupled(p, signal) and tip.following):
-        base = state.position_m if tip.following else signal.position_m
-        state = _standing(params, base, tip, emptied(position, signal.energy_j), state.sent_j)
-        return state, SlaveReference(base, True)
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    if not may.leads:
+        state = _standing(params, may.base_m, tip, emptied(position, signal.energy_j), state.sent_j)
+        return state, SlaveReference(may.base_m, True)
     inbox = received(state.inbox, position, signal.energy_j) if state.coupled else emptied(position, signal.energy_j)
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     reserve, way = state.reserve_j, 0.0
@@ -307,7 +307,8 @@ def slave_receive(
         reserve += 0.5 * wave * wave * p.period_s
         speed, _ = tip_end(params.impedance_n_s_per_m, wave, force)
         way += speed * p.period_s
-    if signal.silence_s > _STANDS_S:
+    if signal.silence_s > _STANDS_S or (reserve < -OVERDRAWN_J and way * force > 0.0):
+        # A port that has given more than has come presses no further until the next waves have paid.
         way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
     # Without a step between them the last measurement is still the one that the work is counted from.

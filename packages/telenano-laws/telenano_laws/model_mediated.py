@@ -53,11 +53,11 @@ from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
+    at_tip,
     followed,
     has_arrived,
-    is_coupled,
-    is_retracted,
     kept_near,
     let_go,
     moved,
@@ -319,23 +319,23 @@ def master_receive(
 ) -> tuple[MasterState, MasterReference]:
     """Learn from the answer, update the model safely, and move the virtual mass over dt [s] on it."""
     p, q = params.mass, params.fit
-    coupled = is_coupled(p, signal)
+    may = at_hand(p, hand, signal, state.mass.coupled, 0.0, dt, False)
     mass, fit, model, rendered = state.mass, state.fit, state.model, state.rendered
     drift, since_s = state.drift, state.since_s + dt
-    port = worked(state.port, hand, hand.following and mass.coupled)
-    if coupled and signal.silence_s < 0.5 * p.period_s:
+    port = worked(state.port, hand, may.counts)
+    if may.coupled and signal.silence_s < 0.5 * p.period_s:
         fit, drift = learnt(params, fit, drift, signal, since_s)
         since_s = 0.0
-    if not (coupled and hand.following):
+    if not may.acts:
         mass = let_go(p, mass, hand, signal)
-        if fit.known and is_retracted(p, signal):
+        if fit.known and may.renews:
             # After arming again the tip may meet another surface.
             fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
             mass=mass,
             fit=fit,
             model=_now(fit, drift),
-            rendered=fit.known,
+            rendered=False,
             store_j=0.0,
             injected_j=state.injected_j,
             dissipated_j=state.dissipated_j,
@@ -343,7 +343,7 @@ def master_receive(
             since_s=since_s,
             port=port,
         )
-        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     goal = _now(fit, drift)
     if fit.known and not rendered:
         here = tip_reference(p, mass) / NANO
@@ -403,12 +403,13 @@ def _left(params: ModelMediatedParams, state: SlaveState, signal: PortSignal, ti
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     left, granted, received = state.port.energy_j, state.granted_j, state.received_j
-    if state.coupled and tip.following:
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    if may.counts:
         left -= slid_work(state.port.position_m, state.port.force_n, here, force)
-    if signal.silence_s <= p.silence_limit_s:
+    if may.heard:
         left = min(left + signal.energy_j - received, params.tip_cap_j) if granted > 0.0 else 0.0
         received = signal.energy_j
-        if granted == 0.0 or not (tip.following or tip.in_contact):
+        if granted == 0.0 or may.renews:
             left, granted = params.start_j, granted + max(params.start_j - left, 0.0)
     return SlaveState(state.position_m, TipPort(here, force, left), received, granted, state.coupled)
 
@@ -422,9 +423,9 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p, state = params.mass, _left(params, state, signal, tip)
-    base = state.position_m if tip.following else signal.position_m
-    coupled = is_coupled(p, signal) and tip.following
-    if coupled:
+    may = at_tip(p, signal, tip, state.position_m, state.coupled)
+    base = may.base_m
+    if may.leads:
         force, k = state.port.force_n, params.stiffest_n_per_m
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - force
         reach = allowed / params.guard_n_s_per_m * p.period_s
@@ -435,7 +436,7 @@ def slave_receive(
         # Back through the air is free, and the way to where an arming has sent the base is not one of the law's.
         if paid != way and (tip.in_contact or way > 0.0) and has_arrived(p, state.position_m, tip):
             base = tip.base_position_m + p.position_scale * paid
-    return SlaveState(base, state.port, state.received_j, state.granted_j, coupled), SlaveReference(base, True)
+    return SlaveState(base, state.port, state.received_j, state.granted_j, may.leads), SlaveReference(base, True)
 
 
 @compiled

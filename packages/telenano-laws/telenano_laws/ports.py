@@ -4,11 +4,11 @@ All quantities are at the hand's scale, x = x_s / alpha_p and F = alpha_f F_s, s
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from telenano.extend.laws import EnergyAccount, HandSample, PortSignal, TipMeasurement
+from telenano.extend.laws import EnergyAccount, HandSample, TipMeasurement
+from telenano.extend.virtual_mass import NOTHING_HEARD, Mass, MassParams
 from telenano.extend.virtual_mass import HandPort as HandPort
-from telenano.extend.virtual_mass import Mass, MassParams, is_coupled
 from telenano.extend.virtual_mass import begun_again as begun_again
 from telenano.extend.virtual_mass import bounded as bounded
 from telenano.extend.virtual_mass import followed as followed
@@ -21,7 +21,10 @@ from telenano.numerics import compiled
 
 
 class Store(NamedTuple):
-    """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted."""
+    """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted.
+
+    received_j is `NOTHING_HEARD` until the first signal: what the other half had sent before belongs to nobody here.
+    """
 
     sent_j: float
     received_j: float
@@ -32,7 +35,7 @@ class Store(NamedTuple):
 @compiled
 def opened(start_j: float) -> Store:
     """Return a store that begins with the energy E_0 [J]."""
-    return Store(0.0, 0.0, start_j, start_j)
+    return Store(0.0, NOTHING_HEARD, start_j, start_j)
 
 
 @compiled
@@ -51,6 +54,8 @@ def recount_received(store: Store, energy_j: float, heard: bool) -> Store:
 @compiled
 def credited(store: Store, energy_j: float, cap_j: float) -> Store:
     """Add what the other side has sent since its last signal; what goes beyond the cap is dissipated."""
+    if store.received_j < 0.0:
+        return recount_received(store, energy_j, True)
     added = max(energy_j - store.received_j, 0.0)
     left = max(min(store.left_j + added, cap_j), store.left_j) if added > 0.0 else store.left_j
     return Store(store.sent_j, store.received_j + added, left, store.granted_j)
@@ -165,30 +170,6 @@ def paid_base(
 def slid_work(last_m: float, last_n: float, here_m: float, force_n: float) -> float:
     """Return the work [J] that the sample got over the way from one measurement to the next, by the trapezoid."""
     return 0.5 * (last_n + force_n) * (here_m - last_m)
-
-
-@compiled
-def is_heard(signal: PortSignal, silence_limit_s: float) -> bool:
-    """Return whether the other half was heard of late, whether or not it follows."""
-    return signal.silence_s <= silence_limit_s
-
-
-@compiled
-def has_to_be_armed(tip: TipMeasurement) -> bool:
-    """Return whether the tip is retracted in free air, so that what follows begins again."""
-    return not tip.following and not tip.in_contact
-
-
-@compiled
-def continues(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal, stood_s: float) -> bool:
-    """Return whether a master half moves or, its device being off for a moment, stands; else it lets the hand go."""
-    return is_coupled(params, signal) and (hand.following or (mass.coupled and stood_s <= params.silence_limit_s))
-
-
-@compiled
-def worked_at(state: Any, hand: HandSample) -> HandPort:
-    """Count the work of the hand at a device that follows, for states with `port`, `mass` and `stood_s`."""
-    return worked(state.port, hand, hand.following and state.mass.coupled and state.stood_s == 0.0)
 
 
 @compiled

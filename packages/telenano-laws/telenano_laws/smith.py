@@ -34,7 +34,10 @@ from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, p
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, ImpedanceConfig, VirtualImpedanceParams
 from telenano.extend.virtual_impedance import MasterState as ImpedanceState
-from telenano.extend.virtual_mass import is_retracted, periods_in
+from telenano.extend.virtual_mass import (
+    at_hand,
+    periods_in,
+)
 from telenano.numerics import compiled, decay
 
 # numba compiles what a module names itself
@@ -204,20 +207,20 @@ def master_receive(
     The force shown to the hand is the predicted one too: it is what the hand feels.
     """
     p = params.impedance
-    coupled = signal.active and signal.silence_s <= p.silence_limit_s and hand.following
+    may = at_hand(p, hand, signal, False, 0.0, dt, False)
     then = reference_then(state, signal.round_trip_s, p.period_s)
     estimate = estimated(params, state.estimate, then, signal)
-    if is_retracted(p, signal):
+    if may.renews:
         # After arming again the tip may meet another sample.
         estimate = _without_memory(params.stiffness_n_per_m)
-    wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
+    wanted = estimate.stiffness_n_per_m if signal.in_contact and may.acts else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)
     in_use = min(max(wanted, state.in_use_n_per_m - reach), state.in_use_n_per_m + reach)
     now = p.position_scale * state.impedance.position_m + state.impedance.tip_offset_m
     predicted = port_signal(
         position_m=signal.position_m,
         velocity_m_per_s=signal.velocity_m_per_s,
-        force_n=signal.force_n + (in_use * (now - then) if coupled else 0.0),
+        force_n=signal.force_n + (in_use * (now - then) if may.acts else 0.0),
         separation_m=signal.separation_m,
         separation_valid=signal.separation_valid,
         in_contact=signal.in_contact,

@@ -41,14 +41,16 @@ from telenano.extend.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,
+    at_hand,
     at_rest,
-    is_coupled,
+    at_tip,
     let_go,
     moved,
     periods_in,
     rescaled,
     resumed,
     tip_reference,
+    worked,
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import (
@@ -56,12 +58,8 @@ from telenano_laws.ports import (
     Store,
     account_of,
     clipped_force,
-    continues,
     credited,
     followed,
-    has_to_be_armed,
-    is_heard,
-    is_retracted,
     kept_below,
     kept_near,
     of_scales,
@@ -76,7 +74,6 @@ from telenano_laws.ports import (
     stood,
     two_counters,
     unpaid_j,
-    worked_at,
 )
 
 # A tip whose account is empty continues through the air, by so much that meeting the sample costs no more, which is
@@ -185,21 +182,20 @@ def master_receive(
     """Move the mass over dt [s] against the force received last, clipped to the energy that may leave."""
     p, mass = params.mass, state.mass
     force = p.force_scale * signal.force_n
-    coupled = is_coupled(p, signal)
-    off_s = 0.0 if hand.following else state.stood_s + dt
-    port = worked_at(state, hand)
-    if not continues(p, mass, hand, signal, off_s):
-        heard = is_heard(signal, p.silence_limit_s)
+    may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
+    port = worked(state.port, hand, may.counts)
+    if not (may.acts or may.stands):
+        heard = signal.silence_s <= p.silence_limit_s
         store = recount_received(state.store, signal.energy_j, heard)
-        if is_retracted(p, signal):
+        if may.renews:
             store, port = rearm(store, port, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, off_s, port)
-        return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+        state = MasterState(let_go(p, mass, hand, signal), store, may.stood_s, port)
+        return state, MasterReference(hand.position_m, 0.0, force if may.coupled else 0.0, may.coupled)
     store = credited(state.store, signal.energy_j, params.cap_j)
-    if not hand.following:
+    if may.stands:
         back_j = force * (hand.position_m - mass.position_m)
         store = paid_or_granted(store, back_j)
-        state = MasterState(stood(mass, hand), store, off_s, put_in(port, back_j, store.sent_j))
+        state = MasterState(stood(mass, hand), store, may.stood_s, put_in(port, back_j, store.sent_j))
         return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         own = moved(p, mass, hand.force_n).position_m - mass.position_m
@@ -253,29 +249,38 @@ def slave_receive(
     """
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
-    store = state.store
-    if state.coupled and tip.following:
+    may, store = at_tip(p, signal, tip, state.position_m, state.coupled), state.store
+    if may.counts:
         store = tip_worked(store, state.last_m, state.last_n, here, force)
-    if not (is_coupled(p, signal) and tip.following):
-        heard = is_heard(signal, p.silence_limit_s)
-        store = recount_received(store, signal.energy_j, heard)
-        if has_to_be_armed(tip):
-            store = reopen(state.store, signal.energy_j, heard, params.start_j)
-        base = state.position_m if tip.following else signal.position_m
-        return standing(params, base, tip, store), SlaveReference(base, True)
+    if not may.leads:
+        store = recount_received(store, signal.energy_j, may.heard)
+        if may.renews:
+            store = reopen(state.store, signal.energy_j, may.heard, params.start_j)
+        return standing(params, may.base_m, tip, store), SlaveReference(may.base_m, True)
     store = credited(store, signal.energy_j, params.cap_j)
     start = followed(p, state.position_m, tip)
     target = signal.position_m / p.position_scale
     before = state.heard_m if state.coupled else target
     wanted = drift_free_way(before, target, start / p.position_scale, params.made_up)
-    base = paid_base(p, state.position_m, tip, wanted, params.stiffest_n_per_m, store.left_j, params.unpaid_m)
+    # An account that is overdrawn by more than meeting the sample may cost was so by a surface that came to the tip:
+    # the tip then waits for energy also in the air.
+    unpaid_m = params.unpaid_m if store.left_j >= -_TOUCH_J else 0.0
+    base = paid_base(p, state.position_m, tip, wanted, params.stiffest_n_per_m, store.left_j, unpaid_m)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
 @compiled
 def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Return what the tip measures, and E_in of its port."""
-    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=state.store.sent_j)
+    """Return what the tip measures, and E_in of its port, after the step of the base.
+
+    The work is booked with the force right after the step: until the next signal comes the sample may have moved.
+    """
+    p = params.mass
+    here, force, store = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n, state.store
+    if state.coupled and tip.following:
+        store = tip_worked(store, state.last_m, state.last_n, here, force)
+        state = SlaveState(state.position_m, state.heard_m, here, force, store, True)
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=store.sent_j)
 
 
 @compiled

@@ -26,18 +26,23 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    tip_signal,
 )
 from telenano.extend.ranges import parameter
-from telenano.extend.virtual_mass import MassParams, is_coupled, let_go, moved, periods_in
+from telenano.extend.virtual_mass import (
+    MassParams,
+    at_hand,
+    at_tip,
+    let_go,
+    moved,
+    periods_in,
+    worked,
+)
 from telenano.numerics import compiled
 from telenano_laws.ports import (
     clipped_force,
-    continues,
     credited,
     followed,
-    has_to_be_armed,
-    is_heard,
-    is_retracted,
     kept_near,
     paid_base,
     paid_or_granted,
@@ -50,7 +55,6 @@ from telenano_laws.ports import (
     stood,
     tank,
     unpaid_j,
-    worked_at,
 )
 from telenano_laws.tdpa import MasterState, PaidConfig, SlaveState, standing
 from telenano_laws.tdpa import master_energy_account as master_energy_account
@@ -60,7 +64,6 @@ from telenano_laws.tdpa import master_start as master_start
 from telenano_laws.tdpa import retune as retune
 from telenano_laws.tdpa import slave_energy_account as slave_energy_account
 from telenano_laws.tdpa import slave_retune as slave_retune
-from telenano_laws.tdpa import slave_send as slave_send
 from telenano_laws.tdpa import slave_start as slave_start
 
 # A damper that acts on the velocity of the period before is stable below M / Ts; this share of it leaves room.
@@ -121,21 +124,20 @@ def master_receive(
     """Move the mass over dt [s] against force and level control, clipped to what the tank has."""
     p, mass = params.mass, state.mass
     received = p.force_scale * signal.force_n
-    coupled = is_coupled(p, signal)
-    off_s = 0.0 if hand.following else state.stood_s + dt
-    port = worked_at(state, hand)
-    if not continues(p, mass, hand, signal, off_s):
-        heard = is_heard(signal, p.silence_limit_s)
+    may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
+    port = worked(state.port, hand, may.counts)
+    if not (may.acts or may.stands):
+        heard = signal.silence_s <= p.silence_limit_s
         store = recount_received(state.store, signal.energy_j, heard)
-        if is_retracted(p, signal):
+        if may.renews:
             store, port = rearm(store, port, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, off_s, port)
-        return state, MasterReference(hand.position_m, 0.0, received if coupled else 0.0, coupled)
+        state = MasterState(let_go(p, mass, hand, signal), store, may.stood_s, port)
+        return state, MasterReference(hand.position_m, 0.0, received if may.coupled else 0.0, may.coupled)
     store = credited(state.store, signal.energy_j, params.cap_j)
-    if not hand.following:
+    if may.stands:
         back_j = received * (hand.position_m - mass.position_m)
         store = paid_or_granted(store, back_j)
-        state = MasterState(stood(mass, hand), store, off_s, put_in(port, back_j, store.sent_j))
+        state = MasterState(stood(mass, hand), store, may.stood_s, put_in(port, back_j, store.sent_j))
         return state, MasterReference(hand.position_m, 0.0, received, True)
     force = received
     for _ in range(periods_in(dt, p.period_s)):
@@ -162,16 +164,14 @@ def slave_receive(
     """
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
-    store = state.store
-    if state.coupled and tip.following:
+    may, store = at_tip(p, signal, tip, state.position_m, state.coupled), state.store
+    if may.counts:
         store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
-    if not (is_coupled(p, signal) and tip.following):
-        heard = is_heard(signal, p.silence_limit_s)
-        store = recount_received(store, signal.energy_j, heard)
-        if has_to_be_armed(tip):
-            store = reopen(state.store, signal.energy_j, heard, params.start_j)
-        base = state.position_m if tip.following else signal.position_m
-        return standing(params, base, tip, store), SlaveReference(base, True)
+    if not may.leads:
+        store = recount_received(store, signal.energy_j, may.heard)
+        if may.renews:
+            store = reopen(state.store, signal.energy_j, may.heard, params.start_j)
+        return standing(params, may.base_m, tip, store), SlaveReference(may.base_m, True)
     store = credited(store, signal.energy_j, params.cap_j)
     start, target = followed(p, state.position_m, tip), signal.position_m / p.position_scale
     # what is sent is no longer there to pay for the way
@@ -179,6 +179,19 @@ def slave_receive(
     way = target - start / p.position_scale
     base = paid_base(p, state.position_m, tip, way, params.stiffest_n_per_m, store.left_j, 0.0)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: TwoLayerParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Return what the tip measures, and what its tank has sent; the work is booked with the force after the step."""
+    p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    if state.coupled and tip.following:
+        store = tank(state.store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
+        state = SlaveState(state.position_m, state.heard_m, here, force, store, True)
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=state.store.sent_j)
 
 
 TWO_LAYER = Law.of(__name__, TwoLayerConfig, uses_energy=True, passive=True)

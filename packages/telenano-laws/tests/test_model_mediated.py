@@ -117,6 +117,26 @@ def test_surface_met_late_begins_under_the_hand_almost_without_force() -> None:
     assert state.model.contact_nm >= 12.0
 
 
+@pytest.mark.parametrize("beyond_m", [1e-3, 4.7e-3, 8e-3])
+@pytest.mark.parametrize("interrupted", ["off", "silent"])
+def test_a_surface_that_was_learnt_while_the_hand_was_let_go_begins_under_it_too(
+    interrupted: str, beyond_m: float
+) -> None:
+    """The tip is armed in contact and heard of while the device is off, or was known before a silence."""
+    hand = HandSample(0.0, 0.0, 1.0, True)
+    answer = NO_SIGNAL._replace(position_m=9e-9, force_n=-1.2e-8, in_contact=True, active=True, silence_s=0.0)
+    state = master_start(PARAMS, hand)
+    off = hand._replace(following=False)
+    for tick in range(10):
+        signal = answer if tick < 5 or interrupted == "off" else answer._replace(silence_s=1.0)
+        state, _ = master_receive(PARAMS, state, off if interrupted == "off" else hand, signal, T)
+    # something else moves the device meanwhile, far into the surface
+    hand = hand._replace(position_m=6e-3 + beyond_m)
+    state, reference = master_receive(PARAMS, state, hand, answer, T)
+    assert state.fit.known and state.rendered
+    assert abs(reference.force_n) <= PARAMS.force_step_n
+
+
 def test_guard_presses_no_harder_than_the_hand() -> None:
     tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     state = slave_start(PARAMS, tip)

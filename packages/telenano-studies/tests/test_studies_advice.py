@@ -6,11 +6,12 @@ from typing import Any
 import pytest
 from answered_sweep import Answered
 from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
-from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
+from telenano_studies.loops.cells import WRONG_RESTS, Cell, CellResult, run_cell, trajectory_of
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import COMPARED_LAWS, Jitter
 
+from telenano.analysis import Fact
 from telenano.hand import ARMS
 from telenano.laws import LAWS
 from telenano.lockstep import Trajectory
@@ -91,6 +92,27 @@ def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_
     result = run_cell(cell("force", session_s=2.0))
     assert (result.verdict, result.outcome) == ("stable", "nothing_moved")
     assert result.reason == "the hand does not press, and the tip does not touch"
+
+
+@pytest.mark.usefixtures("plain")
+@pytest.mark.parametrize("kind", WRONG_RESTS)
+@pytest.mark.parametrize("verdict", ["stable", "diverged"])
+def test_the_reason_of_a_run_is_that_of_its_outcome(verdict: Any, kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that rests wrongly is said to rest wrongly, and not to be at rest."""
+    course = Trajectory.holds
+
+    def found(self: Trajectory, *given: Any, **known: Any) -> list[Any]:
+        facts = (Fact("parted", 2e-3, "of no outcome"), Fact(kind, 1.0, "of the rest"))
+        return [
+            one._replace(verdict=verdict, reason="of the verdict", facts=facts) for one in course(self, *given, **known)
+        ]
+
+    monkeypatch.setattr(Trajectory, "holds", found)
+    result = run_cell(cell("force", session_s=2.0))
+    assert (result.outcome, result.reason) == {
+        "stable": (kind, "of the rest"),
+        "diverged": ("diverged", "of the verdict"),
+    }[verdict]
 
 
 def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited() -> None:

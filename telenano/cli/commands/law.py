@@ -55,6 +55,7 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
         says = {
             "closes_a_loop_through_the_instrument": row.link_loop,
             "states_passivity": row.passive,
+            "passive_within_j": row.passive_within_j if row.passive else None,
             "must_know": list(row.must_know),
         }
         facts = {"law": law, **_origin(law), "about": _about(row), **says}

@@ -91,8 +91,11 @@ def test_silence_credits_nothing_that_was_received_before() -> None:
     tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True, 0.0)
     hand = HandSample(0.0, 0.0, 0.0, True)
     received = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=3e-3)
-    slave, _ = slave_receive(KEPT, slave_start(KEPT, tip), received, tip, T)
-    master, _ = master_receive(KEPT, master_start(KEPT, hand), hand, received, T)
+    first = received._replace(energy_j=0.0)
+    slave, _ = slave_receive(KEPT, slave_start(KEPT, tip), first, tip, T)
+    slave, _ = slave_receive(KEPT, slave, received, tip, T)
+    master, _ = master_receive(KEPT, master_start(KEPT, hand), hand, first, T)
+    master, _ = master_receive(KEPT, master, hand, received, T)
     before = slave.account, master.account
     assert before[0].remaining_j == before[1].remaining_j == pytest.approx(4e-3, rel=1e-12, abs=0.0)
     # nothing is received for a while, and then the same counter again

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.extend.virtual_mass import HandPort, Mass, moved, paid_stretch
+from telenano.extend.virtual_mass import NOTHING_HEARD, HandPort, Mass, moved, paid_stretch
 from telenano.laws.passivity import (
     PASSIVITY,
     Account,
@@ -94,7 +94,9 @@ def test_an_account_keeps_each_direction_by_itself() -> None:
     assert credited(account, 3.0, 3.25) == (1.0, 3.0, 3.25, 4.75, 5.0)
     assert recount_received(account, 0.5, True) == (1.0, 0.5, 3.0, 4.0, 5.0)
     assert recount_received(account, 0.5, False) == account
-    assert opened(1e-3) == (0.0, 0.0, 1e-3, 0.0, 1e-3)
+    assert opened(1e-3) == (0.0, NOTHING_HEARD, 1e-3, 0.0, 1e-3)
+    # the first signal is where it begins to count
+    assert credited(opened(1e-3), 2.5, 10.0) == (0.0, 2.5, 1e-3, 0.0, 1e-3)
 
 
 def test_a_port_that_is_opened_anew_is_granted_what_is_missing_and_loses_what_is_too_much() -> None:

@@ -254,15 +254,15 @@ class Cell(Conditions):
 class CellResult:
     """What became of a cell.
 
-    verdict: see `telenano.analysis.verdict`, with its reason in words; growth_per_s [1/s] or None; peak_to_peak_n of
-    alpha_f F_s at the end of the hold [N]; out_of_contact_share: part of the judged hold that the tip was off the
-    surface; hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed; lowest_energy_j: the least
-    that the hand had put into the two-port, at its device, more than it gave to the tip, at the hand's scale [J]: below
-    zero two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
-    greatest alpha_f F_s of the session [N], None if it never began. In the later half of the hold, on average: tip_n,
-    alpha_f F_s [N]; hand_n, F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m].
-    hand_work_j: work of the hand [J]. guarded_share: part of the session in which a guard had taken over: the
-    instrument did not follow, or the motor was off. facts: what else is true of the hold, by
+    verdict: see `telenano.analysis.verdict`; reason: why the outcome is what it is, in words; growth_per_s [1/s] or
+    None; peak_to_peak_n of alpha_f F_s at the end of the hold [N]; out_of_contact_share: part of the judged hold that
+    the tip was off the surface; hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed;
+    lowest_energy_j: the least that the hand had put into the two-port, at its device, more than it gave to the tip, at
+    the hand's scale [J]: below zero two-port and device have made energy; guarded: whether the instrument's safety
+    chain ended the session; peak_n: greatest alpha_f F_s of the session [N], None if it never began. In the later half
+    of the hold, on average: tip_n, alpha_f F_s [N]; hand_n, F_m [N]; apart_m, how far the hand is ahead of the tip,
+    x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J]. guarded_share: part of the session in which a guard had
+    taken over: the instrument did not follow, or the motor was off. facts: what else is true of the hold, by
     `telenano.analysis.holds.FactKind`.
     """
 
@@ -429,7 +429,10 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     if holds:
         (found,) = holds
         facts = tuple(fact.kind for fact in found.facts)
-        judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, found.reason, facts)
+        wrong = next((fact for fact in found.facts if fact.kind in WRONG_RESTS), None)
+        # of a hold that came to rest in another way than it should, the verdict's reason says why it rests
+        reason = wrong.text if wrong is not None and found.verdict == "stable" else found.reason
+        judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
