@@ -16,7 +16,7 @@ from typing import Any
 
 from circumstances import SESSIONS, VALUES
 from pydantic import ValidationError
-from sessions import Seen, Session
+from sessions import FilesSeen, Seen, Session, seen
 
 from telenano.settings.config import merge
 from telenano.wire.errors import ConfigError
@@ -46,7 +46,10 @@ class Leaf:
     def name(self) -> str:
         """Its dotted name, in which the kind of a model stands in brackets."""
         of_kind = {path: form["kind"] for path, form in self.kinds}
-        parts = [self.path[n] + (f"[{of_kind[up]}]" if (up := self.path[: n + 1]) in of_kind else "") for n in range(len(self.path))]
+        parts = [
+            self.path[n] + (f"[{of_kind[up]}]" if (up := self.path[: n + 1]) in of_kind else "")
+            for n in range(len(self.path))
+        ]
         return ".".join(parts)
 
     def choices(self) -> list[Any]:
@@ -70,7 +73,10 @@ def _leaves(
                 model = _resolved(choice, definitions)
                 kind = model["properties"]["kind"]["const"]
                 of_kind = {"kind": kind} | {
-                    key: [_point(_resolved(model["properties"][key], definitions), definitions, at) for at in (0.05, 0.15, 0.5)]
+                    key: [
+                        _point(_resolved(model["properties"][key], definitions), definitions, at)
+                        for at in (0.05, 0.15, 0.5)
+                    ]
                     for key in model.get("required", ())
                     if key != "kind"
                 }
@@ -84,7 +90,9 @@ def _leaves(
 def _point(form: Mapping[str, Any], definitions: Mapping[str, Any], time_s: float) -> dict[str, float]:
     """Return a corner of a course, such as a force at a time."""
     keys = _resolved(form["items"], definitions)["properties"]
-    return {key: time_s if key == "time_s" else 2.0 * (time_s > 0.1) * (1.0 if key == "force_n" else 1e-3) for key in keys}
+    return {
+        key: time_s if key == "time_s" else 2.0 * (time_s > 0.1) * (1.0 if key == "force_n" else 1e-3) for key in keys
+    }
 
 
 def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,32 +187,38 @@ def circumstances(leaf: Leaf, every: Mapping[Path, list[Leaf]]) -> Iterator[Sess
                 yield replace(bases[0], settings=beside)
 
 
-_seen: dict[str, Seen | None] = {}
-
-
-def _seen_of(session: Session) -> Seen | None:
+@cache
+def _seen_of(session: str) -> Seen | FilesSeen | None:
     """Return what is seen of a session, None if its settings cannot be used."""
-    key = repr(session)
-    if key not in _seen:
-        try:
-            _seen[key] = Seen(session)
-        except (ConfigError, ValidationError):
-            _seen[key] = None
-    return _seen[key]
+    try:
+        return seen(_sessions[session])
+    except (ConfigError, ValidationError):
+        return None
 
 
-def effect_of(leaf: Leaf, every: Mapping[Path, list[Leaf]]) -> str:
-    """Return what is seen to change by another value of a key, empty if nothing is."""
+# The sessions by what they are made of, because their settings cannot be hashed.
+_sessions: dict[str, Session] = {}
+
+
+def effect_of(leaf: Leaf, every: Mapping[Path, list[Leaf]], *, bases_only: bool = False) -> str:
+    """Return what is seen to change by another value of a key, empty if nothing is.
+
+    Args:
+        leaf: The key.
+        every: All keys, by section.
+        bases_only: Whether only the sessions are tried that are known for the key.
+    """
     refused = ""
     for number, session in enumerate(circumstances(leaf, every)):
-        if refused and number >= len(bases_of(leaf)):
+        if (refused or bases_only) and number >= len(bases_of(leaf)):
             break
-        if (seen := _seen_of(session)) is None:
+        _sessions[name := repr(session)] = session
+        if (before := _seen_of(name)) is None:
             continue
         for value in other_values(leaf):
             changed = nested(leaf.path, value)
             try:
-                difference = seen.difference(changed)
+                difference = before.difference(changed)
             except (ConfigError, ValidationError) as error:
                 refused = refused or f"refused: {str(error).splitlines()[0]}"
                 continue

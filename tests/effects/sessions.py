@@ -10,12 +10,17 @@ Messages are compared without what only repeats a setting: the settings in force
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import msgspec
+import yaml
+from mcap.reader import make_reader
 
 from telenano.settings.config import merge
 from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
+from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire import Message
 
 PRESSES: Mapping[str, Any] = {
@@ -58,6 +63,8 @@ class Session:
         is_started: Whether the hand is started.
         rate_hz: The rate of the loop [Hz], a quarter of the usual one, which takes a quarter of the time; None leaves
             it out.
+        are_files: Whether the recording is compared instead of the messages.
+        is_conducted: Whether a launcher conducts the recorded session, as `telenano simulate` does.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -65,6 +72,8 @@ class Session:
     happens: tuple[Timed, ...] = ()
     is_started: bool = True
     rate_hz: float | None = 250.0
+    are_files: bool = False
+    is_conducted: bool = False
 
     def course(self) -> Iterator[Timed]:
         """Yield what happens, in the order of time."""
@@ -119,6 +128,11 @@ class _ComparedRig(VirtualRig):
         super().carry(topic, message, payload)
 
 
+def seen(session: Session) -> "Seen | FilesSeen":
+    """Return what is seen of a session, its messages or its files."""
+    return FilesSeen(session) if session.are_files else Seen(session)
+
+
 class Seen:
     """What is seen of a session, with which others are compared.
 
@@ -130,6 +144,7 @@ class Seen:
         self.session = session
         rig = self._run(session.settings, None)
         self._expected, self._lines = rig.seen, lines_of(rig)
+        self.refusals = [seen.text for topic, seen in rig.seen if topic == "session/event" and seen.kind == "refused"]
 
     def difference(self, settings: Mapping[str, Any]) -> str:
         """Return what is seen to be different under other settings, empty if nothing is.
@@ -159,3 +174,56 @@ class Seen:
 def lines_of(rig: VirtualRig) -> dict[str, list[str]]:
     """Return the last lines of the log of each node, without those that only say what it does."""
     return {key: [line for line in log.lines if not line.startswith("info")] for key, log in rig.logs.items()}
+
+
+class FilesSeen:
+    """What is seen of the files of a session, with which those of others are compared."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._expected = self._files(session.settings)
+
+    def difference(self, settings: Mapping[str, Any]) -> str:
+        """Return what is seen to be different in the files under other settings, empty if nothing is."""
+        found = self._files(merge(dict(self.session.settings), dict(settings)))
+        if found.keys() != self._expected.keys():
+            return f"files {', '.join(sorted(found))}"
+        return next((f"content of {name}" for name, facts in found.items() if facts != self._expected[name]), "")
+
+    def _files(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        with TemporaryDirectory() as name:
+            folder = Path(name)
+            if self.session.is_conducted:
+                _conduct(folder, settings)
+            else:
+                _record(folder, self.session, settings)
+            return {str(path.relative_to(folder)): facts_of(path) for path in sorted(folder.rglob("*.mcap"))}
+
+
+def _record(folder: Path, session: Session, settings: Mapping[str, Any]) -> None:
+    rig = VirtualRig(folder, SEED, scenario=merge(dict(PRESSES), dict(settings)))
+    with closing(rig):
+        for timed in session.course():
+            rig.run_until(timed.time_s)
+            timed.happens(rig)
+        rig.run_until(session.end_s)
+        rig.finish()
+
+
+def _conduct(folder: Path, settings: Mapping[str, Any]) -> None:
+    scenario = folder / "scenario_given.yaml"
+    scenario.write_text(yaml.safe_dump(merge(dict(PRESSES), dict(settings))), encoding="utf-8")
+    request = SimulateRequest(scenario=str(scenario), out=folder / "session")
+    run_plan(plan_of(request, folder / "session"), request)
+
+
+def facts_of(path: Path) -> tuple[Any, ...]:
+    """Return what a reader of MCAP sees of a file: its channels, how much each one has, and its chunks."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None and summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    return (
+        sorted((channel.topic, counts.get(number, 0)) for number, channel in summary.channels.items()),
+        [(chunk.compression, chunk.message_start_time, chunk.message_end_time) for chunk in summary.chunk_indexes],
+    )
