@@ -76,8 +76,8 @@ def test_a_reference_gives_the_digests_that_were_written(recording_of: Callable[
 HAND = "haptic_node@master haptic/state"
 WHAT_TO_DO = (
     "was it meant? then run python tests/replay/make_references.py. A longer message alone moves what a link of a"
-    " limited rate carries: a field of node/health that tells of the machine belongs into Machine.health (telenano/virtual/"
-    "README.md), where virtual time leaves it out"
+    " limited rate carries: a field of node/health that tells of the machine belongs into Machine.health"
+    " (telenano/virtual/README.md), where virtual time leaves it out"
 )
 
 
