@@ -97,8 +97,8 @@ def test_every_field_is_described_and_named_with_its_unit_and_none_if_absent(rec
         assert field.required or field.default is None, f"{name} has a default: a key that may be absent has None"
         if _is_measured(field.type):
             assert bool(UNIT.search(name)) != (name in UNITLESS), (
-                f"{name} has no unit of UNIT, or one too many: give it its SI unit, as in force_n, or name it in UNITLESS"
-                " of tests/contract/test_topic_table.py"
+                f"{name} has no unit of UNIT, or one too many: give it its SI unit, as in force_n, or name it in"
+                " UNITLESS of tests/contract/test_topic_table.py"
             )
 
 
