@@ -18,8 +18,9 @@ from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}
-# what a numeric field may end in: SI units, and the two that a process is measured in
-UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent|v)$")
+# What the name of a measured number ends in: SI units and their quotients, and the two that a process is measured in.
+_SYMBOL = "(m2|m|s|ns|n|j|w|hz|rad|kg|k|pa|a|v|c|ohm|sqrt_w)"
+UNIT = re.compile(rf"_({_SYMBOL}(_{_SYMBOL})*(_per_{_SYMBOL})?|bytes|percent)$")
 # Measured numbers without a unit in their names. A whole number counts or names things and needs none.
 UNITLESS = {
     "felt_value": "SI unit of the channel",
@@ -158,7 +159,8 @@ def test_every_quantity_has_a_finite_range_and_every_count_an_end(row: Topic) ->
     assert len(found) >= 3
     for name, number in found:
         if number["type"] == "number":
-            assert (number["minimum"], number["maximum"]) in known, name
+            bounds = (number["minimum"], number["maximum"])
+            assert bounds in known, f"{name} has bounds of its own: a measured number has a range of wire/ranges.py"
         elif name != ".v":
             highest = number.get("maximum", number.get("exclusiveMaximum", 2**64) - 1)
             assert -(2**63) <= number["minimum"] < highest < 2**63, name
