@@ -346,6 +346,7 @@ SESSIONS: Sequence[tuple[str, Session]] = (
         Session(afm(DOTS, {"sample": {"name": "heights.gwy"}, "begin": SCAN}), is_started=False, end_s=2.5),
     ),
 )
+FAULTY_HAND = "acts on a device that jumps, freezes or runs away; packages/telenano-haptic-devices/tests"
 # Keys that change nothing that a session in virtual time shows, each with the reason.
 WITHOUT: Mapping[str, str] = {
     "name": "names folders, figures and tables",
@@ -359,6 +360,11 @@ WITHOUT: Mapping[str, str] = {
     "haptic_node.limits.max_force_n": "only a real device has a force mode; tests/unit/hand/test_haptic_safety.py",
     "haptic_node.coupling.needs_deadman": "only a real device has a button; packages/telenano-haptic-devices/tests",
     "haptic_node.coupling.deadman_age_s": "only a real device has a button; packages/telenano-haptic-devices/tests",
+    "haptic_node.coupling.rest_m": FAULTY_HAND,
+    "haptic_node.coupling.jump_m": FAULTY_HAND,
+    "haptic_node.coupling.frozen_s": FAULTY_HAND,
+    "haptic_node.coupling.frozen_force_n": FAULTY_HAND,
+    "haptic_node.coupling.runaway_m_per_s": FAULTY_HAND,
     "haptic_node.simulated_impedance": "is empty: haptic_node.impedance has its keys",
     "haptic_node.haply.**": "a real device; packages/telenano-haptic-devices/tests",
     "haptic_node.dhd.**": "a real device; packages/telenano-haptic-devices/tests",

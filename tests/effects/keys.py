@@ -118,6 +118,8 @@ def other_values(leaf: Leaf) -> list[Any]:
     found = [value for pattern, values in VALUES.items() if fits(leaf, pattern) for value in values]
     if not found:
         found = leaf.choices()
+    if not found and leaf.form.get("type") == "string":
+        found = ["other"]
     if not found and leaf.form.get("type") in ("number", "integer"):
         found = list(_numbers(leaf.form, leaf.default))
     return [value for value in found if value != leaf.default or type(value) is not type(leaf.default)]

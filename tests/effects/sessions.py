@@ -42,6 +42,8 @@ PRESSES: Mapping[str, Any] = {
 }
 SEED = 11
 # The journal repeats what a node received, and a command comes from the test.
+# Metadata that repeats the settings, or says how long the recorder took.
+_REPEATS = ("provenance", "recording", "end")
 _NOT_SEEN = ("node/journal", "session/control")
 
 
@@ -220,10 +222,13 @@ def _conduct(folder: Path, settings: Mapping[str, Any]) -> None:
 def facts_of(path: Path) -> tuple[Any, ...]:
     """Return what a reader of MCAP sees of a file: its channels, how much each one has, and its chunks."""
     with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        records = [(record.name, record.metadata) for record in reader.iter_metadata() if record.name not in _REPEATS]
     assert summary is not None and summary.statistics is not None
     counts = summary.statistics.channel_message_counts
     return (
         sorted((channel.topic, counts.get(number, 0)) for number, channel in summary.channels.items()),
+        records,
         [(chunk.compression, chunk.message_start_time, chunk.message_end_time) for chunk in summary.chunk_indexes],
     )

@@ -28,8 +28,8 @@ SHARE = 0.1
 # Keys of a changed section that `make check` tries at most.
 _MOST_TOUCHED = 12
 WHAT_TO_DO = (
-    "no other value changes what a session shows: read the key in the code, or give a session of tests/effects/"
-    "circumstances.py in which it acts"
+    "no other value changes what a session shows: read the key in the code, or give in tests/effects/circumstances.py"
+    " other VALUES or a session of SESSIONS in which it acts"
 )
 
 
