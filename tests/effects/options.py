@@ -77,7 +77,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--points": ["60"],
     "--format": ["svg", "pdf"],
     "--style": ["paper"],
-    "--table": ["csv"],
+    "--table": ["parquet"],
     "curve --model": ["dynamic"],
     "curve --afm": ["cantilever.stiffness_n_per_m=10"],
     "param get --set": ["haptic_node.operator.kind=interactive"],
