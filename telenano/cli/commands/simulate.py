@@ -20,6 +20,7 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
+    refuse_unused,
     table_formats,
 )
 from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors
