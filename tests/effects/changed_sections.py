@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from keys import Leaf, leaves
+from key_effects import Leaf, leaves
 from pydantic import BaseModel
 
 from telenano.runtime.wiring.main import node_kind

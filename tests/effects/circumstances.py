@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from sessions import Session, Timed, command
+from compared_sessions import Session, Timed, command
 from telenano_microscopy.image_files import Image, write_gwy
 
 from telenano.settings.config import merge

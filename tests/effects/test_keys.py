@@ -1,6 +1,6 @@
 """Each key of a scenario has an effect: another value of it changes what a person sees, or is refused.
 
-`keys.py` says which values and sessions are tried, `circumstances.py` in which sessions keys act that do nothing in the
+`key_effects.py` says which values and sessions are tried, `circumstances.py` in which sessions keys act that do nothing in the
 usual one. A key without an effect is either read nowhere, or needs a session there.
 """
 
@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from changed_sections import touched
 from circumstances import SESSIONS, WITHOUT, write_files
-from keys import Leaf, asked_by, bases_of, by_section, effect_of, fits, leaves
+from compared_sessions import Seen
+from key_effects import Leaf, asked_by, bases_of, by_section, effect_of, fits, leaves
 from pydantic import Field, create_model
-from sessions import Seen
 
 from services.afm_node import __main__ as afm_node
 from telenano.afm.config import AfmConfig

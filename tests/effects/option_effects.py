@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from sessions import facts_of
+from compared_sessions import facts_of
 from typer.testing import CliRunner
 
 from telenano.cli.root import app

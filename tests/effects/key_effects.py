@@ -15,8 +15,8 @@ from functools import cache
 from typing import Any
 
 from circumstances import SESSIONS, VALUES
+from compared_sessions import FilesSeen, Seen, Session, seen
 from pydantic import ValidationError
-from sessions import FilesSeen, Seen, Session, seen
 
 from telenano.settings.config import merge
 from telenano.wire.errors import ConfigError
