@@ -1,7 +1,7 @@
 """Each key of a scenario has an effect: another value of it changes what a person sees, or is refused.
 
-`key_effects.py` says which values and sessions are tried, `circumstances.py` in which sessions keys act that do nothing in the
-usual one. A key without an effect is either read nowhere, or needs a session there.
+`key_effects.py` says which values and sessions are tried, `circumstances.py` in which sessions keys act that do nothing
+in the usual one. A key without an effect is either read nowhere, or needs a session there.
 """
 
 import random

@@ -8,6 +8,7 @@ import pytest
 from option_effects import COMMANDS, WITHOUT, commands, effect_of
 
 SEED = 93
+WHAT_TO_DO = "changes nothing: use it, refuse it, or give in tests/effects/option_effects.py other VALUES, or the reason in WITHOUT"
 OPTIONS = [
     (name, option)
     for name, command in commands()
@@ -33,17 +34,13 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_has_an_effect(command: str, tmp_path: Path) -> None:
     found = without_effect([row for row in OPTIONS if row[0] == command], tmp_path)
-    assert not found, (
-        f"{', '.join(found)}: changes nothing: use it, refuse it, or say in tests/effects/option_effects.py why"
-    )
+    assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"
 
 
 @pytest.mark.check("takes 15 s")
 def test_a_tenth_of_the_options_has_an_effect(tmp_path: Path) -> None:
     found = without_effect(random.Random(SEED).sample(OPTIONS, len(OPTIONS) // 10), tmp_path)
-    assert not found, (
-        f"{', '.join(found)}: changes nothing: use it, refuse it, or say in tests/effects/option_effects.py why"
-    )
+    assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"
 
 
 def test_every_command_with_known_words_is_a_command() -> None:
