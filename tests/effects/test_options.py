@@ -8,7 +8,10 @@ import pytest
 from option_effects import COMMANDS, WITHOUT, commands, effect_of
 
 SEED = 93
-WHAT_TO_DO = "changes nothing: use it, refuse it, or give in tests/effects/option_effects.py other VALUES, or the reason in WITHOUT"
+WHAT_TO_DO = (
+    "changes nothing: use it, refuse it, or give in tests/effects/option_effects.py other VALUES or, in WITHOUT, the"
+    " reason"
+)
 OPTIONS = [
     (name, option)
     for name, command in commands()
