@@ -197,6 +197,11 @@ PARTICLE: Mapping[str, Any] = {
     },
 }  # fmt: skip
 
+PUSH = {
+    "program": "push",
+    "push": {"x0_m": 0.0, "y0_m": 0.0, "x1_m": 4e-7, "y1_m": 0.0, "approach_m_per_s": 5e-6, "mode": "straight"},
+}
+PUSHES = Session(merge(dict(PARTICLE), {"afm_node": {"begin": PUSH}}), is_started=False, end_s=1.6)
 SESSIONS: Sequence[tuple[str, Session]] = (
     ("duration_s", Session(are_files=True, is_conducted=True)),
     ("recorder.*", RECORDED),
@@ -265,6 +270,7 @@ SESSIONS: Sequence[tuple[str, Session]] = (
     ("afm_node.begin.scan.**", Session(afm(DOTS, {"begin": SCAN}), is_started=False, end_s=2.5)),
     ("afm_node.begin.curve.**", Session(afm(DOTS, {"begin": CURVE}), is_started=False, end_s=2.5)),
     ("afm_node.begin.tactile.**", Session(afm(DOTS, {"begin": TACTILE}), is_started=False, end_s=2.5)),
+    ("afm_node.begin.push.**", PUSHES),
     ("afm_node.friction.**", Session(ACROSS)),
     ("afm_node.torsion.**", Session(ACROSS)),
     ("afm_node.cantilever.**", Session()),
