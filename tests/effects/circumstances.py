@@ -352,6 +352,19 @@ SESSIONS: Sequence[tuple[str, Session]] = (
         Session(afm(DOTS, {"sample": {"name": "heights.gwy"}, "begin": SCAN}), is_started=False, end_s=2.5),
     ),
 )
+# Keys that act in the dynamic model alone, whose sessions take most of a minute each: `make endurance` tries them.
+COSTLY: Sequence[str] = (
+    "afm_node.begin.scan.amplitude_m",
+    "afm_node.begin.scan.setpoint_share",
+    "afm_node.begin.scan.mode",
+    "afm_node.cantilever.quality",
+    "afm_node.cantilever.resonance_hz",
+    "afm_node.cantilever.steps_per_period",
+    "afm_node.tip_sample.liquid_thickness_m",
+    "afm_node.tip_sample.liquid_viscosity_pa_s",
+    "afm_node.tip_sample.sample_thickness_m",
+    "afm_node.tip_sample.sample_viscosity_pa_s",
+)
 FAULTY_HAND = "acts on a device that jumps, freezes or runs away; packages/telenano-haptic-devices/tests"
 # Keys that change nothing that a session in virtual time shows, each with the reason.
 WITHOUT: Mapping[str, str] = {

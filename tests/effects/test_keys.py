@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from changed_sections import touched
-from circumstances import SESSIONS, WITHOUT, write_files
+from circumstances import COSTLY, SESSIONS, WITHOUT, write_files
 from compared_sessions import Seen
 from key_effects import Leaf, asked_by, bases_of, by_section, effect_of, fits, leaves
 from pydantic import Field, create_model
@@ -58,7 +58,8 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def drawn() -> list[Leaf]:
     draw = random.Random(SEED)
-    return draw.sample(every(), round(SHARE * len(every())))
+    found = draw.sample(every(), round(SHARE * len(every())))
+    return [leaf for leaf in found if not any(fits(leaf, pattern) for pattern in COSTLY)]
 
 
 @pytest.mark.check("takes 40 s")
