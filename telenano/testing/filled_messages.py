@@ -14,7 +14,7 @@ import msgpack
 import msgspec
 import numpy as np
 
-from telenano.wire.codec import decode, fields_of
+from telenano.wire.codec import WireError, decode, fields_of
 from telenano.wire.messages import Array, Message, SessionControl
 from telenano.wire.schema import json_schema
 from telenano.wire.topics import Topic
@@ -95,7 +95,13 @@ def examples(topic: Topic) -> Mapping[str, Message]:
     for suffix, keys in sets.items():
         for case in CASES:
             fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
-            made[case.name + suffix] = decode(topic.name, msgpack.packb(fields))
+            try:
+                made[case.name + suffix] = decode(topic.name, msgpack.packb(fields))
+            except WireError as error:
+                raise TypeError(
+                    f"no example can be made of {topic.model.__name__}: {error}. A measured number has a range of "
+                    "telenano/wire/ranges.py, as `PositionM` does, and not bounds of its own"
+                ) from None
     return made
 
 

@@ -68,7 +68,8 @@ class Beyond(NamedTuple):
 
     @property
     def fault(self) -> Fault:
-        right = str(self.range) if self.range else f"a whole number from {self.low} to {self.high}"
+        kind_of = "a number" if isinstance(self.low, float) else "a whole number"
+        right = str(self.range) if self.range else f"{kind_of} from {self.low} to {self.high}"
         kind: Literal["range", "bounds"] = "range" if self.range and math.isfinite(self.value) else "bounds"
         return Fault(self.key, kind, f"{self.key} is {self.value!r}, must be {right}")
 

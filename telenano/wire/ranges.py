@@ -64,23 +64,8 @@ CHANNEL = Range(
     "measured channel", -1e9, 1e9, "its SI unit", "the greatest rate, as of a frequency shift; others are less"
 )
 
-RANGES = (
-    POSITION,
-    WAY,
-    VELOCITY,
-    FORCE,
-    WAVE,
-    ENERGY,
-    POWER,
-    DURATION,
-    TIME,
-    RATE,
-    PERCENTAGE,
-    ANGLE,
-    VOLTAGE,
-    QUATERNION,
-    CHANNEL,
-)
+# Every range of this module, for the table of SPEC.md.
+RANGES = tuple(value for value in tuple(globals().values()) if isinstance(value, Range))
 
 PositionM = Annotated[float, POSITION.of_value()]
 WayM = Annotated[float, WAY.of_value()]

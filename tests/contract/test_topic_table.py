@@ -19,46 +19,13 @@ from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}
-# what a numeric field may end in: SI units, and the two that a process is measured in
-UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent|v)$")
-# numbers without a unit: counts and names of things
+# What the name of a measured number ends in: SI units and their quotients, and the two that a process is measured in.
+_SYMBOL = "(m2|m|s|ns|n|j|w|hz|rad|kg|k|pa|a|v|c|ohm|sqrt_w)"
+UNIT = re.compile(rf"_({_SYMBOL}(_{_SYMBOL})*(_per_{_SYMBOL})?|bytes|percent)$")
+# Measured numbers without a unit in their names. A whole number counts or names things and needs none.
 UNITLESS = {
     "felt_value": "SI unit of the channel",
-    "seq": "number of a message",
-    "position_raw": "counts of a device",
-    "velocity_raw": "counts of a device a second",
-    "operator_force_raw": "counts of a device",
-    "drive_raw": "counts of a device",
-    "hand_seq": "number of a message",
-    "answered_seq": "number of a message",
-    "command_seq": "number of a message",
-    "buttons": "bit mask",
     "orientation": "parts of a unit quaternion",
-    "v": "version",
-    "first_turn": "number of a turn",
-    "pid": "name of a process",
-    "shape": "elements",
-    "line": "number of a line",
-    "lines": "lines",
-    "exchanges": "exchanges of time stamps",
-    "messages_in": "messages",
-    "messages_out": "messages",
-    "duplicated": "messages",
-    "reordered": "messages",
-    "corrupted": "messages",
-    "queue_depth": "messages",
-    "received": "messages",
-    "sent": "datagrams",
-    "arrived": "datagrams",
-    "late": "datagrams",
-    "unsent": "messages",
-    "repeats": "messages",
-    "lost": "messages",
-    "settled": "datagrams",
-    "repeated": "messages",
-    "gaps": "gaps",
-    "restarts": "restarts",
-    "overruns": "deadlines",
 }
 
 ROWS = list(TOPICS.values())
@@ -76,11 +43,11 @@ def _records() -> Iterator[type[Record]]:
         yield record
 
 
-def _is_numeric(annotation: object) -> bool:
-    """Return whether a number, or a tuple of numbers, stands in a field; maps carry the unit in their keys."""
-    if annotation in (int, float):
+def _is_measured(annotation: object) -> bool:
+    """Return whether a field has a measured number, or a tuple of such; maps carry the unit in their keys."""
+    if annotation is float:
         return True
-    return typing.get_origin(annotation) is not dict and any(_is_numeric(a) for a in typing.get_args(annotation))
+    return typing.get_origin(annotation) is not dict and any(_is_measured(a) for a in typing.get_args(annotation))
 
 
 def test_every_message_has_one_topic() -> None:
@@ -130,9 +97,10 @@ def test_every_field_is_described_and_named_with_its_unit_and_none_if_absent(rec
         name = field.name
         assert any(rule.description for rule in field.type.__metadata__), f"{name} has no description"
         assert field.required or field.default is None, f"{name} has a default: a key that may be absent has None"
-        if _is_numeric(field.type):
+        if _is_measured(field.type):
             assert bool(UNIT.search(name)) != (name in UNITLESS), (
-                f"{name} has no unit of UNIT, or one too many: a number without one stands in UNITLESS"
+                f"{name} has no unit of UNIT, or one too many: give it its SI unit, as in force_n, or name it in"
+                " UNITLESS of tests/contract/test_topic_table.py"
             )
 
 
@@ -141,8 +109,8 @@ def test_the_rule_finds_a_field_without_unit_and_knows_no_field_that_is_gone() -
     assert UNIT.search("force_n")
     assert set(UNITLESS) <= {name for record in _records() for name in record.__struct_fields__}
     kinds = {field.name: field.type for row in ROWS for field in msgspec.structs.fields(row.model)}
-    assert _is_numeric(kinds["wave_sqrt_w"])
-    assert not _is_numeric(kinds["parameters"])
+    assert _is_measured(kinds["wave_sqrt_w"])
+    assert not _is_measured(kinds["parameters"])
 
 
 @pytest.mark.parametrize("record", list(_records()), ids=lambda record: record.__name__)
@@ -192,7 +160,8 @@ def test_every_quantity_has_a_finite_range_and_every_count_an_end(row: Topic) ->
     assert len(found) >= 3
     for name, number in found:
         if number["type"] == "number":
-            assert (number["minimum"], number["maximum"]) in known, name
+            bounds = (number["minimum"], number["maximum"])
+            assert bounds in known, f"{name} has bounds of its own: a measured number has a range of wire/ranges.py"
         elif name != ".v":
             highest = number.get("maximum", number.get("exclusiveMaximum", 2**64) - 1)
             assert -(2**63) <= number["minimum"] < highest < 2**63, name

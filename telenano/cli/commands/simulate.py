@@ -20,6 +20,7 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
+    refuse_unused,
     table_formats,
 )
 from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors
@@ -72,6 +73,9 @@ def simulate(
         if sweep or repeated:
             _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
+        refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
+        figure = {"--format": formats != "png", "--style": style != "screen"}
+        refuse_unused(figure if no_report else {}, "not with --no-report, which leaves out the figure")
         view = LineView(console(), quiet=as_json)
         if request.out is not None:
             outcome, summary, plan = _run(request, request.out, options, view, report=not no_report, as_json=as_json)

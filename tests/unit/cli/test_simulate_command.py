@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from telenano.testing import run
 
 FAST = ("--duration", "0.6", "--set", "realtime.rate_hz=250")
@@ -31,6 +33,18 @@ def test_a_folder_with_a_session_is_kept_unless_it_may_be_replaced(tmp_path: Pat
     assert code == 2
     assert "exists already" in err
     assert run(*command, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "more"),
+    [("--table", "parquet", ()), ("--format", "svg", ("--no-report",)), ("--style", "paper", ("--no-report",))],
+)
+def test_an_option_that_nothing_would_use_is_refused(
+    option: str, value: str, more: tuple[str, ...], tmp_path: Path
+) -> None:
+    code, _, err = run("simulate", "fig12", *FAST, option, value, *more, "--out", tmp_path / "session")
+    assert (code, (tmp_path / "session").exists()) == (2, False)
+    assert f"{option}: not with" in " ".join(err.split())
 
 
 def test_a_wrong_key_and_a_wrong_command_are_refused_with_a_sentence(tmp_path: Path) -> None:

@@ -201,4 +201,4 @@ def test_every_parameter_is_documented(name: str) -> None:
     assert f"\n## {name}\n" in text
     assert isinstance(model, type)
     missing = [field for field in model.model_fields if f"`{field}`" not in text]
-    assert not missing
+    assert not missing, f"docs/laws.md does not say what these keys of controller.{name} do: {', '.join(missing)}"
