@@ -10,8 +10,8 @@ from judge import judge_course
 PART = range(60)
 
 
-def shares(seeds: range) -> dict[str, confusion.Share]:
-    answers = [answer(judge_course, course(seed)) for seed in seeds]
+def shares(seeds: range, courses: str = "linear") -> dict[str, confusion.Share]:
+    answers = [answer(judge_course, make(seed)) for make in confusion.COURSES[courses] for seed in seeds]
     return {one.name: one for one in confusion.limited_shares(answers)}
 
 
@@ -19,7 +19,7 @@ def shares(seeds: range) -> dict[str, confusion.Share]:
 def test_no_course_of_a_part_is_said_to_do_what_it_does_not() -> None:
     found = shares(PART)
     assert not found["settling called a cycle or growth"].such
-    assert not found["growing called stable"].such
+    assert not found["growing or going on called stable"].such
 
 
 # courses outside of the corpus that were once said to do what they do not: by a kink where the hand lets go, friction
@@ -48,13 +48,13 @@ ONCE_WRONG = (
 @pytest.mark.parametrize("seed", ONCE_WRONG)
 def test_a_course_that_was_once_judged_wrongly_is_not_again(seed: int) -> None:
     said = answer(judge_course, course(seed))
-    assert not confusion.false_alarm(said) and not confusion.missed_growth(said), said
+    assert not confusion.false_alarm(said) and not confusion.missed_swing(said), said
 
 
-@pytest.mark.check("judges a thousand labelled courses")
+@pytest.mark.check("judges four hundred labelled courses")
 def test_few_courses_are_judged_wrongly() -> None:
-    found = shares(range(1000))
-    # of 343 that settle one is 0.3 %, and of 103 that grow one is 1 %
-    assert len(found["settling called a cycle or growth"].such) <= 1
-    assert len(found["growing called stable"].such) <= 1
-    assert found["cannot say"].value < 0.09
+    found = shares(range(200), "all")
+    # of 136 that settle one is 0.7 %, and of 83 that grow or go on one is 1.2 %
+    assert len(found["settling called a cycle or growth"].such) <= 2
+    assert len(found["growing or going on called stable"].such) <= 1
+    assert found["cannot say of a growth or cycle of four turns"].value < 0.12
