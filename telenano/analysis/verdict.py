@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, noise_floor, rms
+from telenano.analysis.modes import LEAST_SAMPLES, LINE_OVER_NOISE, Fit, Mode, centred, fitted, noise_floor, rms
 
 Series = npt.NDArray[np.float64]
 Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "no_data", "cannot_say"]
@@ -47,6 +47,8 @@ ERROR_SHARE = 0.1
 _LEFT_SHARE = 2.0 * ERROR_SHARE
 # below this share of the hand's force [1] there are rounding errors
 _FLOOR_SHARE = 1e-7
+# a motion that is there is as large as what a fit leaves [1]; sizes of few turns err by a third
+_SHOWN_OVER_LEFT = 1.5
 _TAILS = (1.0, 0.5, 0.25, 0.125)
 _WINDOWS = 8
 # octaves of a spectrum that tell noise from a motion [1]
@@ -197,15 +199,20 @@ def judge(
 
 def _found(motion: "_Motion") -> Finding:
     """Judge by the modes, and by the envelope where they explain nothing or may be wrong."""
-    found, doubt = _by_parts(motion)
+    found, doubt, lasting_n = _by_parts(motion)
     if found is not None:
         return found
     if doubt is None:
-        return _by_envelope(motion)
+        found = _by_envelope(motion)
+        end_n = 2.0 * math.sqrt(2.0) * rms(centred(motion.values[-max(2, len(motion.values) // 4) :]))
+        hidden = found.cause is Cause.AT_REST and 0.0 < lasting_n <= _SHOWN_OVER_LEFT * end_n
+        return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=lasting_n) if hidden else found
     if doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong:
         # that a motion rests or dies out says its envelope only where nothing else is known of it
         found = _by_envelope(motion)
-        return found if found.kind in ("limit_cycle", "diverged") else doubt.found
+        is_of_it = doubt.found.decisive_n > 0.5 * found.size_n
+        is_motion = found.kind in ("limit_cycle", "diverged") or found.cause is Cause.DIES_OUT
+        return found if is_motion and is_of_it else doubt.found
     return doubt.found
 
 
@@ -246,10 +253,11 @@ class _Doubt(NamedTuple):
     may_be_wrong: bool
 
 
-def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None]:
+def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, float]:
     """Return what the modes of the motion say, or of the first of its last parts that they explain, or the doubt."""
     doubt: _Doubt | None = None
     swings_hz: list[float] = []
+    before: list[Window] = []
     for share in _TAILS:
         window = motion.last(share)
         if window is None:
@@ -258,18 +266,71 @@ def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None]:
             swings_hz = _lasting_hz(window)
         found = _of_part(motion, window)
         if found is None:
+            before.append(window)
             continue
-        if found.kind == "stable" and share < 1.0 and _hides(motion, window, swings_hz):
+        if share < 1.0 and _hides(motion, window, found, before, swings_hz):
             break
+        is_shown = found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window)
+        lasting_n = _lasting_n(before) if found.kind == "stable" and not is_shown else 0.0
+        if lasting_n and not _shows_rest(found, lasting_n, window):
+            continue
+        if _falls_as_before(found, window, before):
+            falls = [own for own in before if _explains(own, motion.hand_n) and _decided(own).kind == "stable"]
+            if len(falls) > 1:
+                return _decided(falls[0]), None, 0.0
+            found = _as_doubt(found)
+        before.append(window)
         if found.kind != "cannot_say" and (doubt is None or _overrules(found, doubt, window, share)):
-            return found, None
+            return _at_the_end(motion, found, window, share), None, 0.0
         may_be_wrong = _may_be_wrong(found, window) if doubt is None else doubt.may_be_wrong
         doubt = _Doubt(found if doubt is None else doubt.found, may_be_wrong or not _leaves_noise(window))
-        if doubt.found.cause is Cause.ON_ITS_WAY:
+        if doubt.found.cause is Cause.ON_ITS_WAY and share < 1.0:
             break
-        if found.frequency_hz and doubt.found is found:
+        if found.frequency_hz and doubt.found is found and found.cause is not Cause.ON_ITS_WAY:
             swings_hz = [*swings_hz, found.frequency_hz]
-    return None, doubt
+    return None, doubt, _lasting_n(before)
+
+
+def _as_doubt(found: Finding) -> Finding:
+    return found._replace(kind="cannot_say", cause=Cause.CHANGE_UNKNOWN)
+
+
+def _falls_as_before(found: Finding, window: Window, before: list[Window]) -> bool:
+    """Return whether what seems to move on in a last part may change there as it surely dies out before."""
+    if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz:
+        return False
+    rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
+    for earlier in before:
+        for mode in earlier.fit.modes:
+            near = abs(mode.frequency_hz - found.frequency_hz) < 1.0 / window.length_s
+            own = SURE_ERRORS * mode.error_per_s
+            large = mode.end_n > 0.5 * found.decisive_n
+            if near and large and classify(mode, earlier) is Fate.FALLING:
+                return rate - mode.growth_per_s < math.hypot(error, own)
+    return False
+
+
+def _at_the_end(motion: _Motion, found: Finding, window: Window, share: float) -> Finding:
+    """Return a finding, or that of a later part which surely contradicts it: what moves is not at rest at its end."""
+    if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz:
+        return found
+    for later_share in _TAILS:
+        later = motion.last(later_share) if later_share < share else None
+        if later is None or later.length_s * found.frequency_hz < LEAST_TURNS:
+            continue
+        if not _leaves_noise(later) or not _explains(later, motion.hand_n) or _cancels(later):
+            continue
+        own = _decided(later)
+        rate = own.growth_per_s or 0.0
+        near = [mode for mode in later.fit.modes if abs(mode.frequency_hz - found.frequency_hz) < 1.0 / later.length_s]
+        differs = any(
+            (found.growth_per_s or 0.0) - mode.growth_per_s
+            > SURE_ERRORS * math.hypot(mode.error_per_s, found.error_per_s)
+            for mode in near
+        )
+        if own.kind == "stable" and rate < 0.0 and near and differs:
+            return own
+    return found
 
 
 def _lasting_hz(window: Window) -> list[float]:
@@ -289,7 +350,7 @@ def _of_part(motion: _Motion, window: Window) -> Finding | None:
     if _is_open(found, window) and not (_fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
         return None
     gone_n = _gone(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
-    if gone_n > ERROR_SHARE * motion.hand_n:
+    if gone_n > max(ERROR_SHARE * motion.hand_n, 2.5 * rms(window.fit.left)):
         # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
         found = _on_its_way(found, gone_n, 4.0 * window.length_s)
     if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
@@ -305,7 +366,7 @@ def _falls_to_the_end(found: Finding, window: Window, motion: _Motion) -> bool:
     Modes that all die out may cancel one another before, so that their sum grows.
     """
     turns = _turns(window.values)
-    if found.kind != "stable" or turns < 2.0 * LEAST_TURNS:
+    if found.kind != "stable" or turns < 2.0 * LEAST_TURNS or (_leaves_noise(window) and not _cancels(window)):
         return True
     sizes = _envelope(window.values, motion, turns)
     return sizes[-1] < min(sizes[0], sizes[_WINDOWS // 2])
@@ -318,7 +379,7 @@ def _may_be_wrong(found: Finding, window: Window) -> bool:
 
 def _overrules(found: Finding, doubt: _Doubt, window: Window, share: float) -> bool:
     """Return whether a last part decides what the whole leaves in doubt: by rest, or by a fit where that was wrong."""
-    if _shows_rest(found, doubt.found, window.fit):
+    if _shows_rest(found, doubt.found.size_n, window):
         return True
     is_long = found.kind == "limit_cycle" or share == _TAILS[1]
     return is_long and doubt.may_be_wrong and _leaves_noise(window)
@@ -337,29 +398,64 @@ def _is_open(found: Finding, window: Window) -> bool:
     return falls or found.cause is Cause.CHANGE_UNKNOWN
 
 
-def _hides(motion: _Motion, window: Window, swings_hz: list[float]) -> bool:
-    """Return whether a last part that is at rest, or comes to it, may hide a swing: it turns less than twice in it."""
+def _hides(
+    motion: _Motion, window: Window, found: Finding, before: list[Window], swings_hz: list[float]
+) -> bool:
+    """Return whether a last part that rests, or runs to one side, may hide a swing: it turns less than twice in it."""
     slowest_hz = min(swings_hz, default=math.inf)
-    if any(max(mode.begin_n, mode.end_n) > motion.small_n for mode in window.fit.modes):
-        half = motion.values[len(motion.values) // 2 :]
-        slowest_hz = min(slowest_hz, _turns(half) / (motion.period_s * len(half)))
-    return slowest_hz * window.length_s < LEAST_TURNS or _recurs(_sizes(motion), motion.small_n)
+    if found.kind == "stable":
+        if any(max(mode.begin_n, mode.end_n) > motion.small_n for mode in window.fit.modes):
+            half = motion.values[len(motion.values) // 2 :]
+            slowest_hz = min(slowest_hz, _turns(half) / (motion.period_s * len(half)))
+        return slowest_hz * window.length_s < LEAST_TURNS or _recurs(_sizes(motion), motion.small_n)
+    if found.kind == "diverged" and found.frequency_hz == 0.0:
+        swings = [
+            mode.frequency_hz
+            for own in before
+            for mode in own.fit.modes
+            if mode.end_n > 0.5 * found.decisive_n and mode.frequency_hz * own.length_s > LEAST_TURNS
+        ]
+        return min(swings, default=math.inf) * window.length_s < LEAST_TURNS
+    return False
 
 
 def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     """Return what the last half does whose fit leaves noise alone, of a motion whose fit leaves more than that."""
     left_n = 2.0 * math.sqrt(2.0) * window.left_n
     half = motion.last(0.5) if left_n > motion.small_n and not _leaves_noise(window) else None
-    if half is None or not _leaves_noise(half) or not _explains(half, motion.hand_n):
+    if half is None or not _explains(half, motion.hand_n):
         return None
     found = _decided(half)
-    return found if found.kind in ("limit_cycle", "diverged") else None
+    if found.kind in ("limit_cycle", "diverged"):
+        return found if _leaves_noise(half) else _as_doubt(found)
+    is_swing = (found.frequency_hz or 0.0) * half.length_s >= LEAST_TURNS
+    seen_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
+    is_large = found.decisive_n > max(motion.small_n, seen_n)
+    return found if found.kind == "cannot_say" and is_swing and is_large else None
 
 
-def _shows_rest(found: Finding, doubt: Finding, fit: Fit) -> bool:
-    """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
-    shown_n = 2.0 * SURE_ERRORS * math.sqrt(2.0 / len(fit.left)) * rms(fit.left)
-    return found.kind == "stable" and found.rest_from_s is not None and doubt.size_n > shown_n
+def _shows_rest(found: Finding, doubted_n: float, window: Window) -> bool:
+    """Return whether a last part is at rest that would show a motion of the size that was in doubt.
+
+    What its modes do not explain is left of it: a motion that is there and was not found is no larger than that.
+    """
+    left_n = 2.0 * math.sqrt(2.0) * rms(window.fit.left)
+    return found.kind == "stable" and found.rest_from_s is not None and doubted_n > _SHOWN_OVER_LEFT * left_n
+
+
+def _lasting_n(before: list[Window]) -> float:
+    """Return the size of the largest swing that earlier parts have at their end and that does not surely die out."""
+    return max(
+        (
+            mode.end_n
+            for own in before
+            for mode in own.fit.modes
+            if mode.end_n > own.unrounded_n
+            and mode.frequency_hz * own.length_s >= LEAST_TURNS
+            and classify(mode, own) is not Fate.FALLING
+        ),
+        default=0.0,
+    )
 
 
 def _explains(window: Window, hand_force_n: float) -> bool:
@@ -502,7 +598,8 @@ def _decided(window: Window) -> Finding:
     fates = [(classify(mode, window), mode) for mode in modes]
     first = {fate: next((mode for own, mode in fates if own is fate), None) for fate in Fate}
     growing, lasting, unsure = first[Fate.GROWING], first[Fate.LASTING], first[Fate.UNSURE]
-    if growing is not None and (lasting is None or growing.end_n >= lasting.end_n):
+    is_doubt = unsure is not None and growing is not None and unsure.end_n > 2.0 * growing.end_n
+    if growing is not None and (lasting is None or growing.end_n >= lasting.end_n) and not is_doubt:
         return _finding("diverged", Cause.GROWS, growing, window)
     if lasting is not None and (unsure is None or unsure.end_n < 2.0 * lasting.end_n):
         lowest_hz = min(mode.frequency_hz for fate, mode in fates if fate is Fate.LASTING)
@@ -605,7 +702,8 @@ def _by_envelope(motion: _Motion) -> Finding:
     if end_n <= small_n and not _recurs(sizes, small_n):
         last = max((k for k, own in enumerate(sizes) if own > small_n), default=-1)
         rest_s = motion.end_s - (_WINDOWS - 1 - last) * window_s
-        if (gone_n := _gone(values)) > ERROR_SHARE * motion.hand_n:
+        rest = values[len(values) * (last + 1) // _WINDOWS :]
+        if len(rest) >= _WINDOWS and (gone_n := _gone(rest)) > ERROR_SHARE * motion.hand_n:
             # it is small in each window, and goes on from one to the next
             return _on_its_way(late, gone_n, 4.0 * _WINDOWS * window_s)
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
@@ -627,14 +725,16 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
     earlier, later = max(sizes[half:-2]), max(sizes[-2:])
     if abs(late) + late_error < 2.0 * LEAST_CHANGE and -late < max(late_error, _LEFT_SHARE * LEAST_CHANGE):
         return Fate.LASTING
-    if whole - whole_error > LEAST_CHANGE and late > 0.0:
+    if whole - whole_error > LEAST_CHANGE and late > 0.0 and sizes[-1] > (1.0 - _LEFT_SHARE) * max(sizes):
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
     early = _trend(sizes[:half], small_n)[0]
     if whole + whole_error < -LEAST_CHANGE and late < 0.0:
         # what falls to a swing that stays falls more slowly at the end
         return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
     stays = max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier
-    return Fate.LASTING if stays and abs(late) < LEAST_TURNS * late_error else Fate.UNSURE
+    # the later half and all of it, each in its own errors, together tell of a fall
+    falls = late / max(late_error, 1e-9) + whole / max(whole_error, 1e-9) < -math.sqrt(2.0)
+    return Fate.LASTING if stays and not falls and abs(late) < LEAST_TURNS * late_error else Fate.UNSURE
 
 
 def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
