@@ -312,7 +312,7 @@ def _falls_as_before(found: Finding, window: Window, before: list[Window]) -> bo
 
 def _at_the_end(motion: _Motion, found: Finding, window: Window, share: float) -> Finding:
     """Return a finding, or that of a later part which surely contradicts it: what moves is not at rest at its end."""
-    if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz:
+    if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz or _leaves_noise(window):
         return found
     for later_share in _TAILS:
         later = motion.last(later_share) if later_share < share else None
