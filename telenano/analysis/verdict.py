@@ -199,11 +199,14 @@ def judge(
 
 def _found(motion: "_Motion") -> Finding:
     """Judge by the modes, and by the envelope where they explain nothing or may be wrong."""
-    found, doubt, lasting_n = _by_parts(motion)
+    found, doubt, before = _by_parts(motion)
+    lasting_n = _lasting_n(before)
     if found is not None:
         return found
     if doubt is None:
         found = _by_envelope(motion)
+        if found.kind == "limit_cycle" and _surely_falls(before):
+            return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
         end_n = 2.0 * math.sqrt(2.0) * rms(centred(motion.values[-max(2, len(motion.values) // 4) :]))
         hidden = found.cause is Cause.AT_REST and 0.0 < lasting_n <= _SHOWN_OVER_LEFT * end_n
         return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=lasting_n) if hidden else found
@@ -211,6 +214,9 @@ def _found(motion: "_Motion") -> Finding:
         # that a motion rests or dies out says its envelope only where nothing else is known of it
         found = _by_envelope(motion)
         is_of_it = doubt.found.decisive_n > 0.5 * found.size_n
+        rate, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
+        if found.kind == "limit_cycle" and (rate + error < 0.0 or _surely_falls(before)):
+            return doubt.found
         is_motion = found.kind in ("limit_cycle", "diverged") or found.cause is Cause.DIES_OUT
         return found if is_motion and is_of_it else doubt.found
     return doubt.found
@@ -253,14 +259,16 @@ class _Doubt(NamedTuple):
     may_be_wrong: bool
 
 
-def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, float]:
+def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, list[Window]]:
     """Return what the modes of the motion say, or of the first of its last parts that they explain, or the doubt."""
     doubt: _Doubt | None = None
     swings_hz: list[float] = []
     before: list[Window] = []
     for share in _TAILS:
+        is_on_its_way = doubt is not None and doubt.found.cause is Cause.ON_ITS_WAY
         window = motion.last(share)
-        if window is None:
+        if window is None or (is_on_its_way and share < 0.5):
+            # a shorter part shows less of a way
             break
         if share == 1.0:
             swings_hz = _lasting_hz(window)
@@ -277,18 +285,16 @@ def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, float]:
         if _falls_as_before(found, window, before):
             falls = [own for own in before if _explains(own, motion.hand_n) and _decided(own).kind == "stable"]
             if len(falls) > 1:
-                return _decided(falls[0]), None, 0.0
+                return _decided(falls[0]), None, before
             found = _as_doubt(found)
         before.append(window)
         if found.kind != "cannot_say" and (doubt is None or _overrules(found, doubt, window, share)):
-            return _at_the_end(motion, found, window, share), None, 0.0
+            return _at_the_end(motion, found, window, share), None, before
         may_be_wrong = _may_be_wrong(found, window) if doubt is None else doubt.may_be_wrong
         doubt = _Doubt(found if doubt is None else doubt.found, may_be_wrong or not _leaves_noise(window))
-        if doubt.found.cause is Cause.ON_ITS_WAY and share < 1.0:
-            break
         if found.frequency_hz and doubt.found is found and found.cause is not Cause.ON_ITS_WAY:
             swings_hz = [*swings_hz, found.frequency_hz]
-    return None, doubt, _lasting_n(before)
+    return None, doubt, before
 
 
 def _as_doubt(found: Finding) -> Finding:
@@ -456,6 +462,16 @@ def _lasting_n(before: list[Window]) -> float:
         ),
         default=0.0,
     )
+
+
+def _surely_falls(before: list[Window]) -> bool:
+    """Return whether the largest swing of a part that is explained surely becomes smaller, by however little."""
+    for own in before:
+        large = max(own.fit.modes, key=lambda mode: mode.end_n, default=None)
+        if large is not None and large.frequency_hz * own.length_s >= 2.0 * LEAST_TURNS and large.end_n > own.small_n:
+            if large.growth_per_s + SURE_ERRORS * large.error_per_s < 0.0 and _explains(own, own.unrounded_n / SMALL_SHARE):
+                return True
+    return False
 
 
 def _explains(window: Window, hand_force_n: float) -> bool:
