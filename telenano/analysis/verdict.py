@@ -36,6 +36,8 @@ LEAST_CHANGE = 0.15
 ONE_SIDED_CHANGE = 1.5
 # standard errors of a growth [1]: chance exceeds them to one side once in 160 times
 SURE_ERRORS = 2.5
+# standard errors [1] of a fall beside which nothing is said to go on: chance exceeds them once in forty times
+LIKELY_ERRORS = 2.0
 # turns [1], or times: what is seen less often may be chance
 LEAST_TURNS = 2.0
 # what an instrument may err by, as a share of the hand's force [1]: drift in a hold, noise, two calibrations, and as a
@@ -205,7 +207,7 @@ def _found(motion: "_Motion") -> Finding:
         return found
     if doubt is None:
         found = _by_envelope(motion)
-        if found.kind == "limit_cycle" and _surely_falls(before):
+        if found.kind == "limit_cycle" and _seems_to_fall(before):
             return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
         end_n = 2.0 * math.sqrt(2.0) * rms(centred(motion.values[-max(2, len(motion.values) // 4) :]))
         hidden = found.cause is Cause.AT_REST and 0.0 < lasting_n <= _SHOWN_OVER_LEFT * end_n
@@ -215,7 +217,7 @@ def _found(motion: "_Motion") -> Finding:
         found = _by_envelope(motion)
         is_of_it = doubt.found.decisive_n > 0.5 * found.size_n
         rate, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
-        if found.kind == "limit_cycle" and (rate + error < 0.0 or _surely_falls(before)):
+        if found.kind == "limit_cycle" and (rate + error < 0.0 or _seems_to_fall(before)):
             return doubt.found
         is_motion = found.kind in ("limit_cycle", "diverged") or found.cause is Cause.DIES_OUT
         return found if is_motion and is_of_it else doubt.found
@@ -343,7 +345,7 @@ def _lasting_hz(window: Window) -> list[float]:
     """Return the frequencies of the large swings of a motion that do not die out."""
     lasts = -LEAST_CHANGE / window.length_s
     large = [mode for mode in window.fit.modes if mode.end_n > window.small_n and mode.growth_per_s > lasts]
-    return [mode.frequency_hz for mode in large if mode.frequency_hz]
+    return [mode.frequency_hz for mode in large if mode.frequency_hz * window.length_s >= 1.0]
 
 
 def _of_part(motion: _Motion, window: Window) -> Finding | None:
@@ -464,12 +466,12 @@ def _lasting_n(before: list[Window]) -> float:
     )
 
 
-def _surely_falls(before: list[Window]) -> bool:
-    """Return whether the largest swing of a part that is explained surely becomes smaller, by however little."""
+def _seems_to_fall(before: list[Window]) -> bool:
+    """Return whether the largest swing of a part that is explained becomes smaller, by however little, as it seems."""
     for own in before:
         large = max(own.fit.modes, key=lambda mode: mode.end_n, default=None)
         if large is not None and large.frequency_hz * own.length_s >= 2.0 * LEAST_TURNS and large.end_n > own.small_n:
-            if large.growth_per_s + SURE_ERRORS * large.error_per_s < 0.0 and _explains(own, own.unrounded_n / SMALL_SHARE):
+            if large.growth_per_s + LIKELY_ERRORS * large.error_per_s < 0.0 and _explains(own, own.unrounded_n / SMALL_SHARE):
                 return True
     return False
 
