@@ -51,6 +51,8 @@ _LEFT_SHARE = 2.0 * ERROR_SHARE
 _FLOOR_SHARE = 1e-7
 # a motion that is there is as large as what a fit leaves [1]; sizes of few turns err by a third
 _SHOWN_OVER_LEFT = 1.5
+# a way is half of what is left, in power, where it is this multiple of its root mean square [1]
+_WAY_OVER_LEFT = 2.5
 _TAILS = (1.0, 0.5, 0.25, 0.125)
 _WINDOWS = 8
 # octaves of a spectrum that tell noise from a motion [1]
@@ -200,28 +202,40 @@ def judge(
 
 
 def _found(motion: "_Motion") -> Finding:
-    """Judge by the modes, and by the envelope where they explain nothing or may be wrong."""
-    found, doubt, before = _by_parts(motion)
-    lasting_n = _lasting_n(before)
+    """Judge by the modes of the motion and of its last parts, and by its envelope where these may be wrong.
+
+    | the modes                                 | the envelope                                   | counts       |
+    |---|---|---|
+    | decide                                    | is not looked at                               | what they say |
+    | are in doubt, and their fit may be wrong  | moves or dies out, and is mostly of that motion | the envelope |
+    | are in doubt otherwise                    | is anything                                    | the doubt    |
+    | explain nothing, and a swing in them lasts | is at rest, and does not show that it is not there | a doubt  |
+    | explain nothing                           | is anything else                               | the envelope |
+
+    An envelope does not go on whose largest swing seems to become smaller.
+    """
+    found, doubt, parts = _by_parts(motion)
     if found is not None:
         return found
-    if doubt is None:
-        found = _by_envelope(motion)
-        if found.kind == "limit_cycle" and _seems_to_fall(before):
-            return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
-        end_n = 2.0 * math.sqrt(2.0) * rms(centred(motion.values[-max(2, len(motion.values) // 4) :]))
-        hidden = found.cause is Cause.AT_REST and 0.0 < lasting_n <= _SHOWN_OVER_LEFT * end_n
-        return found._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=lasting_n) if hidden else found
-    if doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong:
-        # that a motion rests or dies out says its envelope only where nothing else is known of it
-        found = _by_envelope(motion)
-        is_of_it = doubt.found.decisive_n > 0.5 * found.size_n
-        rate, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
-        if found.kind == "limit_cycle" and (rate + error < 0.0 or _seems_to_fall(before)):
-            return doubt.found
-        is_motion = found.kind in ("limit_cycle", "diverged") or found.cause is Cause.DIES_OUT
-        return found if is_motion and is_of_it else doubt.found
-    return doubt.found
+    envelope = _by_envelope(motion)
+    seems_to_fall = envelope.kind == "limit_cycle" and _seems_to_fall(parts)
+    if doubt is not None:
+        return doubt.found if seems_to_fall or not _settles(envelope, doubt) else envelope
+    lasting_n = _lasting_n(parts) if envelope.cause is Cause.AT_REST else 0.0
+    if seems_to_fall or (lasting_n and not _shown_beside(lasting_n, motion.values[-len(motion.values) // 4 :])):
+        return envelope._replace(
+            kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=max(lasting_n, envelope.size_n), rest_from_s=None
+        )
+    return envelope
+
+
+def _settles(envelope: Finding, doubt: "_Doubt") -> bool:
+    """Return whether an envelope decides what is in doubt: it moves or dies out, and is mostly of that motion."""
+    growth, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
+    is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0
+    is_motion = is_cycle or envelope.kind == "diverged" or envelope.cause is Cause.DIES_OUT
+    is_of_it = doubt.found.decisive_n > 0.5 * envelope.size_n
+    return doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong and is_motion and is_of_it
 
 
 class _Motion(NamedTuple):
@@ -262,64 +276,88 @@ class _Doubt(NamedTuple):
 
 
 def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, list[Window]]:
-    """Return what the modes of the motion say, or of the first of its last parts that they explain, or the doubt."""
+    """Return what the modes of the motion say, or of the first of its last parts that decides; else the doubt.
+
+    The parts are returned as well, of which none decided.
+    """
     doubt: _Doubt | None = None
     swings_hz: list[float] = []
-    before: list[Window] = []
+    earlier: list[Window] = []
     for share in _TAILS:
-        is_on_its_way = doubt is not None and doubt.found.cause is Cause.ON_ITS_WAY
         window = motion.last(share)
-        if window is None or (is_on_its_way and share < 0.5):
-            # a shorter part shows less of a way
+        # less than half of a motion shows too little of a force on its way
+        is_short = share < _TAILS[1] and doubt is not None and doubt.found.cause is Cause.ON_ITS_WAY
+        if window is None or is_short:
             break
-        if share == 1.0:
-            swings_hz = _lasting_hz(window)
         found = _of_part(motion, window)
-        if found is None:
-            before.append(window)
-            continue
-        if share < 1.0 and _hides(motion, window, found, before, swings_hz):
+        if not earlier:
+            swings_hz = _lasting_hz(window)
+        elif found is not None and _hides(motion, window, found, earlier, swings_hz):
             break
-        is_shown = found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window)
-        lasting_n = _lasting_n(before) if found.kind == "stable" and not is_shown else 0.0
-        if lasting_n and not _shows_rest(found, lasting_n, window):
+        else:
+            found = _beside(earlier, found, window, motion.hand_n)
+        earlier.append(window)
+        if found is None:
             continue
-        if _falls_as_before(found, window, before):
-            falls = [own for own in before if _explains(own, motion.hand_n) and _decided(own).kind == "stable"]
-            if len(falls) > 1:
-                return _decided(falls[0]), None, before
-            found = _as_doubt(found)
-        before.append(window)
         if found.kind != "cannot_say" and (doubt is None or _overrules(found, doubt, window, share)):
-            return _at_the_end(motion, found, window, share), None, before
+            return _at_the_end(motion, found, window, share), None, earlier
         may_be_wrong = _may_be_wrong(found, window) if doubt is None else doubt.may_be_wrong
         doubt = _Doubt(found if doubt is None else doubt.found, may_be_wrong or not _leaves_noise(window))
         if found.frequency_hz and doubt.found is found and found.cause is not Cause.ON_ITS_WAY:
             swings_hz = [*swings_hz, found.frequency_hz]
-    return None, doubt, before
+    return None, doubt, earlier
+
+
+def _beside(earlier: list[Window], found: Finding | None, window: Window, hand_n: float) -> Finding | None:
+    """Return what a last part says beside the parts that it is in the end of; None where it says nothing new.
+
+    | the part           | the parts before it                                  | it says           |
+    |---|---|---|
+    | is at rest         | show a swing that it would not                       | nothing           |
+    | goes on, or grows  | fall twice, and it does not surely change otherwise  | what the first says |
+    | goes on, or grows  | fall once, and it does not surely change otherwise   | a doubt           |
+    | is anything else   | are anything                                         | what it says      |
+    """
+    if found is None:
+        return None
+    if found.kind == "stable":
+        falls = found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window)
+        lasting_n = 0.0 if falls else _lasting_n(earlier)
+        return None if lasting_n and not _shows_rest(found, lasting_n, window) else found
+    if not _falls_as_before(found, window, earlier):
+        return found
+    before = [_decided(own) for own in earlier if _explains(own, hand_n)]
+    stable = [own for own in before if own.kind == "stable"]
+    return stable[0] if len(stable) > 1 else _as_doubt(found)
 
 
 def _as_doubt(found: Finding) -> Finding:
     return found._replace(kind="cannot_say", cause=Cause.CHANGE_UNKNOWN)
 
 
-def _falls_as_before(found: Finding, window: Window, before: list[Window]) -> bool:
-    """Return whether what seems to move on in a last part may change there as it surely dies out before."""
+def _near(window: Window, frequency_hz: float, apart_hz: float) -> list[Mode]:
+    """Return the modes that are less than that apart from a frequency."""
+    return [mode for mode in window.fit.modes if abs(mode.frequency_hz - frequency_hz) < apart_hz]
+
+
+def _falls_as_before(found: Finding, window: Window, earlier: list[Window]) -> bool:
+    """Return whether what goes on or grows in a last part may change there as it surely dies out before."""
     if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz:
         return False
-    rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
-    for earlier in before:
-        for mode in earlier.fit.modes:
-            near = abs(mode.frequency_hz - found.frequency_hz) < 1.0 / window.length_s
-            own = SURE_ERRORS * mode.error_per_s
-            large = mode.end_n > 0.5 * found.decisive_n
-            if near and large and classify(mode, earlier) is Fate.FALLING:
-                return rate - mode.growth_per_s < math.hypot(error, own)
-    return False
+    near = [(mode, own) for own in earlier for mode in _near(own, found.frequency_hz, 1.0 / window.length_s)]
+    falling = [
+        mode for mode, own in near if mode.end_n > 0.5 * found.decisive_n and classify(mode, own) is Fate.FALLING
+    ]
+    return bool(falling) and not _grows_more(found.growth_per_s or 0.0, found.error_per_s, falling[0])
+
+
+def _grows_more(growth_per_s: float, error_per_s: float, mode: Mode) -> bool:
+    """Return whether a growth is surely larger than that of a mode."""
+    return growth_per_s - mode.growth_per_s > SURE_ERRORS * math.hypot(error_per_s, mode.error_per_s)
 
 
 def _at_the_end(motion: _Motion, found: Finding, window: Window, share: float) -> Finding:
-    """Return a finding, or that of a later part which surely contradicts it: what moves is not at rest at its end."""
+    """Return a finding, or that of a later part by which the motion surely dies out where its fit is not sure."""
     if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz or _leaves_noise(window):
         return found
     for later_share in _TAILS:
@@ -328,15 +366,9 @@ def _at_the_end(motion: _Motion, found: Finding, window: Window, share: float) -
             continue
         if not _leaves_noise(later) or not _explains(later, motion.hand_n) or _cancels(later):
             continue
-        own = _decided(later)
-        rate = own.growth_per_s or 0.0
-        near = [mode for mode in later.fit.modes if abs(mode.frequency_hz - found.frequency_hz) < 1.0 / later.length_s]
-        differs = any(
-            (found.growth_per_s or 0.0) - mode.growth_per_s
-            > SURE_ERRORS * math.hypot(mode.error_per_s, found.error_per_s)
-            for mode in near
-        )
-        if own.kind == "stable" and rate < 0.0 and near and differs:
+        own, near = _decided(later), _near(later, found.frequency_hz, 1.0 / later.length_s)
+        differs = any(_grows_more(found.growth_per_s or 0.0, found.error_per_s, mode) for mode in near)
+        if own.kind == "stable" and (own.growth_per_s or 0.0) < 0.0 and differs:
             return own
     return found
 
@@ -358,7 +390,7 @@ def _of_part(motion: _Motion, window: Window) -> Finding | None:
     if _is_open(found, window) and not (_fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
         return None
     gone_n = _gone(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
-    if gone_n > max(ERROR_SHARE * motion.hand_n, 2.5 * rms(window.fit.left)):
+    if gone_n > max(ERROR_SHARE * motion.hand_n, _WAY_OVER_LEFT * rms(window.fit.left)):
         # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
         found = _on_its_way(found, gone_n, 4.0 * window.length_s)
     if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
@@ -406,73 +438,68 @@ def _is_open(found: Finding, window: Window) -> bool:
     return falls or found.cause is Cause.CHANGE_UNKNOWN
 
 
-def _hides(
-    motion: _Motion, window: Window, found: Finding, before: list[Window], swings_hz: list[float]
-) -> bool:
+def _hides(motion: _Motion, window: Window, found: Finding, earlier: list[Window], swings_hz: list[float]) -> bool:
     """Return whether a last part that rests, or runs to one side, may hide a swing: it turns less than twice in it."""
     slowest_hz = min(swings_hz, default=math.inf)
-    if found.kind == "stable":
-        if any(max(mode.begin_n, mode.end_n) > motion.small_n for mode in window.fit.modes):
-            half = motion.values[len(motion.values) // 2 :]
-            slowest_hz = min(slowest_hz, _turns(half) / (motion.period_s * len(half)))
-        return slowest_hz * window.length_s < LEAST_TURNS or _recurs(_sizes(motion), motion.small_n)
     if found.kind == "diverged" and found.frequency_hz == 0.0:
-        swings = [
-            mode.frequency_hz
-            for own in before
-            for mode in own.fit.modes
-            if mode.end_n > 0.5 * found.decisive_n and mode.frequency_hz * own.length_s > LEAST_TURNS
-        ]
-        return min(swings, default=math.inf) * window.length_s < LEAST_TURNS
-    return False
+        modes = [(mode, own.length_s) for own in earlier for mode in own.fit.modes]
+        large = [(mode.frequency_hz, length_s) for mode, length_s in modes if mode.end_n > 0.5 * found.decisive_n]
+        slowest_hz = min((own_hz for own_hz, length_s in large if own_hz * length_s > LEAST_TURNS), default=math.inf)
+        return slowest_hz * window.length_s < LEAST_TURNS
+    if found.kind != "stable":
+        return False
+    if any(max(mode.begin_n, mode.end_n) > motion.small_n for mode in window.fit.modes):
+        half = motion.values[len(motion.values) // 2 :]
+        slowest_hz = min(slowest_hz, _turns(half) / (motion.period_s * len(half)))
+    return slowest_hz * window.length_s < LEAST_TURNS or _recurs(_sizes(motion), motion.small_n)
 
 
 def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
-    """Return what the last half does whose fit leaves noise alone, of a motion whose fit leaves more than that."""
+    """Return what the last half says of a large swing, of a motion whose fit leaves more than noise; else None.
+
+    Where the fit of the half leaves more than noise as well, that it goes on or grows is a doubt.
+    """
     left_n = 2.0 * math.sqrt(2.0) * window.left_n
-    half = motion.last(0.5) if left_n > motion.small_n and not _leaves_noise(window) else None
+    half = motion.last(_TAILS[1]) if left_n > motion.small_n and not _leaves_noise(window) else None
     if half is None or not _explains(half, motion.hand_n):
         return None
     found = _decided(half)
     if found.kind in ("limit_cycle", "diverged"):
         return found if _leaves_noise(half) else _as_doubt(found)
     is_swing = (found.frequency_hz or 0.0) * half.length_s >= LEAST_TURNS
-    seen_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
-    is_large = found.decisive_n > max(motion.small_n, seen_n)
+    # a line that is found in what is left has this size
+    line_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
+    is_large = found.decisive_n > max(motion.small_n, line_n)
     return found if found.kind == "cannot_say" and is_swing and is_large else None
 
 
 def _shows_rest(found: Finding, doubted_n: float, window: Window) -> bool:
-    """Return whether a last part is at rest that would show a motion of the size that was in doubt.
-
-    What its modes do not explain is left of it: a motion that is there and was not found is no larger than that.
-    """
-    left_n = 2.0 * math.sqrt(2.0) * rms(window.fit.left)
-    return found.kind == "stable" and found.rest_from_s is not None and doubted_n > _SHOWN_OVER_LEFT * left_n
+    """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
+    return found.kind == "stable" and found.rest_from_s is not None and _shown_beside(doubted_n, window.fit.left)
 
 
-def _lasting_n(before: list[Window]) -> float:
-    """Return the size of the largest swing that earlier parts have at their end and that does not surely die out."""
-    return max(
-        (
-            mode.end_n
-            for own in before
-            for mode in own.fit.modes
-            if mode.end_n > own.unrounded_n
-            and mode.frequency_hz * own.length_s >= LEAST_TURNS
-            and classify(mode, own) is not Fate.FALLING
-        ),
-        default=0.0,
-    )
+def _shown_beside(swing_n: float, left: Series) -> bool:
+    """Return whether a swing would be seen: one that is in what is left is not larger than that, but for its error."""
+    return swing_n > _SHOWN_OVER_LEFT * 2.0 * math.sqrt(2.0) * rms(centred(left))
 
 
-def _seems_to_fall(before: list[Window]) -> bool:
+def _lasting_n(parts: list[Window]) -> float:
+    """Return the size of the largest swing that parts have at their end and that does not surely die out; 0 of none."""
+    modes = [(mode, own) for own in parts for mode in own.fit.modes]
+    swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
+    large = [(mode, own) for mode, own in swings if mode.end_n > own.unrounded_n]
+    return max((mode.end_n for mode, own in large if classify(mode, own) is not Fate.FALLING), default=0.0)
+
+
+def _seems_to_fall(parts: list[Window]) -> bool:
     """Return whether the largest swing of a part that is explained becomes smaller, by however little, as it seems."""
-    for own in before:
+    for own in parts:
         large = max(own.fit.modes, key=lambda mode: mode.end_n, default=None)
-        if large is not None and large.frequency_hz * own.length_s >= 2.0 * LEAST_TURNS and large.end_n > own.small_n:
-            if large.growth_per_s + LIKELY_ERRORS * large.error_per_s < 0.0 and _explains(own, own.unrounded_n / SMALL_SHARE):
-                return True
+        if large is None or large.frequency_hz * own.length_s < 2.0 * LEAST_TURNS or large.end_n <= own.small_n:
+            continue
+        falls = large.growth_per_s + LIKELY_ERRORS * large.error_per_s < 0.0
+        if falls and _explains(own, own.unrounded_n / SMALL_SHARE):
+            return True
     return False
 
 
