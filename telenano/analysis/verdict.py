@@ -55,6 +55,8 @@ _SHOWN_OVER_LEFT = 1.5
 _WAY_OVER_LEFT = 2.5
 _TAILS = (1.0, 0.5, 0.25, 0.125)
 _WINDOWS = 8
+# what goes on is in its last window no less than this part of what it was [1]: a third of a turn goes as far
+_LEAST_END = 1.0 / 3.0
 # octaves of a spectrum that tell noise from a motion [1]
 _OCTAVES = 4
 # an octave with more than this of the density of white noise shows another motion [1]
@@ -295,7 +297,7 @@ def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, list[Wind
         elif found is not None and _hides(motion, window, found, earlier, swings_hz):
             break
         else:
-            found = _beside(earlier, found, window, motion.hand_n)
+            found = _beside(earlier, found, window, motion)
         earlier.append(window)
         if found is None:
             continue
@@ -308,7 +310,7 @@ def _by_parts(motion: _Motion) -> tuple[Finding | None, _Doubt | None, list[Wind
     return None, doubt, earlier
 
 
-def _beside(earlier: list[Window], found: Finding | None, window: Window, hand_n: float) -> Finding | None:
+def _beside(earlier: list[Window], found: Finding | None, window: Window, motion: _Motion) -> Finding | None:
     """Return what a last part says beside the parts that it is in the end of; None where it says nothing new.
 
     | the part           | the parts before it                                  | it says           |
@@ -321,14 +323,23 @@ def _beside(earlier: list[Window], found: Finding | None, window: Window, hand_n
     if found is None:
         return None
     if found.kind == "stable":
-        falls = found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window)
+        falls = (
+            found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window) and _is_less_at_end(motion)
+        )
         lasting_n = 0.0 if falls else _lasting_n(earlier)
         return None if lasting_n and not _shows_rest(found, lasting_n, window) else found
     if not _falls_as_before(found, window, earlier):
         return found
-    before = [_decided(own) for own in earlier if _explains(own, hand_n)]
+    before = [_decided(own) for own in earlier if _explains(own, motion.hand_n)]
     stable = [own for own in before if own.kind == "stable"]
     return stable[0] if len(stable) > 1 else _as_doubt(found)
+
+
+def _is_less_at_end(motion: _Motion) -> bool:
+    """Return whether a motion is smaller in its last window than in the one before; one of few turns does not show."""
+    turns = _turns(motion.values)
+    sizes = _envelope(motion.values, motion, turns)
+    return turns < _WINDOWS or sizes[-1] < sizes[-2]
 
 
 def _as_doubt(found: Finding) -> Finding:
@@ -758,7 +769,8 @@ def _by_envelope(motion: _Motion) -> Finding:
         return Finding("diverged", Cause.GROWS, sizes[-1], rate, sizes[-1])
     if fate is Fate.FALLING:
         return Finding("stable", Cause.DIES_OUT, sizes[-1], rate, sizes[-1])
-    if fate is Fate.LASTING or (_recurs(sizes, small_n) and max(sizes[-3:]) > 0.5 * max(sizes)):
+    goes_on = fate is Fate.LASTING and sizes[-1] > _LEAST_END * late.size_n
+    if goes_on or (_recurs(sizes, small_n) and max(sizes[-3:]) > 0.5 * max(sizes)):
         return late._replace(kind="limit_cycle", cause=Cause.IRREGULAR)
     return late
 
