@@ -223,8 +223,9 @@ def _found(motion: "_Motion") -> Finding:
     seems_to_fall = envelope.kind == "limit_cycle" and _seems_to_fall(parts)
     if doubt is not None:
         return doubt.found if seems_to_fall or not _settles(envelope, doubt) else envelope
-    lasting_n = _lasting_n(parts) if envelope.cause is Cause.AT_REST else 0.0
-    if seems_to_fall or (lasting_n and not _shown_beside(lasting_n, motion.values[-len(motion.values) // 4 :])):
+    lasting_n, at_hz = _lasting(parts) if envelope.cause is Cause.AT_REST else (0.0, 0.0)
+    last = motion.values[-max(2, len(motion.values) // 4) :]
+    if seems_to_fall or (lasting_n and not _shown_beside(lasting_n, at_hz, last, motion.period_s * len(last))):
         return envelope._replace(
             kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=max(lasting_n, envelope.size_n), rest_from_s=None
         )
@@ -326,8 +327,8 @@ def _beside(earlier: list[Window], found: Finding | None, window: Window, motion
         falls = (
             found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window) and _is_less_at_end(motion)
         )
-        lasting_n = 0.0 if falls else _lasting_n(earlier)
-        return None if lasting_n and not _shows_rest(found, lasting_n, window) else found
+        lasting_n, at_hz = (0.0, 0.0) if falls else _lasting(earlier)
+        return None if lasting_n and not _shows_rest(found, lasting_n, at_hz, window) else found
     if not _falls_as_before(found, window, earlier):
         return found
     before = [_decided(own) for own in earlier if _explains(own, motion.hand_n)]
@@ -430,7 +431,7 @@ def _may_be_wrong(found: Finding, window: Window) -> bool:
 
 def _overrules(found: Finding, doubt: _Doubt, window: Window, share: float) -> bool:
     """Return whether a last part decides what the whole leaves in doubt: by rest, or by a fit where that was wrong."""
-    if _shows_rest(found, doubt.found.size_n, window):
+    if _shows_rest(found, doubt.found.size_n, doubt.found.frequency_hz or 0.0, window):
         return True
     is_long = found.kind == "limit_cycle" or share == _TAILS[1]
     return is_long and doubt.may_be_wrong and _leaves_noise(window)
@@ -484,22 +485,37 @@ def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     return found if found.kind == "cannot_say" and is_swing and is_large else None
 
 
-def _shows_rest(found: Finding, doubted_n: float, window: Window) -> bool:
-    """Return whether a last part is at rest that would show a motion of the size that was in doubt."""
-    return found.kind == "stable" and found.rest_from_s is not None and _shown_beside(doubted_n, window.fit.left)
+def _shows_rest(found: Finding, swing_n: float, frequency_hz: float, window: Window) -> bool:
+    """Return whether a last part is at rest that would show a swing of a size and a frequency."""
+    at_rest = found.kind == "stable" and found.rest_from_s is not None
+    return at_rest and _shown_beside(swing_n, frequency_hz, window.fit.left, window.length_s)
 
 
-def _shown_beside(swing_n: float, left: Series) -> bool:
-    """Return whether a swing would be seen: one that is in what is left is not larger than that, but for its error."""
-    return swing_n > _SHOWN_OVER_LEFT * 2.0 * math.sqrt(2.0) * rms(centred(left))
+def _shown_beside(swing_n: float, frequency_hz: float, left: Series, length_s: float) -> bool:
+    """Return whether a swing would be seen: what is left is smaller, or is as large and has little at its frequency."""
+    left_n = 2.0 * math.sqrt(2.0) * rms(centred(left))
+    if swing_n > _SHOWN_OVER_LEFT * left_n or frequency_hz * length_s < 1.0:
+        return swing_n > _SHOWN_OVER_LEFT * left_n
+    # the frequency is not known better than to half a turn in the part
+    lines_n = [_line_n(left, frequency_hz * length_s + 0.25 * k) for k in range(-2, 3)]
+    return swing_n > left_n / _SHOWN_OVER_LEFT and max(lines_n) < 0.5 * swing_n
 
 
-def _lasting_n(parts: list[Window]) -> float:
-    """Return the size of the largest swing that parts have at their end and that does not surely die out; 0 of none."""
+def _line_n(left: Series, turns: float) -> float:
+    """Return from peak to peak what a series has at a line that turns so often in it [N]."""
+    angle = 2.0 * math.pi * turns * np.arange(len(left)) / max(1, len(left) - 1)
+    bare = centred(left)
+    cosine, sine = (float(np.cumsum(bare * wave)[-1]) for wave in (np.cos(angle), np.sin(angle)))
+    return 4.0 * math.hypot(cosine, sine) / len(left)
+
+
+def _lasting(parts: list[Window]) -> tuple[float, float]:
+    """Return size and frequency of the largest swing that lasts at the end of parts: it does not surely die out."""
     modes = [(mode, own) for own in parts for mode in own.fit.modes]
     swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
     large = [(mode, own) for mode, own in swings if mode.end_n > own.unrounded_n]
-    return max((mode.end_n for mode, own in large if classify(mode, own) is not Fate.FALLING), default=0.0)
+    lasting = [mode for mode, own in large if classify(mode, own) is not Fate.FALLING]
+    return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
 
 
 def _seems_to_fall(parts: list[Window]) -> bool:
