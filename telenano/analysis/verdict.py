@@ -481,7 +481,9 @@ def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     is_swing = (found.frequency_hz or 0.0) * half.length_s >= LEAST_TURNS
     # a line that is found in what is left has this size
     line_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
-    is_large = found.decisive_n > max(motion.small_n, line_n)
+    last = half.values[len(half.values) // 2 :]
+    stays_n = 2.0 * _line_n(last, 0.5 * (found.frequency_hz or 0.0) * half.length_s)
+    is_large = min(found.decisive_n, stays_n) > max(motion.small_n, line_n)
     return found if found.kind == "cannot_say" and is_swing and is_large else None
 
 
@@ -514,7 +516,7 @@ def _lasting(parts: list[Window]) -> tuple[float, float]:
     modes = [(mode, own) for own in parts for mode in own.fit.modes]
     swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
     large = [(mode, own) for mode, own in swings if mode.end_n > own.unrounded_n]
-    lasting = [mode for mode, own in large if classify(mode, own) is not Fate.FALLING]
+    lasting = [mode for mode, own in large if classify(mode, own) not in (Fate.FALLING, Fate.NEGLIGIBLE)]
     return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
 
 
