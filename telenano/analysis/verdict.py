@@ -9,9 +9,11 @@ mode what it does, and `_decided` what the motion does by the largest mode of th
 on, is not known. Else the force is at rest.
 
 A fit is believed where it leaves noise alone and no mode bends away from its exponential. Where it is not, the last
-half, quarter and eighth are fitted: a blow, a landing and a growth that has reached its limit come before that. What no
-modes explain is judged by its envelope, the size of the motion in eight windows. A motion is at rest only if its end
-is: a motion that dies out, and is still large at its end, has to become smaller there as well.
+half, quarter and eighth are fitted: a blow, a landing and a growth that has reached its limit come before that. A short
+part knows a growth less well than the whole: it decides only what it surely tells otherwise (`_beside`). What no modes
+explain is judged by its envelope, the size of the motion in eight windows. A motion is at rest, and goes on, only if
+its end is and does: a swing that may last is at rest only in a part that would show it, and what goes on by a fit that
+leaves more than noise may surely die out in a later part.
 """
 
 import math
@@ -87,6 +89,7 @@ class Cause(Enum):
     ON_ITS_WAY = auto()
     CHANGE_UNKNOWN = auto()
     IRREGULAR_UNKNOWN = auto()
+    WITHIN_A_STEP = auto()
     GROWS = auto()
     GOES_ON = auto()
     IRREGULAR = auto()
@@ -153,6 +156,11 @@ class Window(NamedTuple):
     @property
     def left_n(self) -> float:
         return rms(self.fit.left[-max(2, len(self.fit.left) // 4) :])
+
+    @property
+    def last(self) -> Series:
+        """The force in the last quarter [N]."""
+        return self.values[-max(2, len(self.values) // 4) :]
 
     @property
     def noise_n(self) -> float:
@@ -225,10 +233,12 @@ def _found(motion: "_Motion") -> Finding:
         return doubt.found if seems_to_fall or not _settles(envelope, doubt) else envelope
     lasting_n, at_hz = _lasting(parts) if envelope.cause is Cause.AT_REST else (0.0, 0.0)
     last = motion.values[-max(2, len(motion.values) // 4) :]
-    if seems_to_fall or (lasting_n and not _shown_beside(lasting_n, at_hz, last, motion.period_s * len(last))):
-        return envelope._replace(
-            kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN, size_n=max(lasting_n, envelope.size_n), rest_from_s=None
-        )
+    if seems_to_fall:
+        return envelope._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
+    if lasting_n and not _shown_beside(lasting_n, at_hz, last, motion.period_s * len(last)):
+        needs_n = SMALL_SHARE * motion.hand_n
+        cause = Cause.WITHIN_A_STEP if needs_n < lasting_n <= motion.small_n else Cause.IRREGULAR_UNKNOWN
+        return Finding("cannot_say", cause, lasting_n, envelope.growth_per_s, lasting_n, needs_noise_n=needs_n)
     return envelope
 
 
@@ -515,7 +525,8 @@ def _lasting(parts: list[Window]) -> tuple[float, float]:
     """Return size and frequency of the largest swing that lasts at the end of parts: it does not surely die out."""
     modes = [(mode, own) for own in parts for mode in own.fit.modes]
     swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
-    large = [(mode, own) for mode, own in swings if mode.end_n > own.unrounded_n]
+    # the first line of a motion between two forces is larger than the motion
+    large = [(mode, own) for mode, own in swings if min(mode.end_n, float(np.ptp(own.last))) > own.unrounded_n]
     lasting = [mode for mode, own in large if classify(mode, own) not in (Fate.FALLING, Fate.NEGLIGIBLE)]
     return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
 
@@ -958,6 +969,8 @@ def _sentence(found: Finding, noise_n: float) -> str:
         Cause.CHANGE_UNKNOWN: f"a motion of {swing} changes by {rate:.2g} ± {found.error_per_s:.2g}/s: a hold of "
         f"{found.needs_s:.2g} s or more{less} would decide",
         Cause.IRREGULAR_UNKNOWN: f"{cycle} continues irregularly: a longer hold would decide",
+        Cause.WITHIN_A_STEP: f"{cycle} is no larger than a step of the read-out: steps of less than "
+        f"{found.needs_noise_n:.2g} N would decide",
         Cause.GROWS: f"a motion of {swing} grows by {rate:.3g}/s",
         Cause.GOES_ON: f"{cycle}{turns} neither grows nor dies out",
         Cause.IRREGULAR: f"{cycle} continues irregularly",

@@ -185,11 +185,13 @@ def test_a_cycle_goes_as_far_as_all_its_lines_together(harmonic: float, noise_n:
 
 
 @pytest.mark.parametrize("size_n", [0.07, 0.2, 0.4])
-def test_a_motion_between_two_forces_is_at_rest_only_in_a_read_out_that_rounds_throughout(size_n: float) -> None:
+def test_a_motion_between_two_forces_is_a_cycle_unless_the_read_out_rounds_to_them(size_n: float) -> None:
     values = 1.0 + np.where(TIME_S % 0.2 < 0.1, size_n, 0.0)
     assert judge(TIME_S, values, 1.0, step_n=0.0).kind == "limit_cycle"
     if size_n < 0.3:
-        assert judge(TIME_S, values, 1.0, step_n=size_n).kind == "stable"
+        found = judge(TIME_S, values, 1.0, step_n=size_n)
+        assert (found.kind, found.cause) == ("cannot_say", Cause.WITHIN_A_STEP)
+    assert judge(TIME_S, 1.0 + 0.1 * (values - 1.0), 1.0, step_n=0.1 * size_n).kind == "stable"
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -251,6 +253,42 @@ def test_a_large_swing_that_dies_beside_one_that_stays_is_not_rest() -> None:
     dies = 2.0 * np.exp(-time_s) * np.cos(2.0 * np.pi * 17.0 * time_s)
     assert judge(time_s, 1.0 + dies + 0.1 * np.cos(2.0 * np.pi * 8.0 * time_s), 1.0).kind == "limit_cycle"
     assert judge(time_s, 1.0 + dies, 1.0).kind == "stable"
+
+
+SINCE_S = 1e-3 * np.arange(3000)
+
+
+def test_beats_that_die_out_are_not_said_to_go_on_whatever_the_beat_is_at_at_the_end() -> None:
+    """The last window of the envelope is larger than the ones before, and both lines die out by a third."""
+    fade = np.exp(-0.15 * SINCE_S)
+    for phase in np.arange(0.0, 6.0, 1.5):
+        lines = np.cos(2.0 * np.pi * 20.0 * SINCE_S) + 0.5 * np.cos(2.0 * np.pi * 21.6 * SINCE_S + phase)
+        found = judge(SINCE_S, 1.0 + 0.3 * fade * lines + noise(1e-3, len(SINCE_S), 5), 1.0)
+        assert (found.kind, found.cause) == ("stable", Cause.DIES_OUT)
+
+
+@pytest.mark.parametrize("dies_at_s", [0.8, 1.5, 2.1])
+def test_what_dies_out_since_a_step_of_the_delay_is_stable(dies_at_s: float) -> None:
+    """It grows to six times the hand's force before, which is most of what the whole hold shows."""
+    late_s = np.maximum(SINCE_S - dies_at_s, 0.0)
+    size_n = 3.0 * np.exp(3.0 * (np.minimum(SINCE_S, dies_at_s) - dies_at_s) - 2.0 * late_s)
+    turns = 9.0 * np.minimum(SINCE_S, dies_at_s) + 7.0 * late_s
+    values = 8.0 + size_n * np.cos(2.0 * np.pi * turns) + noise(0.01, len(SINCE_S), 6)
+    assert judge(SINCE_S, values, 1.0).kind == "stable"
+
+
+def test_an_amplitude_that_falls_in_a_line_dies_out_and_does_not_go_on_in_a_short_part() -> None:
+    """The last eighth changes by less than its own error, as the whole of which it is a part would have it."""
+    for rate_hz in (5.0, 15.0):
+        size_n = 1.0 - 0.5 * SINCE_S / SINCE_S[-1]
+        values = 1.0 + size_n * np.cos(2.0 * np.pi * rate_hz * SINCE_S) + noise(0.05, len(SINCE_S), 7)
+        assert judge(SINCE_S, values, 1.0).kind in ("stable", "cannot_say")
+
+
+def test_a_small_growth_beside_a_larger_way_that_is_not_known_is_no_growth() -> None:
+    """A tip that is pulled off slowly runs away to one side, and what else the fit of that has is its residue."""
+    way = 0.5 * (SINCE_S - 1.5) ** 2 - 0.5
+    assert judge(SINCE_S, way, 2.0).kind != "diverged"
 
 
 def test_every_cause_has_a_sentence() -> None:
