@@ -79,6 +79,10 @@ class Fate(Enum):
     UNSURE = auto()
 
 
+# the fates of a swing that is there at the end, the sure one first
+_MAY_LAST = (Fate.LASTING, Fate.GROWING, Fate.UNSURE)
+
+
 class Cause(Enum):
     """Why a verdict is what it is."""
 
@@ -231,11 +235,18 @@ def _found(motion: "_Motion") -> Finding:
     seems_to_fall = envelope.kind == "limit_cycle" and _seems_to_fall(parts)
     if doubt is not None:
         return doubt.found if seems_to_fall or not _settles(envelope, doubt) else envelope
-    lasting_n, at_hz = _lasting(parts) if envelope.cause is Cause.AT_REST else (0.0, 0.0)
+    fates = _MAY_LAST if envelope.cause is Cause.AT_REST else _MAY_LAST[:1]
+    lasting_n, at_hz = _lasting(parts, fates) if envelope.kind == "stable" else (0.0, 0.0)
     last = motion.values[-max(2, len(motion.values) // 4) :]
     if seems_to_fall:
         return envelope._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
-    if lasting_n and not _shown_beside(lasting_n, at_hz, last, motion.period_s * len(last)):
+    if envelope.cause is Cause.DIES_OUT and lasting_n > 0.5 * envelope.size_n:
+        return envelope._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
+    if (
+        envelope.cause is Cause.AT_REST
+        and lasting_n
+        and not _shown_beside(lasting_n, at_hz, last, motion.period_s * len(last))
+    ):
         needs_n = SMALL_SHARE * motion.hand_n
         cause = Cause.WITHIN_A_STEP if needs_n < lasting_n <= motion.small_n else Cause.IRREGULAR_UNKNOWN
         return Finding("cannot_say", cause, lasting_n, envelope.growth_per_s, lasting_n, needs_noise_n=needs_n)
@@ -337,7 +348,7 @@ def _beside(earlier: list[Window], found: Finding | None, window: Window, motion
         falls = (
             found.cause is Cause.DIES_OUT and _leaves_noise(window) and not _cancels(window) and _is_less_at_end(motion)
         )
-        lasting_n, at_hz = (0.0, 0.0) if falls else _lasting(earlier)
+        lasting_n, at_hz = (0.0, 0.0) if falls else _lasting(earlier, _MAY_LAST)
         return None if lasting_n and not _shows_rest(found, lasting_n, at_hz, window) else found
     if not _falls_as_before(found, window, earlier):
         return found
@@ -488,7 +499,8 @@ def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     found = _decided(half)
     if found.kind in ("limit_cycle", "diverged"):
         return found if _leaves_noise(half) else _as_doubt(found)
-    is_swing = (found.frequency_hz or 0.0) * half.length_s >= LEAST_TURNS
+    # a fit that leaves noise alone knows a swing by one turn
+    is_swing = (found.frequency_hz or 0.0) * half.length_s >= (0.5 if _leaves_noise(half) else 1.0) * LEAST_TURNS
     # a line that is found in what is left has this size
     line_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
     last = half.values[len(half.values) // 2 :]
@@ -500,6 +512,10 @@ def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
 def _shows_rest(found: Finding, swing_n: float, frequency_hz: float, window: Window) -> bool:
     """Return whether a last part is at rest that would show a swing of a size and a frequency."""
     at_rest = found.kind == "stable" and found.rest_from_s is not None
+    near = _near(window, frequency_hz, 1.0 / window.length_s) if frequency_hz else []
+    if any(mode.end_n > 0.5 * swing_n and mode.frequency_hz for mode in near):
+        # it is there, and no part of what is left
+        return False
     return at_rest and _shown_beside(swing_n, frequency_hz, window.fit.left, window.length_s)
 
 
@@ -521,13 +537,13 @@ def _line_n(left: Series, turns: float) -> float:
     return 4.0 * math.hypot(cosine, sine) / len(left)
 
 
-def _lasting(parts: list[Window]) -> tuple[float, float]:
-    """Return size and frequency of the largest swing that lasts at the end of parts: it does not surely die out."""
+def _lasting(parts: list[Window], fates: tuple[Fate, ...]) -> tuple[float, float]:
+    """Return size and frequency of the largest swing at the end of parts that has one of these fates; 0 of none."""
     modes = [(mode, own) for own in parts for mode in own.fit.modes]
     swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
     # the first line of a motion between two forces is larger than the motion
     large = [(mode, own) for mode, own in swings if min(mode.end_n, float(np.ptp(own.last))) > own.unrounded_n]
-    lasting = [mode for mode, own in large if classify(mode, own) not in (Fate.FALLING, Fate.NEGLIGIBLE)]
+    lasting = [mode for mode, own in large if classify(mode, own) in fates]
     return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
 
 
