@@ -257,7 +257,9 @@ def _settles(envelope: Finding, doubt: "_Doubt") -> bool:
     """Return whether an envelope decides what is in doubt: it moves or dies out, and is mostly of that motion."""
     growth, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
     is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0
-    is_motion = is_cycle or envelope.kind == "diverged" or envelope.cause is Cause.DIES_OUT
+    # what dies out is another motion where that in doubt grows
+    falls = envelope.cause is Cause.DIES_OUT and growth < 0.0
+    is_motion = is_cycle or falls or envelope.kind == "diverged"
     is_of_it = doubt.found.decisive_n > 0.5 * envelope.size_n
     return doubt.found.cause is Cause.CHANGE_UNKNOWN and doubt.may_be_wrong and is_motion and is_of_it
 

@@ -51,10 +51,21 @@ def test_a_course_that_was_once_judged_wrongly_is_not_again(seed: int) -> None:
     assert not confusion.false_alarm(said) and not confusion.missed_swing(said), said
 
 
-@pytest.mark.check("judges four hundred labelled courses")
+@pytest.mark.check("judges a hundred and fifty labelled courses, takes 10 s")
 def test_few_courses_are_judged_wrongly() -> None:
-    found = shares(range(200), "all")
-    # of 136 that settle one is 0.7 %, and of 83 that grow or go on one is 1.2 %
-    assert len(found["settling called a cycle or growth"].such) <= 2
+    found = shares(range(75), "all")
+    # of fifty that settle, and of thirty that grow or go on, one is more than the limits have in the mean
+    assert not found["settling called a cycle or growth"].such
     assert len(found["growing or going on called stable"].such) <= 1
-    assert found["cannot say of a growth or cycle of four turns"].value < 0.12
+    assert found["cannot say of a growth or cycle of four turns"].value < 0.16
+
+
+@pytest.mark.endurance("takes 5 min")
+@pytest.mark.parametrize("courses", ["linear", "nonlinear"])
+def test_of_thousands_of_courses_few_are_judged_wrongly(courses: str) -> None:
+    """The limits of three standard deviations above what was measured on seeds that were seen once."""
+    found = shares(range(1500), courses)
+    assert found["settling called a cycle or growth"].value <= 0.009
+    assert found["growing or going on called stable"].value <= 0.015
+    assert found["cannot say of what is at rest"].value <= 0.045
+    assert found["cannot say of a growth or cycle of four turns"].value <= 0.08
