@@ -98,5 +98,6 @@ RECORDS: dict[str, Maker] = {
     "tremor, 9 Hz": tremor(),
     "pulse, 1.2 Hz": wave(1.2, (0.5, 0.25), 1.0),
     "breathing, 0.25 Hz": wave(0.25),
+    "drift, 0.05 Hz, and tremor": together(wave(0.05, beside=0.0), tremor(beside=0.3)),
     "breathing and tremor": together(wave(0.25, beside=0.0), tremor(beside=0.3)),
 }

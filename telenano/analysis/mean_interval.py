@@ -44,6 +44,10 @@ With waves longer than the window in the model, of 200 windows of each kind of h
     breathing, 0.25 Hz      84 of 87 %    99 of 100 %  89 of 97 %
     breathing and tremor    85 of 58 %    60 of 68 %   88 of 99 %
 
+A drift that is slower than all waves of the model is not covered as said: of 40 windows with a wave of 0.05 Hz and a
+tremor all had an interval, which covered in 45, 85 and 70 % (0.7, 1.5 and 4 s). Where waves of so few parts of a cycle
+leave the mean open, breathing and tremor have no interval in half of their windows of 0.7 s, and the drift one in half.
+
 Without them breathing was covered in none of the few windows of 0.7 s that had an interval.
 """
 

@@ -13,6 +13,7 @@ from telenano.analysis.verdict import (
     Finding,
     Window,
     _approaching,
+    _beside,
     _by_envelope,
     _decided,
     _even,
@@ -22,6 +23,7 @@ from telenano.analysis.verdict import (
     _Motion,
     _rises,
     _sentence,
+    _shown_beside,
     _sizes,
     _undecided,
     _until,
@@ -346,3 +348,30 @@ def test_a_cycle_that_noise_hides_in_each_turn_has_the_size_of_its_line() -> Non
     found = judge(time_s, 1.0 + 0.035 * np.sin(10.0 * np.pi * time_s) + hidden, 1.0)
     assert found.kind == "limit_cycle"
     assert found.peak_to_peak_n == pytest.approx(0.07, rel=0.1)
+
+
+def test_a_swing_would_be_seen_beside_less_than_it_is_or_where_nothing_is_at_its_frequency() -> None:
+    bare = 0.1 * np.random.default_rng(1).standard_normal(400)
+    line_n = 0.15 * np.sin(2.0 * np.pi * 5.0 * np.arange(400) / 399.0)
+    # 0.1 N is 0.28 N from peak to peak
+    assert _shown_beside(0.5, 5.0, bare, 1.0)
+    assert _shown_beside(0.3, 5.0, bare, 1.0)
+    assert not _shown_beside(0.15, 5.0, bare, 1.0)
+    assert not _shown_beside(0.3, 5.0, bare + line_n, 1.0)
+    assert not _shown_beside(0.3, 0.5, bare, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("later_growth", "later_error", "kind"),
+    [(-0.05, 0.1, "cannot_say"), (-0.05, 0.001, "limit_cycle"), (0.3, 0.5, "cannot_say")],
+)
+def test_a_short_part_says_only_what_it_surely_tells_otherwise(
+    later_growth: float, later_error: float, kind: str
+) -> None:
+    """The whole of 8 s falls by 0.2/s; a part of 1 s that changes by as much within its error shows no cycle."""
+    values = np.ones(400)
+    before = Window(8.0, 8.0, 0.05, 0.0, 0.05, values, fit()._replace(modes=[line(growth_per_s=-0.2, end_n=0.3)]))
+    found = Finding("limit_cycle", Cause.GOES_ON, 0.3, later_growth, 0.3, later_error, 5.0)
+    window = Window(1.0, 8.0, 0.05, 0.0, 0.05, values, fit())
+    said = _beside([before], found, window, motion(values))
+    assert said is not None and said.kind == kind
