@@ -65,6 +65,29 @@ def tremor(middle_hz: float = 9.0, width_hz: float = 1.0, beside: float = 0.3) -
     return made
 
 
+def wave(frequency_hz: float, overtones: tuple[float, ...] = (), beside: float = 0.5) -> Maker:
+    """Return a maker of a wave, such as breathing or a pulse, whose period differs by a tenth, with white noise."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        turn = frequency_hz * np.exp(0.1 * random.normal(size=(count, 1))) * np.arange(samples) / RATE_HZ
+        phase = 2.0 * np.pi * (turn + random.random((count, 1)))
+        rows = np.cos(phase) + beside * random.normal(size=(count, samples))
+        for order, size in enumerate(overtones, start=2):
+            rows = rows + size * np.cos(order * phase + 0.5 * order)
+        return np.asarray(rows)
+
+    return made
+
+
+def together(*makers: Maker) -> Maker:
+    """Return a maker of the sums of records."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        return np.sum([own(random, count, samples) for own in makers], axis=0)
+
+    return made
+
+
 RECORDS: dict[str, Maker] = {
     "white": white,
     "1/f": power_law(1.0),
@@ -73,4 +96,8 @@ RECORDS: dict[str, Maker] = {
     "hand, 2 Hz": hand(),
     "hand, 2 Hz, 2nd order": hand(order=2),
     "tremor, 9 Hz": tremor(),
+    "pulse, 1.2 Hz": wave(1.2, (0.5, 0.25), 1.0),
+    "breathing, 0.25 Hz": wave(0.25),
+    "drift, 0.05 Hz, and tremor": together(wave(0.05, beside=0.0), tremor(beside=0.3)),
+    "breathing and tremor": together(wave(0.25, beside=0.0), tremor(beside=0.3)),
 }

@@ -242,7 +242,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " [True => False]": "there are three of each",
     },
     "telenano/analysis/verdict.py": {
-        "_by_modes: cycles = mode.frequency_hz * length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
+        "Window.cycles: return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
         " [change > seen => change >= seen]": "where both are equal their ratio is 1",
         "_has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
         " which three are never left beside one and its neighbours",

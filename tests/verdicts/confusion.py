@@ -1,9 +1,10 @@
 """Compare what the judge says of the courses with their truth.
 
-    python tests/verdicts/confusion.py --seeds 0:3000
+    python tests/verdicts/confusion.py --courses all --seeds 0:3000
 
-Prints the table truth by kind, the shares that have a limit, the same by tag and by cell, and the seeds of the wrong
-answers. Ends with 1 where a share is above its limit. The judge is `judge_course` of `judge.py` in this folder.
+The courses are those of `courses.py` (linear), of `nonlinear.py`, or both. Prints the table truth by kind, the shares
+that have a limit with Wilson's intervals, the same by tag and by cell, and the seeds of the wrong answers. Ends with 1
+where a share is above its limit. The judge is `judge_course` of `judge.py` in this folder.
 """
 
 import argparse
@@ -14,7 +15,11 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 import distribution as d
+import nonlinear_distribution as n
 from courses import Course, course
+from nonlinear import nonlinear_course
+
+from telenano.analysis.intervals import wilson
 
 # What each kind says of the motion of the loop. A kind that is renamed is renamed here, and nowhere else in this file.
 FAMILIES = {
@@ -29,6 +34,11 @@ FAMILIES = {
 }
 SAYS_NOTHING = "open"  # The family of the kinds that leave open what the loop does.
 RIGHT = {"settles": {"quiet"}, "goes_on": {"cycle"}, "grows": {"growth", "guarded", "left"}}  # The families that agree.
+COURSES: dict[str, tuple[Callable[[int], Course], ...]] = {
+    "linear": (course,),
+    "nonlinear": (nonlinear_course,),
+    "all": (course, nonlinear_course),
+}
 MOST_SEEDS = 40  # Seeds printed of one kind of wrong answer; the count before them is of all.
 
 
@@ -106,8 +116,8 @@ def false_alarm(one: Answer) -> bool:
     return one.truth == "settles" and one.family in ("cycle", "growth")
 
 
-def missed_growth(one: Answer) -> bool:
-    return one.truth == "grows" and one.family == "quiet"
+def missed_swing(one: Answer) -> bool:
+    return one.truth in ("grows", "goes_on") and one.family == "quiet"
 
 
 def says_nothing(one: Answer) -> bool:
@@ -129,8 +139,25 @@ def limited_shares(answers: list[Answer]) -> list[Share]:
     of_truth = {truth: [one for one in answers if one.truth == truth] for truth in RIGHT}
     return [
         share("settling called a cycle or growth", of_truth["settles"], false_alarm, d.MOST_FALSE_ALARMS),
-        share("growing called stable", of_truth["grows"], missed_growth, d.MOST_MISSED_GROWTH),
+        share(
+            "growing or going on called stable",
+            [*of_truth["grows"], *of_truth["goes_on"]],
+            missed_swing,
+            n.MOST_STABLE_ALTHOUGH_IT_SWINGS,
+        ),
         share("cannot say", known(answers), says_nothing, d.MOST_CANNOT_SAY),
+        share(
+            "cannot say of what is at rest",
+            [one for one in known(answers) if "at_rest" in one.tags],
+            says_nothing,
+            n.MOST_OPEN_OF_RESTS,
+        ),
+        share(
+            "cannot say of a growth or cycle of four turns",
+            [one for one in known(answers) if "many_turns" in one.tags],
+            says_nothing,
+            n.MOST_OPEN_OF_FOUR_TURNS,
+        ),
         share("cannot say without a reason", filter(says_nothing, answers), lambda one: not one.reason.strip(), 0.0),
         *(
             share(f"cannot say in {cell}", there, says_nothing, d.MOST_CANNOT_SAY_IN_A_CELL)
@@ -143,7 +170,8 @@ def other_shares(answers: list[Answer]) -> list[Share]:
     """Return the other wrong answers, which have no limit of their own."""
     of_truth = {truth: [one for one in answers if one.truth == truth] for truth in RIGHT}
     return [
-        share("cycle called stable", of_truth["goes_on"], lambda one: one.family == "quiet"),
+        share("growing called stable", of_truth["grows"], missed_swing),
+        share("cycle called stable", of_truth["goes_on"], missed_swing),
         share("cycle called growth", of_truth["goes_on"], lambda one: one.family in ("growth", "guarded")),
         share("growing called a cycle", of_truth["grows"], lambda one: one.family == "cycle"),
         share("settling called guarded", of_truth["settles"], lambda one: one.family == "guarded"),
@@ -161,7 +189,8 @@ def _table(answers: list[Answer]) -> Iterator[str]:
 
 def _line(one: Share) -> str:
     limit = "" if one.limit is None else f" (at most {one.limit:.1%}){' ABOVE ITS LIMIT' if one.too_large else ''}"
-    return f"{one.name:44}{len(one.such):>6} of {one.of:<6}{one.value:7.2%}{limit}"
+    low, high = wilson(len(one.such), one.of)
+    return f"{one.name:46}{len(one.such):>6} of {one.of:<6}{one.value:7.2%} ({low:.2%} to {high:.2%}){limit}"
 
 
 def _seeds(one: Share) -> str:
@@ -171,11 +200,11 @@ def _seeds(one: Share) -> str:
 
 def _by_tag(answers: list[Answer]) -> Iterator[str]:
     """Give a line for each tag: its courses with a truth, wrong answers and how many of them are left open."""
-    yield f"{'tag':18}{'courses':>9}{'false alarms':>15}{'missed growth':>15}{'other wrong':>13}{'cannot say':>12}"
+    yield f"{'tag':18}{'courses':>9}{'false alarms':>15}{'called stable':>15}{'other wrong':>13}{'cannot say':>12}"
     there = known(answers)
     for tag in sorted({tag for one in there for tag in one.tags}):
         tagged = [one for one in there if tag in one.tags]
-        alarms, missed = sum(map(false_alarm, tagged)), sum(map(missed_growth, tagged))
+        alarms, missed = sum(map(false_alarm, tagged)), sum(map(missed_swing, tagged))
         open_ = sum(map(says_nothing, tagged))
         wrong = sum(one.family not in RIGHT[one.truth] for one in tagged) - alarms - missed - open_
         yield f"{tag:18}{len(tagged):>9}{alarms:>15}{missed:>15}{wrong:>13}{open_ / len(tagged):>12.1%}"
@@ -200,7 +229,7 @@ def report(answers: list[Answer]) -> Iterator[str]:
     yield ""
     yield from map(_line, limited + others)
     yield from ("", "Seeds of the wrong answers:")
-    yield from (_seeds(one) for one in limited[:2] + others if one.such)
+    yield from (_seeds(one) for one in limited[:2] + limited[3:4] + others if one.such)
     yield from ("", "By tag, of the courses that have a truth:")
     yield from _by_tag(answers)
     yield from ("", "Courses without a truth, by the rule:")
@@ -233,9 +262,10 @@ def main(arguments: list[str] | None = None, judge: Judge | None = None) -> int:
     """Print the comparison; return 1 where a share is above its limit, else 0."""
     parser = argparse.ArgumentParser(description="Compare what the judge says of the labelled courses with their truth")
     parser.add_argument("--seeds", type=_range, default=range(d.COURSES), help=f"FIRST:END, 0:{d.COURSES} if not given")
-    seeds = parser.parse_args(arguments).seeds
+    parser.add_argument("--courses", choices=COURSES, default="all", help="which courses (default: %(default)s)")
+    given = parser.parse_args(arguments)
     used = judge or _judge()
-    answers = [answer(used, course(seed)) for seed in seeds]
+    answers = [answer(used, make(seed)) for make in COURSES[given.courses] for seed in given.seeds]
     sys.stdout.writelines(f"{line}\n" for line in report(answers))
     return int(any(one.too_large for one in limited_shares(answers)))
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import distribution as d
+from nonlinear_distribution import AT_REST, MANY_TURNS
 
 Truth = Literal["settles", "grows", "goes_on", "no_truth"]
 Cause = Literal["link", "machine", "operator"]
@@ -417,7 +418,23 @@ def _with_truth(plan: Plan) -> Plan:
     length_s, truth = max(known)
     rate_per_s = 0.0 if truth == "goes_on" else main.rate_per_s
     cell = cell_of(rate_per_s, main.frequency_hz, length_s)
-    return plan._replace(truth=truth, length_s=length_s, rate_per_s=rate_per_s, cell=cell)
+    plan = plan._replace(truth=truth, length_s=length_s, rate_per_s=rate_per_s, cell=cell)
+    many = truth != "settles" and main.frequency_hz * length_s >= MANY_TURNS
+    return plan._replace(
+        tags=plan.tags | ({"many_turns"} if many else set()) | ({"at_rest"} if _rests(plan) else set())
+    )
+
+
+def _rests(plan: Plan) -> bool:
+    """Return whether a motion that settles is small in the last quarter of each of its stretches."""
+    if plan.truth != "settles":
+        return False
+    for start_s, end_s, run in stretches(plan):
+        at_s = start_s + 0.75 * (end_s - start_s)
+        sizes = [amplitude_n(plan, plan.runs[run], at_s, mode) for mode in range(len(plan.modes))]
+        if 2.0 * math.fsum(sizes) >= AT_REST * plan.hand_force_n:
+            return False
+    return True
 
 
 def _tags(plan: Plan) -> frozenset[str]:

@@ -39,11 +39,11 @@ def test_a_judge_that_knows_the_truth_is_within_every_limit(recorded: list[Cours
 @pytest.mark.parametrize(
     ("kind", "above", "below"),
     [
-        ("stable", "growing called stable", "settling called a cycle or growth"),
-        ("limit_cycle", "settling called a cycle or growth", "growing called stable"),
+        ("stable", "growing or going on called stable", "settling called a cycle or growth"),
+        ("limit_cycle", "settling called a cycle or growth", "growing or going on called stable"),
         ("diverged", "settling called a cycle or growth", "cannot say"),
         ("cannot_say", "cannot say", "settling called a cycle or growth"),
-        ("no_data", "cannot say", "growing called stable"),
+        ("no_data", "cannot say", "growing or going on called stable"),
     ],
 )
 def test_a_judge_with_one_word_is_above_the_limit_of_that_word(
@@ -117,11 +117,11 @@ def test_an_unknown_kind_is_named(recorded: list[Course]) -> None:
 
 
 def test_the_command_prints_the_table_and_ends_with_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
-    assert confusion.main(["--seeds", "0:40"], oracle) == 0
+    assert confusion.main(["--courses", "linear", "--seeds", "0:40"], oracle) == 0
     printed = capsys.readouterr().out
     assert "ABOVE" not in printed
     assert "goes_on" in printed
-    assert confusion.main(["--seeds", "0:40"], lambda _: ("limit_cycle", "")) == 1
+    assert confusion.main(["--courses", "linear", "--seeds", "0:40"], lambda _: ("limit_cycle", "")) == 1
     printed = capsys.readouterr().out
     wrong = [seed for seed in range(40) if course(seed).truth == "settles"]
     assert f"settling called a cycle or growth, {len(wrong)}: {' '.join(map(str, wrong))}" in printed

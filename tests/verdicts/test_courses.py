@@ -15,9 +15,10 @@ import numpy as np
 import plans
 import pytest
 from courses import Course, course
+from nonlinear import MAKERS, nonlinear_course
 
 HERE = Path(__file__).parent
-SOURCES = ("distribution.py", "plans.py", "courses.py", "confusion.py")
+SOURCES = ("distribution.py", "nonlinear_distribution.py", "plans.py", "courses.py", "nonlinear.py")
 # sha256 of distribution.py as it was first committed
 FROZEN = "bde515e13770fefb73cc78a2ebf2b0eb423b8d29d599e8168cbcc946bb3e4ab5"
 LIBRARY_ORDERED = {"sum", "mean", "std", "var", "dot", "matmul", "inner", "vdot", "einsum", "convolve", "linalg", "fft"}
@@ -77,7 +78,7 @@ def test_nothing_of_the_project_is_imported(name: str) -> None:
             assert imported.split(".")[0] in own | {"numpy"} | set(sys.stdlib_module_names), f"{name}: {imported}"
 
 
-@pytest.mark.parametrize("name", ["plans.py", "courses.py"])
+@pytest.mark.parametrize("name", ["plans.py", "courses.py", "nonlinear.py"])
 def test_no_sum_is_left_to_a_library_and_its_order(name: str) -> None:
     for node in ast.walk(ast.parse((HERE / name).read_text())):
         assert not isinstance(node, ast.MatMult)
@@ -288,3 +289,36 @@ def test_every_course_is_finite_and_in_order(corpus: list[plans.Plan]) -> None:
         assert len(sizes) == 1
         assert recorded.truth == corpus[seed].truth
         assert not (recorded.following & recorded.held).any()
+
+
+def test_every_kind_of_nonlinear_course_has_each_of_its_truths() -> None:
+    drawn = [nonlinear_course(seed) for seed in range(1200)]
+    counts = Counter((kind, one.truth) for one in drawn for kind in MAKERS if kind in one.tags)
+    for kind in MAKERS:
+        fates = {"rests": ["settles"], "saturates": ["goes_on"], "clamped": ["goes_on"]}.get(
+            kind, ["goes_on", "settles"]
+        )
+        assert all(counts[kind, truth] >= 4 for truth in fates), (kind, counts)
+    assert sum(one.truth != "no_truth" for one in drawn) > 0.5 * len(drawn)
+    for one in drawn:
+        assert np.isfinite(one.tip_force_n).all()
+        assert (np.diff(one.time_s) > 0.0).all()
+        assert len([tag for tag in one.tags if tag.startswith("no_truth:")]) == (one.truth == "no_truth")
+
+
+def test_what_is_at_rest_stands_still_and_what_goes_on_moves_in_the_last_eighth() -> None:
+    """Of courses without noise, creep or air between: from peak to peak, beside the hand's force."""
+    tried = Counter[str]()
+    for one in map(nonlinear_course, range(1500)):
+        start_s, end_s, hand_n = one.planned[-1]
+        last = (one.time_s > end_s - 0.02 * (end_s - start_s)) & (one.time_s < end_s)
+        part = (one.time_s > end_s - 0.125 * (end_s - start_s)) & (one.time_s < end_s)
+        if "none" not in one.tags or not one.in_contact[part].all() or last.sum() < 3:
+            continue
+        turns = one.frequency_hz * 0.125 * (end_s - start_s)
+        if "at_rest" in one.tags:
+            assert np.ptp(one.tip_force_n[part]) < 0.06 * hand_n, one.seed
+        elif one.truth == "goes_on" and turns > 1.0 and one.tags & {"saturates", "clamped", "one_dies"}:
+            assert np.ptp(one.tip_force_n[part]) > 0.03 * hand_n, one.seed
+        tried["rest" if "at_rest" in one.tags else one.truth] += 1
+    assert tried["rest"] >= 10 and tried["goes_on"] >= 10

@@ -44,6 +44,16 @@ def test_what_settles_within_the_window_has_an_interval_that_covers(name: str, w
     assert 0.91 * known <= inside
 
 
+@pytest.mark.check("makes a hundred records")
+@pytest.mark.parametrize("window_s", [1.5, 4.0])
+def test_a_wave_that_is_longer_than_the_window_makes_the_interval_wide(window_s: float) -> None:
+    """A breath of four seconds in a window of one and a half is a trend, and its mean is not that of the window."""
+    known, inside = covered("breathing, 0.25 Hz", window_s, 60, 5)
+    assert known >= 0.8 * 60
+    # it covers in 83 to 100 % of other windows
+    assert inside >= 0.75 * known
+
+
 def test_the_interval_of_white_noise_is_that_of_student_or_somewhat_wider() -> None:
     rows = RECORDS["white"](np.random.default_rng(2), 20, 300)
     halves = [half for row in rows if (half := mean_half_width(row)) is not None]

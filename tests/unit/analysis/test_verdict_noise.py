@@ -100,6 +100,4 @@ def test_a_blow_is_not_what_noise_reaches() -> None:
 
 def test_the_words_name_what_would_decide() -> None:
     found = next(verdict for seed in SEEDS if (verdict := read(seed, 0.4)).kind == "cannot_say")
-    assert found.reason.endswith(
-        "falls with the frequency as 1/f noise does: a read-out and a hand with less would decide"
-    )
+    assert found.cause is not None and found.reason.endswith("would decide")
