@@ -180,7 +180,7 @@ class Hearing:
                 ear.heard = heard
                 events += _note_heard(ear, now_ns)
         # What waits is read first, as after a stall of this process.
-        if silent and subscriber.drained and not subscriber.pending():
+        if silent and not subscriber.pending():
             for ear in silent:
                 events += self._listen_beside(subscriber, ear, now_ns)
         if silent:
@@ -200,7 +200,10 @@ class Hearing:
                 ear.was_there = False
                 _connect_anew(subscriber, ear)
             return ()
-        ear.was_there = True
+        if not ear.was_there:
+            # It has come since the last look, and libzmq may not be connected yet.
+            ear.was_there, ear.silent_looks = True, 0
+            return ()
         if ear.probe is None:
             ear.probe = self._connected_beside(subscriber, ear)
             return ()
