@@ -65,8 +65,9 @@ class _Folder:
 class _Ear:
     """The connection of a reader to one publisher.
 
-    `heard` has how many messages came by it, `heard_ns` when that was found last, on the monotonic clock [ns]. `probe`
-    is the further connection. `wait` looks go by before the next new connection, and `pause` after that one.
+    `heard` has how many messages came by it, `heard_ns` when that was found last [ns]. `there` is
+    the socket that was at the endpoint at the last look without any; `probe` is the further connection. `wait` looks go
+    by before the next new connection, and `pause` after that one.
     """
 
     node: str
@@ -76,6 +77,7 @@ class _Ear:
     heard: int = 0
     silent_looks: int = 0
     was_there: bool = False
+    there: tuple[int, int] | None = None
     is_deaf: bool = False
     probe: "zmq.Socket[bytes] | None" = None
     pause: int = _FIRST_PAUSE
@@ -85,10 +87,16 @@ class _Ear:
     def __post_init__(self) -> None:
         self.path = path_of(self.endpoint)
 
-    def is_there(self) -> bool:
-        """Return whether some process has the endpoint."""
+    def socket_there(self) -> tuple[int, int] | None:
+        """Return what tells the socket at the path from a later one there; None where no process has one."""
+        try:
+            status = self.path.stat()
+        except OSError:
+            return None
         # To ask again would fill the queue of a process that is stopped, from which it accepts connections.
-        return self.path.exists() and (self.probe is not None or is_bound(self.endpoint))
+        if self.probe is None and not is_bound(self.endpoint):
+            return None
+        return status.st_ino, status.st_ctime_ns
 
     def hears_by_probe(self) -> bool:
         """Return whether a message of the publisher came by the further connection that the reader would take."""
@@ -191,18 +199,21 @@ class Hearing:
     def _listen_beside(self, subscriber: Subscriber, ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
         """Act on a publisher of which nothing new has come."""
         ear.silent_looks += 1
+        before, ear.there = ear.there, ear.socket_there()
         if ear.silent_looks < _SILENT_LOOKS:
             return ()
-        if not ear.is_there():
+        if ear.there is None:
             ear.close_probe()
             ear.is_deaf, ear.pause, ear.wait, ear.heard_ns = False, _FIRST_PAUSE, 0, now_ns
             if ear.was_there or ear.folder.fresh:
                 ear.was_there = False
                 _connect_anew(subscriber, ear)
             return ()
-        if not ear.was_there:
-            # It has come since the last look, and libzmq may not be connected yet.
-            ear.was_there, ear.silent_looks = True, 0
+        ear.was_there = True
+        if ear.there != before:
+            # It has come since the last look, and nothing that it sent may have been expected before.
+            ear.close_probe()
+            ear.is_deaf, ear.silent_looks, ear.heard_ns = False, 1, now_ns
             return ()
         if ear.probe is None:
             ear.probe = self._connected_beside(subscriber, ear)
