@@ -95,6 +95,8 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
             continue
         if fault := recording_fault(status, health[node]):
             problems[node] = fault
+        elif deaf_s := health[node].deaf_s:
+            problems[node] = ", ".join(f"deaf to {peer} for {lasts_s:.1f} s" for peer, lasts_s in deaf_s.items())
         elif health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):
@@ -180,6 +182,7 @@ def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dic
         "received": total(row.received for row in health.inputs),
         "lost": total(row.lost for row in health.inputs),
         "refused": health.rejected,
+        "deaf_s": health.deaf_s or {},
     }
 
 

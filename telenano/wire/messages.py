@@ -607,3 +607,10 @@ class NodeHealth(Message):
         Annotated[str, Meta(max_length=128)] | None,
         about("Device and date of the calibration that is in use; absent if simulated"),
     ] = None
+    deaf_s: Annotated[
+        Annotated[dict[str, DurationS], Meta(max_length=MAX_KEYS)] | None,
+        about(
+            "Publishers that send and that this node does not hear, each with how long it has not been heard [s]; "
+            "absent if there are none"
+        ),
+    ] = None

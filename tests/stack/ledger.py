@@ -32,6 +32,8 @@ FAULTS = {
     },
     "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms": "as "
     "above; the tip bears no more than in the swings before",
+    "a frame of 20 MB at the endpoint of a console": "told by each reader, which connects anew within 2 s; the next "
+    "command is obeyed",
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
     "the recording is removed while it is written": "reported; the recording goes on in another file",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",

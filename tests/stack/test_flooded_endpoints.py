@@ -36,10 +36,10 @@ def garbage(count: int) -> list[list[bytes]]:
 
 
 @contextmanager
-def door(context: "zmq.Context[Any]", rig: Rig, name: str) -> Iterator["zmq.Socket[Any]"]:
+def door(context: "zmq.Context[Any]", rig: Rig, name: str, kind: int = zmq.PUB) -> Iterator["zmq.Socket[Any]"]:
     """Bind a free endpoint as any program may, with its lock, or connect to where a node takes emergency stops."""
     with ExitStack() as stack:
-        socket = stack.enter_context(context.socket(zmq.PUB))
+        socket = stack.enter_context(context.socket(kind))
         socket.set(zmq.LINGER, 0)
         address = f"ipc://{rig.sockets}/{name}"
         if name in FREE:

@@ -27,7 +27,7 @@ RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
 PINGING_HIGH_WATER_MARK = 30 * SEND_HIGH_WATER_MARK
 _PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
-_LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
+LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # A node looks at its deadline again after this many messages, so that a flood cannot hold a loop.
 _BATCH = 256
@@ -100,6 +100,8 @@ class MessageReader:
         latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
         self._conflated = latest if newest_only else {}
         self._aside: dict[str, Callable[[Message], None]] = {}
+        # a topic that is read only to know that its publishers are heard, and that no report of inputs has
+        self._unlisted = ""
 
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
         """Decode, validate and track what waited together, each message with the time of reception [ns]."""
@@ -172,7 +174,8 @@ class MessageReader:
         now = self._clock.now_ns()
         received = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
-        chosen = nlargest(MOST_REPORTED, self.trackers.items(), key=lambda source: source[1].received)
+        listed = ((source, tracker) for source, tracker in self.trackers.items() if source[0] != self._unlisted)
+        chosen = nlargest(MOST_REPORTED, listed, key=lambda source: source[1].received)
         return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
@@ -234,7 +237,7 @@ class Subscriber(MessageReader):
             self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
             self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
         self.socket.set(zmq.LINGER, 0)
-        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
+        self.socket.set(zmq.MAXMSGSIZE, LARGEST_FRAME)
         self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
         # Looks at each message first, and returns its frames, or None where it is not wanted; only a reader that the
         # link's datagrams feed as well has one.
@@ -289,6 +292,11 @@ class Subscriber(MessageReader):
         """Subscribe to a topic whose messages are for `handle` and not for the reader."""
         self._aside[topic] = handle
         self.socket.subscribe(topic.encode())
+
+    def hear_beacon(self, topic: str) -> None:
+        """Subscribe to a topic only to count its messages, by which `Hearing` knows that a publisher is heard."""
+        self._unlisted = topic
+        self.set_aside(topic, lambda message: None)
 
     def pending(self) -> bool:
         """Return whether a message has arrived."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 from telenano.runtime.bus.bus import Bus, ConnectionEvent
+from telenano.runtime.bus.hearing import Hearing
 from telenano.runtime.bus.places import PlaceNotice, Places
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
@@ -38,6 +39,8 @@ class NodeContext:
     kept_stop: Path | None = None
     # The paths at which other processes reach this one; None where there is none, as in virtual time.
     places: Places | None = None
+    # Whether the publishers on this machine that send are heard; None where nothing is between the nodes.
+    hearing: Hearing | None = None
     # The period of the loop, by `realtime.rate_hz` [s].
     period_s: float = LOOP_PERIOD_S
     # What the node takes from its machine besides: process, processor time, memory, disk, and random numbers.

@@ -64,6 +64,7 @@ class NodeLoop:
             token=node.context.machine.token,
         )
         self._places = node.context.places
+        self._hearing = node.context.hearing
         self._stop_signalled = self._stopped_for_place = False
         # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
         # may have been ended before it could send.
@@ -203,6 +204,11 @@ class NodeLoop:
         self._dispatch(Received("session/control", control, encode(control), now_ns, Arrival.NEXT))
         self.node.event("mode", "warning", text)
 
+    def _look_after_hearing(self) -> None:
+        """Connect anew to publishers that send and are not heard."""
+        if self._hearing is not None:
+            self._report_connections(self._hearing.look())
+
     def _look_after_places(self) -> None:
         """Make again what others have removed of the paths of this process; stop a device that nobody could stop."""
         if self._places is None:
@@ -235,6 +241,8 @@ class NodeLoop:
         starting = is_waited_for and now_ns - self._started_ns < _STARTING_NS
         self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
         self._may_be_kept = True
+        if self._hearing is not None:
+            self._deferred.add(self._look_after_hearing)
         self._deferred.add(self._measure_health)
         self._deferred.add(self._send_health)
         if self._places is not None:
@@ -318,6 +326,8 @@ class NodeLoop:
             **self.node.device_health(),
             **self._machine.health(cpu_s - self._last_cpu_s, elapsed_s),
         }
+        if self._hearing is not None and (deaf := self._hearing.deaf()):
+            self._health["deaf_s"] = deaf
         self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
 

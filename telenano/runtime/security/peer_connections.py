@@ -25,7 +25,7 @@ from telenano.wire.nodes import is_visitor
 
 # libzmq does not reconnect after a rejected key or another protocol, and does not report that it has given up: the key
 # may have been allowed meanwhile, and the right program started
-_RECONNECT_NS = 2_000_000_000
+_RECONNECT_NS = 1_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
 # This number of failed handshakes in a row are reported; fewer may be an accident.

@@ -46,6 +46,7 @@ class NoNetwork:
     descriptors: Sequence[int] = ()
     # Without sockets there are no paths that others could remove.
     places: None = None
+    hearing: None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +182,7 @@ class Participant:
             self.log,
             kept_stop=self.kept_stop(),
             places=self.network.places,
+            hearing=self.network.hearing,
             period_s=self.period_s,
             machine=self.machine,
         )

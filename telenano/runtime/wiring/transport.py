@@ -13,6 +13,7 @@ import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
+from telenano.runtime.bus.hearing import BEACON, Hearing
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher, bind
@@ -171,6 +172,8 @@ class Transport:
         self._lowered = True
         # Where other processes of this machine reach this one; the loop of its node looks after them.
         self.places = Places(self._prepare_folder)
+        # Whether the publishers on this machine that send are heard.
+        self.hearing = Hearing(context, clock)
 
     @property
     def descriptors(self) -> Sequence[int]:
@@ -238,8 +241,11 @@ class Transport:
             shared: Whether the rig may read the node once for all observers, where these are apart.
         """
         if apart:
-            plans = [{node: topics} for node, topics in sources.items()]
-            return [self._reader(plan, _READER_SILENCE_MS, shared=shared) for plan in plans]
+            # Of an observer each message is shown or counted, so that it is given no topic that it did not ask for.
+            return [
+                self._reader({node: topics}, _READER_SILENCE_MS, shared=shared, hears=BEACON in topics)
+                for node, topics in sources.items()
+            ]
         groups: dict[str, dict[str, Sequence[str]]] = {"": {}}
         for node, topics in sources.items():
             near = self.book.endpoint(node, self.machine).startswith("ipc://")
@@ -286,10 +292,11 @@ class Transport:
         events = self._check()
         for handler in self._handlers:
             events += handler.take_events()
-        return events
+        return events + self.hearing.look()
 
     def close(self) -> None:
         """Close the sockets that are not closed with the publishers and subscribers."""
+        self.hearing.close()
         for handler in self._handlers:
             handler.close()
 
@@ -299,7 +306,13 @@ class Transport:
             check_runtime_directory(make=True)
 
     def _reader(
-        self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False, shared: bool = False
+        self,
+        plan: Mapping[str, Sequence[str]],
+        silence_ms: int,
+        *,
+        newest_only: bool = False,
+        shared: bool = False,
+        hears: bool = True,
     ) -> Subscriber:
         endpoints = {node: self.book.connect_endpoint(node, self.machine) for node in plan}
         if shared:
@@ -307,7 +320,10 @@ class Transport:
             endpoints |= {node: endpoint for node, endpoint in further.items() if is_bound(endpoint)}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
-            return Subscriber(self.context, self.clock, by_endpoint, newest_only=newest_only)
+            reader = Subscriber(self.context, self.clock, by_endpoint, newest_only=newest_only)
+            if hears:
+                self.hearing.add(reader, endpoints)
+            return reader
         subscriber = Subscriber(self.context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
         subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
