@@ -208,13 +208,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
                 "master_start: return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port)"
                 " [0.0 => 1.0]",
                 "master_resume: return MasterState(mass, opened(params.start_j), 0.0, port) [0.0 => 1.0]",
-                *(
-                    f"master_receive: stood = 0.0 if hand.following else state.stood_s + dt {change}"
-                    for change in (
-                        "[0.0 if hand.following else state.stood_s + dt => state.stood_s + dt]",
-                        "[0.0 => 1.0]",
-                    )
-                ),
             )
         },
         **{

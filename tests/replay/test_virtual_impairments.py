@@ -25,7 +25,7 @@ LINES = (
 )  # fmt: skip
 
 
-@pytest.mark.grid(law="wave", kind="delay_s")
+@pytest.mark.check("takes 10 s")
 @pytest.mark.drawn(0.2)
 @pytest.mark.parametrize(
     ("law", "kind"),

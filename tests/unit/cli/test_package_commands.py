@@ -223,7 +223,11 @@ def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any
 
 
 @pytest.mark.parametrize(
-    "compiled", [False, pytest.param(True, marks=[pytest.mark.endurance, pytest.mark.timeout(900)])]
+    "compiled",
+    [
+        pytest.param(False, marks=[pytest.mark.check("runs the tests of a package of each kind")]),
+        pytest.param(True, marks=[pytest.mark.endurance, pytest.mark.timeout(900)]),
+    ],
 )
 def test_every_package_passes_the_test_that_it_comes_with_as_it_is(compiled: bool, tmp_path: Path) -> None:
     folders, tests = [tmp_path, ROOT], []
