@@ -137,7 +137,6 @@ class InstrumentRig:
     def __init__(self, bench: NodeBench, driver: Any, section: Any = None) -> None:
         self.bench, self.line = bench, driver
         self.node = afm_node(bench, getattr(driver, "driver", driver), section)
-        self._pass_ms = getattr(driver, "pass_ms", lambda duration_ms: None)
 
     def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
         """Command a base and a place over the sample, once a millisecond.
@@ -149,7 +148,8 @@ class InstrumentRig:
         """
         for _ in range(count):
             self.bench.advance_ms(1)
-            self._pass_ms(1)
+            if hasattr(self.line, "pass_ms"):
+                self.line.pass_ms(1)
             fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7, "hand_armed": True}
             fields["hand_t_ns"] = self.bench.clock.now_ns()
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
@@ -172,7 +172,6 @@ class HandRig:
     def __init__(self, bench: NodeBench, driver: Any, section: Any = None) -> None:
         self.bench, self.line = bench, driver
         self.node = haptic_node(bench, getattr(driver, "driver", driver), section)
-        self._pass_ms = getattr(driver, "pass_ms", lambda duration_ms: None)
         # where the device is wanted, on the axis of the paper [m]
         self.x_m = 0.0
 
@@ -185,7 +184,8 @@ class HandRig:
             self.node.on_message(self.bench.received("haptic/command", "controller@master", **command, **stamps))
             before_ns = self.bench.clock.monotonic_ns()
             self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
-            self._pass_ms(1)
+            if hasattr(self.line, "pass_ms"):
+                self.line.pass_ms(1)
             self.node.on_deadline(self.bench.clock.monotonic_ns())
 
 
