@@ -65,8 +65,8 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "path",
     [
-        # This one begins with an experiment of a minute.
-        pytest.param(path, id=path.stem, marks=[pytest.mark.endurance] if path.stem == "experiment_table" else [])
+        # The others simulate for a minute each.
+        pytest.param(path, id=path.stem, marks=[] if path.stem == "recording_to_figure" else [pytest.mark.endurance])
         for path in NOTEBOOKS
     ],
 )

@@ -114,6 +114,7 @@ def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:
 
 
 @pytest.mark.check("runs every law")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("way", ["emergency stop", "master half started again", "slave half stands still"])
 def test_no_law_moves_tip_or_hand_when_it_is_armed(way: str, law: str) -> None:

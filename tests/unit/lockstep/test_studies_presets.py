@@ -25,6 +25,7 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
 
 @pytest.mark.check("takes 4.5 s")
 @pytest.mark.usefixtures("loop")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)

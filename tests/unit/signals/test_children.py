@@ -28,9 +28,11 @@ from telenano.signals import children
 
 ROOT = Path(__file__).parents[3]
 # Tests and examples start programs as users do. The page is built where the project is not installed.
+# A test starts a process as a person does, and the kit for tests is of their kind.
 APART = (
     "tests/",
     "examples/",
+    "telenano/testing/",
     "telenano/signals/children.py",
     "services/viz_node/build_page.py",
 )
@@ -50,7 +52,8 @@ SHOWS_PATH = "import os, sys; print(sys.path[0], os.environ['PYTHONSAFEPATH'], s
 
 def sources() -> list[Path]:
     listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    return [ROOT / name for name in listed.splitlines() if not name.startswith(APART) and "/tests/" not in name]
+    names = [name for name in listed.splitlines() if not name.startswith(APART)]
+    return [ROOT / name for name in names if not {"tests", "doubles"} & {*Path(name).parts}]
 
 
 def calls(tree: ast.AST) -> Iterator[tuple[str, str, int]]:
