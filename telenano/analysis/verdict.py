@@ -501,14 +501,15 @@ def _swing_at_the_end(motion: _Motion, window: Window) -> Finding | None:
     found = _decided(half)
     if found.kind in ("limit_cycle", "diverged"):
         return found if _leaves_noise(half) else _as_doubt(found)
-    # a fit that leaves noise alone knows a swing by one turn
+    # A fit that leaves noise alone knows a swing by one turn. What stands out for less may be a hand that wanders.
     is_swing = (found.frequency_hz or 0.0) * half.length_s >= (0.5 if _leaves_noise(half) else 1.0) * LEAST_TURNS
+    is_seen = any(half.cycles(mode) >= 1.0 for mode in half.fit.modes if mode.end_n > motion.small_n)
     # a line that is found in what is left has this size
     line_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
     last = half.values[len(half.values) // 2 :]
     stays_n = 2.0 * _line_n(last, 0.5 * (found.frequency_hz or 0.0) * half.length_s)
     is_large = min(found.decisive_n, stays_n) > max(motion.small_n, line_n)
-    return found if found.kind == "cannot_say" and is_swing and is_large else None
+    return found if found.kind == "cannot_say" and is_swing and is_seen and is_large else None
 
 
 def _shows_rest(found: Finding, swing_n: float, frequency_hz: float, window: Window) -> bool:

@@ -94,7 +94,7 @@ def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_
     assert result.reason == "the hand does not press, and the tip does not touch"
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("kind", WRONG_RESTS)
 @pytest.mark.parametrize("verdict", ["stable", "diverged"])
 def test_the_reason_of_a_run_is_that_of_its_outcome(verdict: Any, kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
