@@ -268,7 +268,7 @@ def test_the_whole_set_is_as_large_as_the_document_says():
         plan_of(["wave"], quick=True, steadiness=["shaky"])
 
 
-@pytest.mark.check("compiles the loop on a disturbed instrument")
+@pytest.mark.endurance("compiles the loop on a disturbed instrument")
 def test_instrument_and_hand_turn_a_run_and_a_seed_decides_their_noise(outcomes):
     def other(instrument, steadiness, seed=0):
         given = run_of("position_force", seed=seed)

@@ -9,7 +9,7 @@ SEEDS = 3
 MOST_REFUSED = 0.3
 
 
-@pytest.mark.check("fits 36 lines of twelve kinds")
+@pytest.mark.endurance("fits 36 lines of twelve kinds")
 def test_a_line_agrees_where_a_model_of_the_link_can_be_like_it() -> None:
     agrees = {
         kind: [

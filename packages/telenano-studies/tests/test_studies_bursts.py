@@ -68,7 +68,9 @@ AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 @pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
 @pytest.mark.parametrize("apart_us", [20, 100, 300])
 @pytest.mark.parametrize("stiffness", [20.0, 80.0, 150.0, None])
-@pytest.mark.parametrize("pause_ms", [30, 40, 60, 90, 120])
+@pytest.mark.parametrize(
+    "pause_ms", [30, *(pytest.param(pause_ms, marks=pytest.mark.endurance) for pause_ms in (40, 60, 90)), 120]
+)
 def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     law: str, apart_us: int, stiffness: float | None, pause_ms: int
 ) -> None:

@@ -60,7 +60,7 @@ def test_a_line_with_gaps_is_borne_to_its_limit_and_not_to_that_of_an_even_one(
 
 
 @pytest.mark.check("every line, from six seeds")
-@pytest.mark.parametrize("law", [*LAWS, *PACKAGE_LAWS])
+@pytest.mark.parametrize("law", [*LAWS, *(pytest.param(law, marks=pytest.mark.endurance) for law in PACKAGE_LAWS)])
 def test_nine_tenths_of_the_limit_are_borne_over_every_line(law: str) -> None:
     if law not in INSTALLED:
         pytest.skip(f"no installed package has the law {law}")
