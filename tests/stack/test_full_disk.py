@@ -75,6 +75,7 @@ LIVE = {
 }
 
 
+@pytest.mark.endurance
 def test_live_commands_whose_results_have_no_room_name_the_place_and_leave_the_rig_as_it_was(rig: Rig) -> None:
     rig.start(scenario="image")
     rig.wait_until(rig.running, "the session")

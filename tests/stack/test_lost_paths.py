@@ -184,6 +184,7 @@ def test_a_second_rig_sees_the_first_and_outlives_it(pair: list[Rig]) -> None:
     record("a second rig is started after the folder of the first was removed", "it was rig 2 and kept its sockets")
 
 
+@pytest.mark.endurance
 def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_rig_is_made_safe(tmp_path: Path) -> None:
     with closing(Rig(tmp_path / "1")) as first, closing(Rig(tmp_path / "2")) as second:
         start(first)

@@ -83,7 +83,11 @@ def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, 
     rig.end_session()
 
 
-@pytest.mark.parametrize("rig", [False, True], indirect=True, ids=["direct", "through the relay"])
+@pytest.mark.parametrize(
+    "rig",
+    [pytest.param(False, marks=pytest.mark.endurance, id="direct"), pytest.param(True, id="through the relay")],
+    indirect=True,
+)
 def test_a_session_over_a_relay_is_whole_and_can_be_fetched_again(rig: RelayedSites) -> None:
     rig.start_relay()
     rig.start("--duration", "5")
