@@ -92,7 +92,8 @@ def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: py
 
 def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig) -> None:
     begin_ns = time.time_ns()
-    rig.wait_until(lambda: mode(rig) == "estop", "left by the test before")
+    assert rig.telenano("estop").returncode == 0
+    rig.wait_until(lambda: mode(rig) == "estop", "the emergency stop")
     pipes = {"env": rig.environment, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with stopped(rig, TIP):
         waiting: Any = subprocess.Popen(rig.command("session", "arm", "--target", "afm_node"), **pipes)
