@@ -57,7 +57,7 @@ _SHOWN_OVER_LEFT = 1.5
 _WAY_OVER_LEFT = 2.5
 _TAILS = (1.0, 0.5, 0.25, 0.125)
 _WINDOWS = 8
-# what goes on is in its last window no less than this part of what it was [1]: a third of a turn goes as far
+# A motion that goes on is in its last window no less than this part of what it was [1]: a third of a turn goes as far
 _LEAST_END = 1.0 / 3.0
 # octaves of a spectrum that tell noise from a motion [1]
 _OCTAVES = 4
@@ -257,7 +257,7 @@ def _settles(envelope: Finding, doubt: "_Doubt") -> bool:
     """Return whether an envelope decides what is in doubt: it moves or dies out, and is mostly of that motion."""
     growth, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
     is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0
-    # what dies out is another motion where that in doubt grows
+    # The motion that dies out is another one where that in doubt grows.
     falls = envelope.cause is Cause.DIES_OUT and growth < 0.0
     is_motion = is_cycle or falls or envelope.kind == "diverged"
     is_of_it = doubt.found.decisive_n > 0.5 * envelope.size_n
@@ -277,7 +277,7 @@ class _Motion(NamedTuple):
 
     @property
     def small_n(self) -> float:
-        # one step of a read-out that rounds is no motion
+        # One step of a read-out that rounds is no motion.
         return max(SMALL_SHARE * self.hand_n, 1.5 * self.step_n)
 
     def last(self, share: float) -> Window | None:
@@ -643,7 +643,7 @@ def classify(mode: Mode, window: Window) -> Fate:
         return Fate.NEGLIGIBLE
     change, error, cycles = *_change(mode, window), window.cycles(mode)
     is_swing = cycles >= 0.5
-    # of a swing that is seen once the growth has to be as clear on either side
+    # The growth of a swing that is seen once has to be as clear on either side.
     least = LEAST_CHANGE if cycles >= LEAST_TURNS else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
     falls_by = LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE
     if change - error > least:

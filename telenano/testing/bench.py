@@ -125,6 +125,12 @@ def haptic_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
     return process.HapticNode(bench.context, haptic_config(section), driver)
 
 
+def _pass_ms(line: Any, duration_ms: int) -> None:
+    """Let the time of what is behind a node pass; a test may replace `pass_ms` of it meanwhile."""
+    if hasattr(line, "pass_ms"):
+        line.pass_ms(duration_ms)
+
+
 class InstrumentRig:
     """An AFM node on a bench, over a wire (`RequestLine`) or with any driver, which a test commands as a law does.
 
@@ -148,8 +154,7 @@ class InstrumentRig:
         """
         for _ in range(count):
             self.bench.advance_ms(1)
-            if hasattr(self.line, "pass_ms"):
-                self.line.pass_ms(1)
+            _pass_ms(self.line, 1)
             fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7, "hand_armed": True}
             fields["hand_t_ns"] = self.bench.clock.now_ns()
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
@@ -184,8 +189,7 @@ class HandRig:
             self.node.on_message(self.bench.received("haptic/command", "controller@master", **command, **stamps))
             before_ns = self.bench.clock.monotonic_ns()
             self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
-            if hasattr(self.line, "pass_ms"):
-                self.line.pass_ms(1)
+            _pass_ms(self.line, 1)
             self.node.on_deadline(self.bench.clock.monotonic_ns())
 
 

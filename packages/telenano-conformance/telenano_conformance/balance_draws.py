@@ -32,7 +32,7 @@ KINDS = (
     "quantised force",
 )
 MIXED = "mixed"
-# what a line, a sample, an instrument and an arm do that are worse than those of the orders above
+# These are a line, a sample, an instrument and an arm that are worse than those of the orders above.
 ADVERSE = (
     "line that steps",
     "line that overtakes",

@@ -358,7 +358,7 @@ def stretch(
                     behind, periods = paced(behind, elapsed, 0)
                     signal = _heard_now(slave_heard, 0.0, 0.0)
             else:
-                # without a signal a half with a loop of its own steps with the instrument, the others stand
+                # A half with a loop of its own steps with the instrument without a signal, the others stand.
                 silent = tick - slave_tick
                 counts = silent * period_s <= held.silence_limit_s
                 follows = slave_heard.active and tip.following and not slave_switching and not held.lost

@@ -281,7 +281,7 @@ def test_a_law_that_leaks_at_one_transition_is_found_there(mutant: str) -> None:
 @pytest.mark.parametrize(
     "mutant",
     [
-        # one of each side stands for all
+        # One mutant of each side stands for all.
         one if one in ("hand lost", "instrument lost") else pytest.param(one, marks=pytest.mark.endurance)
         for one in MUTANTS
         if one not in ("let go", "quantised force", "arm")

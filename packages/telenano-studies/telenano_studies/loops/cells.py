@@ -430,7 +430,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         (found,) = holds
         facts = tuple(fact.kind for fact in found.facts)
         wrong = next((fact for fact in found.facts if fact.kind in WRONG_RESTS), None)
-        # of a hold that came to rest in another way than it should, the verdict's reason says why it rests
+        # A hold that rests otherwise than it should has that for its reason; the verdict's reason says why it rests.
         reason = wrong.text if wrong is not None and found.verdict == "stable" else found.reason
         judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
