@@ -33,7 +33,7 @@ from telenano.runtime.wiring.main import node_kind
 from telenano.settings import package_topics
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.included import DEFAULT_SITE_FILE
-from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.settings.scenario import LoadedScenario
 from telenano.timing.clock import VirtualClock
 from telenano.virtual.bus import RecordingBus, VirtualBus
 from telenano.virtual.machine import QuietLog, VirtualMachine
@@ -451,7 +451,7 @@ class VirtualRig(Engine):
         counts_inputs: bool = False,
     ) -> None:
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
-        loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
+        loaded = LoadedScenario.of(document, "virtual")
         path = Path("scenario.yaml") if folder is None else folder / "scenario.yaml"
         super().__init__(
             loaded,

@@ -89,7 +89,14 @@ VALUES: Mapping[str, Sequence[Any]] = {
     "delay_node.*.outage.mean_up_s": [0.1],
     "delay_node.*.outage.mean_down_s": [0.02],
     "delay_node.*.jitter.second_correlation_share": [0.5],
-    "afm_node.cantilever.steps_per_period": [48],
+    "afm_node.cantilever.steps_per_period": [192],
+    "afm_node.begin.push.lateral_limit_n": [1e-9],
+    "afm_node.feel.table": [[[-2.0, 0.0], [-28.0, 1e-9]]],
+    "afm_node.feel.tolerance": [5.0],
+    "afm_node.feel.slope_limit_n_per_unit": [1e-11],
+    "afm_node.feel.least_n": [-1e-9],
+    "controller.bounded_model.force_margin_n": [1.0],
+    "controller.bounded_model.exchange_s": [0.5],
     "afm_node.sample.pixels": [64],
     "afm_node.sample.dot_count": [5],
     "afm_node.sample.map": ["shift.npz"],
@@ -153,9 +160,23 @@ PULLS_BACK = Session(
         }
     }
 )
-TAPPING = {"program": "scan", "scan": {**SCAN["scan"], "mode": "tapping"}}
+# A servo so stiff that the handle passes its limit, where the end stop of the device may stand.
+OVERSHOOTS = Session(
+    {
+        "haptic_node": {
+            "device": {"servo_gain_v_per_m": 1e6},
+            "limits": {"position_min_m": -1e-5, "max_speed_m_per_s": 0.03},
+            "operator": {"points": [{"time_s": 0.05, "force_n": -3.0}]},
+        }
+    }
+)
+TAPPING = {"program": "scan", "scan": {**SCAN["scan"], "mode": "tapping", "gain_per_s": 100.0}}
+TAPS = Session(afm(DYNAMIC, {"begin": TAPPING}), is_started=False, end_s=2.5)
 # The other half falls silent for longer than any law waits by default.
 SILENT = Session(happens=(Timed(0.5, lambda rig: rig.stall("controller@slave", 0.8)),), end_s=1.6)
+# The half beside the instrument falls silent, so long that the tip is held, or so long that it is retracted.
+HELD_TIP = Session(happens=(Timed(0.4, lambda rig: rig.stall("controller@slave", 0.15)),))
+RETRACTED_TIP = Session(happens=(Timed(0.4, lambda rig: rig.stall("controller@slave", 0.8)),), end_s=1.6)
 # The simulated device of the package telenano-haptic-devices, which shows a force.
 HELD = Session(
     {"haptic_node": {"driver": "simulated_impedance", "coupling": {"rest_s": 0.02}}}, rate_hz=1000.0, end_s=1.0
@@ -203,6 +224,55 @@ PUSH = {
     "push": {"x0_m": 0.0, "y0_m": 0.0, "x1_m": 4e-7, "y1_m": 0.0, "approach_m_per_s": 5e-6, "mode": "straight"},
 }
 PUSHES = Session(merge(dict(PARTICLE), {"afm_node": {"begin": PUSH}}), is_started=False, end_s=1.6)
+# A push beside the middle of the particle, which slips off the tip.
+SLIPS = replace(
+    PUSHES,
+    settings=merge(
+        dict(PUSHES.settings), {"afm_node": {"begin": {"push": {"y0_m": 2e-7, "y1_m": 2e-7, "x1_m": 2e-6}}}}
+    ),
+    end_s=2.6,
+)
+# A hand that throws the handle and then lets it coast, far from the sample.
+COASTS = Session(
+    {
+        "haptic_node": {
+            "operator": {
+                "points": [
+                    {"time_s": 0.05, "force_n": 0.0},
+                    {"time_s": 0.06, "force_n": 2.0},
+                    {"time_s": 0.12, "force_n": 2.0},
+                    {"time_s": 0.13, "force_n": 0.0},
+                ]
+            }
+        },
+        "afm_node": {"rest_distance_m": 1e-7},
+    }
+)
+# A cantilever so soft that a press takes more energy than the tip has at first.
+SOFT_PRESS = Session(
+    merge(
+        dict(both_ways({"delay_s": 0.02})),
+        {
+            "controller": {"bounded_model": {"start_energy_j": 1e-5}},
+            "afm_node": {
+                "cantilever": {"stiffness_n_per_m": 1.0},
+                "safety": {"base_max_m": 1e-6, "base_speed_m_per_s": 2e-5},
+            },
+            "haptic_node": {
+                "operator": {
+                    "points": [
+                        {"time_s": 0.05, "force_n": 0.0},
+                        {"time_s": 0.06, "force_n": 2.0},
+                        {"time_s": 1.0, "force_n": 2.0},
+                        {"time_s": 1.1, "force_n": 0.2},
+                        {"time_s": 1.6, "force_n": 2.0},
+                    ]
+                }
+            },
+        },
+    ),
+    end_s=2.5,
+)
 SESSIONS: Sequence[tuple[str, Session]] = (
     ("duration_s", Session(are_files=True, is_conducted=True)),
     ("recorder.*", RECORDED),
@@ -310,10 +380,10 @@ SESSIONS: Sequence[tuple[str, Session]] = (
         "afm_node.sample.period_m",
         Session(afm(DOTS, {"sample": {"name": "grating"}, "begin": SCAN}), is_started=False, end_s=2.5),
     ),
-    ("haptic_node.device.position_min_m", PULLS_BACK),
+    ("haptic_node.device.position_min_m", OVERSHOOTS),
     ("haptic_node.limits.position_min_m", PULLS_BACK),
     ("afm_node.sample.map", Session(afm({"feel": FEEL}))),
-    *((f"haptic_node.{section}.**", HELD) for section in ("coupling", "impedance", "simulated_impedance")),
+    *((f"haptic_node.{section}.**", HELD) for section in ("coupling", "impedance")),
     *((f"haptic_node.{section}.**", HELD_ACROSS) for section in ("coupling", "impedance")),
     *(
         (f"controller.{law}.silence_limit_s", SILENT)
@@ -333,18 +403,37 @@ SESSIONS: Sequence[tuple[str, Session]] = (
             "tactile",
         )
     ),
+    *((f"afm_node.begin.scan.{name}", TAPS) for name in ("amplitude_m", "setpoint_share")),
+    ("afm_node.cantilever.steps_per_period", TAPS),
+    ("afm_node.begin.push.stop_on_loss", SLIPS),
+    ("afm_node.torsion.gain_uncertainty", PUSHES),
+    (
+        "afm_node.friction.tip_height_m",
+        Session(afm(DOTS, {"begin": SCAN, "friction": {"coefficient": 0.3}}), is_started=False, end_s=2.5),
+    ),
+    ("afm_node.safety.resume_acceleration_m_per_s2", HELD_TIP),
     *(
-        (f"afm_node.begin.scan.{name}", Session(afm(DYNAMIC, {"begin": TAPPING}), is_started=False, end_s=2.5))
-        for name in ("amplitude_m", "setpoint_share")
+        (f"afm_node.safety.{name}", RETRACTED_TIP)
+        for name in ("command_deadline_s", "hold_time_s", "retract_speed_m_per_s")
     ),
     ("controller.tactile.**", Session(afm(DOTS, {"begin": TACTILE}), end_s=2.5)),
     *(
         (f"controller.bounded_model.{name}", Session(both_ways({"delay_s": 0.1}), end_s=2.0))
-        for name in ("lag_damping", "lag_inertia", "force_margin_n", "exchange_s")
+        for name in ("lag_damping", "lag_inertia")
     ),
+    ("controller.bounded_model.force_margin_n", COASTS),
+    ("controller.bounded_model.exchange_s", SOFT_PRESS),
     ("afm_node.sample.particles.**", Session(PARTICLE, end_s=2.5)),
     ("afm_node.sample.particles.places", Session(afm({"sample": {"particles": {}}}))),
     ("afm_node.feel.**", Session(afm({"feel": FEEL, "sample": {"map": "shift.npz"}}))),
+    # A branch that goes on behind the turn of the map, and one that pulls.
+    *(
+        (f"afm_node.feel.{name}", Session(afm({"feel": {**FEEL, "table": table}, "sample": {"map": "shift.npz"}})))
+        for name, table in {
+            "tolerance": [[-2.0, 0.0], [-40.0, 3e-9]],
+            "least_n": [[-2.0, 0.0], [-28.0, -3e-9]],
+        }.items()
+    ),
     (
         "afm_node.sample.channel",
         Session(afm(DOTS, {"sample": {"name": "heights.gwy"}, "begin": SCAN}), is_started=False, end_s=2.5),
