@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # A quantile that rests on fewer messages is a guess.
 _FEWEST_BEYOND = 10
+# A change is seen in halves of this number of correlation times.
+_FEWEST_TIMES = 30.0
 
 
 def fit(
@@ -177,6 +179,8 @@ def _known(value: Any) -> Any:
 
 
 def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
+    from telenano_networks.line_fit import lasting_s
+
     messages = sum(len(part.sent_s) for part in log.segments)
     groups = _grouped(log.cuts)
     if log.round_trip:
@@ -200,6 +204,13 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     apart = [row.what for row in table if row.halves_differ]
     if apart:
         groups.append(f"The halves of the log differ by more than chance in {', '.join(apart)}: it is not stationary.")
+    time_s, half_s = lasting_s(log)
+    if half_s < _FEWEST_TIMES * time_s:
+        groups.append(
+            f"The delay takes {time_s:.3g} s to forget what it was, and a half of the log has {half_s / time_s:.2g} of"
+            " these times: whether the line stays as it is cannot be said of so few; a log of"
+            f" {2.0 * _FEWEST_TIMES * time_s:.3g} s could say it."
+        )
     unlike = [
         f"{row.what} ({row.measured:.3g} measured, {row.generated:.3g} generated)" for row in table if not row.agrees
     ]

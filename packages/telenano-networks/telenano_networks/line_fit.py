@@ -52,8 +52,16 @@ _MOST_OVERTAKEN = 1e-3
 MOST_HELD = 20_000
 # The line holds this number of bytes at the same time.
 MOST_HELD_BYTES = 4 << 20
-# The log is resampled this number of times for the uncertainty of its statistics.
-_RESAMPLES = 200
+# The blocks of a log are dealt to two halves this number of times, for what chance makes between them.
+_DEALS = 300
+# Of what chance makes, this share stays within the interval.
+_SURE = 0.95
+# A block has this number of correlation times, if a half then has as many blocks as this, and no more than that.
+_BLOCK_TIMES = 5.0
+_FEWEST_BLOCKS = 6.0
+_MOST_BLOCKS = 40.0
+# Correlations from the first that is smaller on count as none.
+_LITTLE_CORRELATION = 0.05
 # The statistics of the model are those of this number of logs that it generates.
 _DRAWS = 25
 # Messages of this size are sent through the model of the line.
@@ -75,7 +83,6 @@ _NEARLY = {"correlation": 0.1, "10-s": 0.01, "deviation": 0.01}
 # Of few windows as many as these are chance.
 _FEW_WINDOWS = 2.0
 _VAGUE = 0.6
-_RARE = "q99.9 [ms]"
 
 
 def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
@@ -179,7 +186,7 @@ def without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
 class Agreement(NamedTuple):
     """A statistic of the half that the fit has not seen: measured with its interval, generated, of the other half.
 
-    halves_differ: the other half is not within the interval itself, and the model is held to the interval of that half.
+    halves_differ: the halves differ by more than chance, and the model agrees if it is between them.
     """
 
     what: str
@@ -401,7 +408,7 @@ def _statistics(tally: Tally, weights: Numbers) -> dict[str, float]:
     return {
         "q50 [ms]": float(quantiles_ms[0]),
         "q99 [ms]": float(quantiles_ms[1]),
-        _RARE: float(quantiles_ms[2]),
+        "q99.9 [ms]": float(quantiles_ms[2]),
         "correlation of neighbours": correlation_of(tally.pairs, weights),
         "stalls per minute": 60.0 * len(held) / max(float(weights @ tally.seconds), 1e-9),
         "stall, median [ms]": 1e3 * float(np.median(late_s)) if len(held) else math.nan,
@@ -413,43 +420,118 @@ def _statistics(tally: Tally, weights: Numbers) -> dict[str, float]:
 def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agreement]:
     """Fit the first half of each segment and compare what its settings generate with the second.
 
-    The settings are those that `LineModel.ways` writes, with memory or without.
-
-    The interval is that of a bootstrap of blocks of the second half, 95 %, and a statistic agrees inside of it. Where
-    the first half is not inside of it either, no model of the first half can be: it agrees between the two halves, or
-    inside the interval of the first.
+    The settings are those that `LineModel.ways` writes, with memory or without. The interval has the uncertainty of
+    both halves, and a statistic agrees inside of it. Where the halves differ by more than chance, no model of the first
+    half can be that of the second: it agrees between the two.
     """
     scale = scale_of(log)
     first, second = log.halves()
     ways = fit(first, scale).ways(round_trip=log.round_trip, with_memory=with_memory, seed=seed)
-    measured, other = statistics(second, scale), statistics(first, scale)
     made_logs = [generated(ways, second, seed + n) for n in range(_DRAWS)]
     draws = [statistics(one, scale) for one in made_logs]
-    samples, of_first = (
-        [_statistics(tally, weights) for weights in tally.draws(seed, _RESAMPLES)]
-        for tally in (tally_of(half, scale) for half in (second, first))
-    )
     rows = []
-    for what, value in measured.items():
+    for what, halves in compared_halves(log, seed).items():
+        value, other = halves.second, halves.first
         # The median, because a single long stall in one of the draws is most of the mean of a late quantile.
         made = _middle([draw[what] for draw in draws])
-        low, high = _interval([sample[what] for sample in samples])
-        differ = not (math.isnan(other[what]) or math.isnan(low) or low <= other[what] <= high)
-        near = low <= made <= high
-        if what == _RARE and not near:
-            # the slowest few of each half are as far from one another as chance has it
-            low_of_first, high_of_first = _interval([sample[what] for sample in of_first])
-            near = min(low, low_of_first) <= made <= max(high, high_of_first)
-        if differ and not near:
-            low_of_first, high_of_first = _interval([sample[what] for sample in of_first])
-            near = min(value, low_of_first) <= made <= max(value, high_of_first)
+        low, high = value - halves.most_by_chance, value + halves.most_by_chance
+        near = low <= made <= high or (halves.differ and min(value, other) <= made <= max(value, other))
         # A half without a stall says nothing of their length.
         unknown = math.isnan(made) or math.isnan(value)
         near = near or (what.startswith("correlation") and abs(value - made) <= _NEARLY["correlation"])
         # an interval that holds nearly every correlation says nothing for the model
         vague = what.startswith("correlation") and high - low > _VAGUE and abs(value - made) > 0.5 * _VAGUE
-        rows.append(Agreement(what, value, low, high, made, other[what], differ, unknown or (near and not vague)))
+        agrees = unknown or (near and not vague)
+        rows.append(Agreement(what, value, low, high, made, other, halves.differ, agrees))
     return rows + _compared_courses(second, first, made_logs)
+
+
+class Halves(NamedTuple):
+    """A statistic of both halves of a log, and the difference that chance makes at most; nan: none is known."""
+
+    first: float
+    second: float
+    most_by_chance: float
+
+    @property
+    def differ(self) -> bool:
+        """Whether the halves differ by more than chance."""
+        return abs(self.second - self.first) > self.most_by_chance
+
+
+def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
+    """Compare the statistics of the halves of a log, by blocks that chance deals to two halves.
+
+    If the line is stationary, a block of the one half could as well be one of the other, so that the differences of
+    halves that are dealt anew are those that chance makes, with the uncertainty of both halves. A block is as long as
+    several correlation times; what is left of the correlation between blocks widens the differences. A statistic
+    differs if its difference, in its own deviations, is greater than the greatest of any statistic in 95 % of the
+    deals, so that 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young, Resampling-Based
+    Multiple Testing, Wiley 1993).
+    """
+    scale = scale_of(log)
+    first, second = log.halves()
+    time_s, half_s = lasting_s(log)
+    block_s = half_s / min(max(half_s / (_BLOCK_TIMES * time_s), _FEWEST_BLOCKS), _MOST_BLOCKS)
+    tally = tally_of(LineLog((*first.segments, *second.segments), log.round_trip, log.resolution_s), scale, block_s)
+    is_second = np.repeat([0, 1], [len(tally_of(half, scale, block_s).seconds) for half in (first, second)])
+    # The blocks of a process with this correlation time have this share of the variance of a mean of them.
+    times = block_s / time_s
+    kept = 1.0 + math.expm1(-times) / times
+    draw = np.random.default_rng(seed)
+    deals = [_of_halves(tally, draw.permutation(is_second)) for _ in range(_DEALS)]
+    of_first, of_second = _of_halves(tally, is_second)
+    apart = np.array([[two[what] - one[what] for what in of_first] for one, two in deals]) / math.sqrt(kept)
+    known = ~np.isnan(apart)
+    sizes = np.where(known, np.abs(apart), 0.0)
+    deviations = np.sqrt((sizes**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    in_deviations = np.divide(sizes, deviations, out=np.zeros_like(sizes), where=deviations > 0.0)
+    limit = float(np.quantile(in_deviations.max(axis=1), _SURE))
+    most = np.where(known.any(axis=0), limit * deviations, np.nan).tolist()
+    return {what: Halves(one, of_second[what], most[number]) for number, (what, one) in enumerate(of_first.items())}
+
+
+def _of_halves(tally: Tally, is_second: Numbers) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the statistics of the blocks that are of the first half, and of those that are of the second."""
+    return _statistics(tally, 1 - is_second), _statistics(tally, is_second)
+
+
+def lasting_s(log: LineLog) -> tuple[float, float]:
+    """Return the correlation time of a line, and how long a half of its log is [s]."""
+    first, second = log.halves()
+    half_s = sum(float(part.sent_s[-1]) for part in first.segments)
+    return correlation_time_s((*first.segments, *second.segments), log.period_s), half_s
+
+
+def correlation_time_s(parts: Sequence[Segment], period_s: float) -> float:
+    """Return the time in which the correlation of delays and losses falls to 1/e [s], at least that of a message.
+
+    It is half of the sum of the correlations at all lags either way, up to the first below a twentieth: for an
+    exponential course the time of that. Each part has its own mean, so that a change between parts is no correlation.
+    """
+    delays = np.concatenate([part.delay_s for part in parts])
+    high = float(np.nanquantile(delays, _COUNTED))
+    longest = period_s
+    for series in (
+        [np.minimum(part.delay_s, high) - np.nanmean(np.minimum(part.delay_s, high)) for part in parts],
+        [np.isnan(part.delay_s) - np.isnan(part.delay_s).mean() for part in parts],
+    ):
+        found = sum(_correlations([np.nan_to_num(one) for one in series])) * period_s
+        longest = max(longest, found)
+    return _rounded(longest)
+
+
+def _correlations(series: Sequence[Column]) -> list[float]:
+    """Return half of the one at lag 0, and the correlations at the lags after it, up to the first small one."""
+    longest = max(len(one) for one in series)
+    size = 1 << (2 * longest - 1).bit_length()
+    courses_of = [np.fft.irfft(np.abs(np.fft.rfft(one, size)) ** 2, size) for one in series]
+    products = np.sum(courses_of, axis=0)[: max(longest // 4, 1)]
+    if not products[0] > 0.0:
+        return [0.5]
+    shares = products / products[0]
+    small = np.flatnonzero(shares < _LITTLE_CORRELATION)
+    return [0.5, *shares[1 : int(small[0]) if len(small) else len(shares)].tolist()]
 
 
 def parameters(model: LineModel) -> dict[str, float]:

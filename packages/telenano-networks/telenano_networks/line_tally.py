@@ -22,7 +22,7 @@ _PERIODS = 2.0
 # A stall is longer than this multiple of the distance from the median delay to the third quartile.
 _SPREADS = 8.0
 # The log is resampled in blocks of about this length.
-_BLOCK_S = 20.0
+BLOCK_S = 20.0
 # The longest time over which the delay is compared with itself [s].
 _LONGEST_LAG_S = 30.0
 # A message overtakes when it arrives by so much before the one before.
@@ -131,15 +131,15 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
     return stalls
 
 
-def tally_of(log: LineLog, scale: Scale) -> Tally:
-    """Return the tally of a log in blocks of 20 s, of which a segment has one at least."""
+def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
+    """Return the tally of a log in blocks of about this length [s], of which a segment has one at least."""
     delays, blocks, is_usual, overtaken = [], [], [], []
     segment: list[Numbers] = []
     seconds: list[float] = []
     stalls: list[tuple[int, float, int, int]] = []
     for part in log.segments:
         # never more than messages, whatever their times say
-        pieces = max(1, min(round(float(part.sent_s[-1]) / _BLOCK_S), len(part.sent_s)))
+        pieces = max(1, min(round(float(part.sent_s[-1]) / block_s), len(part.sent_s)))
         edges_s = np.linspace(0.0, part.sent_s[-1], pieces + 1)
         block = len(seconds) + np.searchsorted(edges_s[1:-1], part.sent_s, side="right")
         seconds += np.diff(edges_s).tolist()
