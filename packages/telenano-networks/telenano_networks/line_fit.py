@@ -54,8 +54,9 @@ MOST_HELD = 20_000
 MOST_HELD_BYTES = 4 << 20
 # The blocks of a log are dealt to two halves this number of times, for what chance makes between them.
 _DEALS = 300
-# Of what chance makes, this share stays within the interval.
-_SURE = 0.95
+# Of what chance makes, this share stays within the interval: more than 95 %, because the correlation time that the
+# blocks follow from is itself estimated.
+_SURE = 0.97
 # A block has this number of correlation times, if a half then has as many blocks as this, and no more than that.
 _BLOCK_TIMES = 5.0
 _FEWEST_BLOCKS = 6.0
@@ -465,8 +466,8 @@ def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
     If the line is stationary, a block of the one half could as well be one of the other, so that the differences of
     halves that are dealt anew are those that chance makes, with the uncertainty of both halves. A block is as long as
     several correlation times; what is left of the correlation between blocks widens the differences. A statistic
-    differs if its difference, in its own deviations, is greater than the greatest of any statistic in 95 % of the
-    deals, so that 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young, Resampling-Based
+    differs if its difference, in its own deviations, is greater than the greatest of any statistic in 97 % of the
+    deals, so that fewer than 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young, Resampling-Based
     Multiple Testing, Wiley 1993).
     """
     scale = scale_of(log)
