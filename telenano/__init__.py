@@ -33,6 +33,11 @@ __all__ = [
 ]
 
 
+def __dir__() -> list[str]:
+    """Return what there is for programs, without what this module needs for itself."""
+    return [*__all__, "__version__"]
+
+
 def __getattr__(name: str) -> Any:
     # The command begins faster without modules that it may not need.
     if name == "__version__":

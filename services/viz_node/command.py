@@ -22,7 +22,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import SiteFileOption, refuse_unused
 from telenano.cli.output import report_errors
 from telenano.launcher.restart_policy import RestartTracker
-from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.multi_file import RecordingSource, open_recordings, recordings_of
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others
@@ -56,7 +56,7 @@ def view(
     given: dict[str, Any],
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="FILE", help="Recording to show, in its parts; without it the running rig."),
+        typer.Argument(metavar="FILE|DIR", help="Recording to show, in its parts; without it the running rig."),
     ] = None,
     demo: Annotated[
         bool, typer.Option("--demo", help="Show the recording of Fig. 12 that comes with telenano.")
@@ -112,7 +112,7 @@ def view(
         tls, access = config.tls(), config.access()
         if demo and files:
             raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
-        files = [DEMO_RECORDING] if demo else files or []
+        files = [DEMO_RECORDING] if demo else [file for path in files or () for file in recordings_of(path)]
         recordings = open_recordings(files, by_index=True) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.

@@ -83,7 +83,7 @@ FIRST_COMMANDS = ("up", "simulate", "session", "estop", "replay", "status", "vie
                   "study", "scan", "curve", "scenario", "new", "device", "doctor")  # fmt: skip
 # The help of `up` begins with these options.
 FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep", "out", "overwrite", "headless",
-                 "no_view", "as_json")  # fmt: skip
+                 "no_view", "quiet", "as_json")  # fmt: skip
 
 
 @cache
@@ -170,8 +170,9 @@ class _UpCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         rows = {one.name: row for one in self.get_params(ctx) if (row := one.get_help_record(ctx))}
+        arguments = [rows.pop(one.name) for one in self.get_params(ctx) if one.param_type_name == "argument"]
         first = [rows.pop(name) for name in FIRST_OPTIONS]
-        for heading, listed in (("Options", first), ("More options", list(rows.values()))):
+        for heading, listed in (("Arguments", arguments), ("Options", first), ("More options", list(rows.values()))):
             with formatter.section(heading):
                 formatter.write_dl(listed)
 
@@ -232,6 +233,22 @@ def _rig_option() -> Any:
     def named(rig: Annotated[str | None, option] = None) -> None: ...
 
     return next(parameter for parameter in typer.main.get_command(alone).params if parameter.name == "rig")
+
+
+# Commands by another name.
+ALIASES = {"run": "up"}
+# What people type who look for something that has another name.
+_MEANT = {
+    "stop": "Ctrl-C ends a session in its terminal, `telenano session stop` stops the hand of a running rig, and"
+    " `telenano estop` its devices at once",
+    "start": "`telenano up fig12` starts a rig, and `telenano session start` the hand of a running one",
+    "demo": "`telenano up fig12` runs the session of Fig. 12, and `telenano view --demo` shows a recorded one",
+    "list": "`telenano scenario list` has the scenarios, `telenano law list` the laws, `telenano status --all` the"
+    " rigs",
+    "open": "`telenano view FILE` shows a recording",
+    "plot": "`telenano report FILE --out DIR` draws the figure of a recording",
+    "play": "`telenano view FILE` shows a recording, and `telenano replay FILE` sends it into a rig",
+}
 
 
 class OpenGroup(TyperGroup):
@@ -298,6 +315,18 @@ class LazyRoot(OpenGroup):
     def make_context(self, *args: Any, **extra: Any) -> Any:
         with _unknown_to_typer():
             return super().make_context(*args, **extra)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command to run; `help` and other names of commands are taken as what they mean."""
+        name, *rest = args or [""]
+        if name == "help" and not rest:
+            typer.echo(ctx.get_help())
+            raise typer.Exit
+        if name == "help":
+            return self.resolve_command(ctx, [*rest, "--help"])
+        if name in _MEANT and name not in self.rows():
+            ctx.fail(f"no such command {name!r}: {_MEANT[name]}")
+        return super().resolve_command(ctx, [ALIASES.get(name, name), *rest])
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""

@@ -6,8 +6,9 @@ command as one mapping of fields to values; what was not is the model's.
 """
 
 import inspect
+import re
 from collections.abc import Callable, Collection, Mapping
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
@@ -193,12 +194,39 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
     elif option.kind is bool:
         flags = (f"{option.flag}/--no-{option.flag[2:]}",)
     complete = _TEXTS.get(metavar or "", _COMPLETIONS.get(option.flag))
-    made = typer.Option(*flags, help=_help(option), metavar=metavar, autocompletion=complete, show_default=False)
+    unit_name = option.unit.name or ("ms" if option.field.endswith("_ms") else "")
+    reader = partial(_number, unit_name) if option.kind is float else None
+    made = typer.Option(
+        *flags, help=_help(option), metavar=metavar, autocompletion=complete, show_default=False, parser=reader
+    )
     required = option.about.is_required() and option.default is None
     kind = option.kind if required else option.kind | None
     annotation: Any = Annotated[kind, made]
     default = inspect.Parameter.empty if required else None
     return inspect.Parameter(option.field, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+# Units in which a number may be written, by what they measure, in the SI unit of that.
+_WRITTEN: tuple[Mapping[str, float], ...] = (
+    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0},
+    {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "pm": 1e-12},
+    {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "µN": 1e-6, "nN": 1e-9, "pN": 1e-12},
+    {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+)
+
+
+def _number(unit: str, text: str) -> float:
+    """Read a number in the unit of an option, or with another unit of the same kind, such as 0.04s for 40 [ms]."""
+    number, written = re.fullmatch(r"(.*?)\s*([A-Za-zµ/]*)", text.strip(), re.DOTALL).groups()  # type: ignore[union-attr]
+    try:
+        return float(text)
+    except ValueError:
+        scales = next((scales for scales in _WRITTEN if unit in scales), {unit: 1.0} if unit else {})
+        try:
+            return float(number) * scales[written] / scales[unit]
+        except (KeyError, ValueError):
+            # The library adds the name of the option.
+            raise ValueError(f"{text!r} is not a valid float" + (f" [{unit}]" if unit else "")) from None
 
 
 def _help(option: ModelOption) -> str:

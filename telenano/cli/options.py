@@ -79,6 +79,7 @@ SiteOption = Annotated[
     typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing until the result, and serve no page.")]
 CountOption = Annotated[
     int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
 ]

@@ -90,10 +90,22 @@ def system_error_text(error: OSError) -> str:
     return reason if error.filename is None else f"{error.filename}: {reason}"
 
 
+# What people mean by options that a session has not.
+_MEANT = {
+    "--delay": "--round-trip-ms 40 delays by 20 ms each way, and --set delay_node.forward.delay_s=0.04 one way alone",
+    "--law": "--set controller.law=wave",
+    "--rate": "--set realtime.rate_hz=500",
+    "--verbose": "each node writes its log to OUT/logs, and `telenano status` shows what it does",
+    "-v": "each node writes its log to OUT/logs, and `telenano status` shows what it does",
+}
+
+
 def usage_text(error: Any) -> str:
     """Return a usage error of the command line as a sentence."""
     message = _suggested(" ".join(error.format_message().split()).rstrip("."))
     path = error.ctx.command_path.removeprefix(error.ctx.find_root().command_path) if error.ctx else ""
+    if path in (" up", " simulate") and (meant := _MEANT.get(getattr(error, "option_name", ""))):
+        message = f"{message.partition('; ')[0]}: {meant}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
 
 

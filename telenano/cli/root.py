@@ -27,7 +27,9 @@ def _whole_help(ctx: typer.Context, asked: bool) -> None:
 
 @app.callback(invoke_without_command=True)
 def root(
-    show_version: Annotated[bool, typer.Option("--version", help="Print versions and exit.", is_eager=True)] = False,
+    show_version: Annotated[
+        bool, typer.Option("--version", "-V", help="Print versions and exit.", is_eager=True)
+    ] = False,
     help_all: Annotated[
         bool, typer.Option("--help-all", help="List every command and exit.", is_eager=True, callback=_whole_help)
     ] = False,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import BaseModel
 
 from telenano.cli.child_session import run_session
+from telenano.cli.lazy_commands import ALIASES
 from telenano.cli.model_options import validated
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
@@ -66,7 +67,9 @@ def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
 def without_sweep(words: Sequence[str], command: str = "up") -> list[str]:
     """Return the arguments of a command line that each session of its sweep has as well."""
     kept, skip = [], False
-    for word in words[words.index(command) + 1 :]:
+    names = {command, *(alias for alias, meant in ALIASES.items() if meant == command)}
+    begin = next(place for place, word in enumerate(words) if word in names)
+    for word in words[begin + 1 :]:
         name, sign, _ = word.partition("=")
         if not skip and word != "--json" and name not in _OWN:
             kept.append(word)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from telenano.recording.messages import RecordedMessage as RecordedMessage
     from telenano.recording.multi_file import RecordingSource as RecordingSource
     from telenano.recording.multi_file import open_recordings as open_recordings
+    from telenano.recording.multi_file import recordings_of as recordings_of
     from telenano.recording.provenance import versions as versions
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording

@@ -8,7 +8,7 @@ from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
 from telenano.recording.recorded_fields import RecordedFields
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import NoRecordingError, RecordingError
 
 
 class RecordingSource(RecordedFields, Protocol):
@@ -107,6 +107,22 @@ class MultiFileRecording(RecordedFields):
         for file in self.files:
             newest |= file.newest_before(time_ns, wanted)
         return newest
+
+
+def recordings_of(path: Path) -> list[Path]:
+    """Return the recording that a path is, or all parts of the one in a folder.
+
+    Raises:
+        NoRecordingError: There is none in the folder.
+    """
+    if not path.is_dir():
+        return [path]
+    paths = sorted(path.glob("session*.mcap"))
+    if not paths:
+        raise NoRecordingError(
+            f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`"
+        )
+    return paths
 
 
 def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> RecordingSource:

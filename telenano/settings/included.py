@@ -40,6 +40,11 @@ def find_scenario(name: str) -> Path:
     if name in packages.problems:
         raise ConfigError(packages.problems[name])
     path = packages.found.get(name, Path(name))
+    if path.suffix == ".mcap":
+        raise ConfigError(
+            f"{name}: is the name of a recording, not of a scenario: `telenano view` shows it, `telenano report` makes"
+            " its figure, `telenano replay` sends it into a rig"
+        )
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     from telenano.settings.known_packages import where_it_is

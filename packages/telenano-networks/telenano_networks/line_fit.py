@@ -467,8 +467,8 @@ def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
     halves that are dealt anew are those that chance makes, with the uncertainty of both halves. A block is as long as
     several correlation times; what is left of the correlation between blocks widens the differences. A statistic
     differs if its difference, in its own deviations, is greater than the greatest of any statistic in 97 % of the
-    deals, so that fewer than 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young, Resampling-Based
-    Multiple Testing, Wiley 1993).
+    deals, so that fewer than 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young,
+    Resampling-Based Multiple Testing, Wiley 1993).
     """
     scale = scale_of(log)
     first, second = log.halves()

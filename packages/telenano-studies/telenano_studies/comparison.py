@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.analysis import FigureOptions, Session
-from telenano.recording import open_recordings
+from telenano.recording import open_recordings, recordings_of
 from telenano.settings import LoadedScenario
-from telenano.wire import ConfigError
 from telenano_studies.figure_colours import LINES, ON_SCREEN
 from telenano_studies.published import PANELS, Published, nearest
 
@@ -44,16 +43,6 @@ class Compared(NamedTuple):
     session: Session
     summary: dict[str, Any]
     scenario: dict[str, Any]
-
-
-def recordings_of(path: Path) -> list[Path]:
-    """Return the recording that a path is, or all parts of the one in a folder; ConfigError where there is none."""
-    if not path.is_dir():
-        return [path]
-    paths = sorted(path.glob("session*.mcap"))
-    if not paths:
-        raise ConfigError(f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`")
-    return paths
 
 
 def sessions_in(paths: Sequence[Path]) -> list[Path]:

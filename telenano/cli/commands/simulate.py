@@ -17,6 +17,7 @@ from telenano.cli.options import (
     AllowCodeOption,
     FormatOption,
     JsonOption,
+    QuietOption,
     SeedsOption,
     StyleOption,
     TableOption,
@@ -58,6 +59,7 @@ def simulate(
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
+    quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run the nodes of a rig on a bus in memory, in virtual time, and write recording, figure and summary.
@@ -76,7 +78,7 @@ def simulate(
         refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
         figure = {"--format": formats != "png", "--style": style != "screen"}
         refuse_unused(figure if no_report else {}, "not with --no-report, which leaves out the figure")
-        view = LineView(console(), quiet=as_json)
+        view = LineView(console(), quiet=quiet or as_json)
         if request.out is not None:
             outcome, summary, plan = _run(request, request.out, options, view, report=not no_report, as_json=as_json)
         else:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from telenano.analysis.figure_style import FigureOptions
+from telenano.cli.completion import scenario_names
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
@@ -18,6 +19,7 @@ from telenano.cli.options import (
     AllowCodeOption,
     FormatOption,
     JsonOption,
+    QuietOption,
     SeedsOption,
     StyleOption,
     TableOption,
@@ -47,9 +49,24 @@ from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ReportError
 
 
-@with_options(UpRequest, ("page",), units=SECONDS)
+@with_options(UpRequest, ("page", "scenario"), units=SECONDS)
 def up(
     given: Given,
+    experiment: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME|FILE]",
+            show_default=False,
+            help="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only.",
+            autocompletion=scenario_names,
+        ),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario", metavar="NAME|FILE", help="The experiment as an option.", autocompletion=scenario_names
+        ),
+    ] = None,
     sweep: Annotated[
         list[str] | None,
         typer.Option(
@@ -67,8 +84,10 @@ def up(
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
     no_view: Annotated[
-        bool, typer.Option("--no-view", help="Serve no page; --json, --headless and --site slave serve none either.")
+        bool,
+        typer.Option("--no-view", help="Serve no page; nor do --json, --headless, --quiet and --site slave."),
     ] = False,
+    quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
@@ -77,15 +96,27 @@ def up(
         permit_code()
     with report_errors(as_json):
         options = FigureOptions.of(formats, style)
-        request = validated(UpRequest, {**given, "page": not (no_view or as_json or headless)})
+        asked = {"scenario": _experiment(experiment, scenario)}
+        request = validated(UpRequest, {**given, **asked, "page": not (no_view or as_json or headless or quiet)})
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:
             _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
         refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
         with _folder_of(request) as folder:
-            outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
+            outcome, summary, plan = _run(request, folder, options, headless=headless, quiet=quiet, as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
+
+
+def _experiment(argument: str | None, option: str | None) -> str:
+    """Return the experiment that was named, as an argument or as an option."""
+    if argument is None and option is None:
+        raise ConfigError(
+            "no experiment is named: give one, such as `telenano up fig12`; `telenano scenario list` has them all"
+        )
+    if argument is not None and option not in (None, argument):
+        raise ConfigError(f"two experiments are named, {argument} and --scenario {option}: give one")
+    return argument or option or ""
 
 
 def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
@@ -96,12 +127,12 @@ def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
 
 
 def _run(
-    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, as_json: bool
+    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, quiet: bool, as_json: bool
 ) -> tuple[Outcome, dict[str, Any] | None, Plan]:
     """Run the session, in a folder where none is asked for, and make its report."""
     plan = make_plan(request, folder)
     _warn(request, plan)
-    view = _open_view(live=not headless and not as_json, quiet=as_json)
+    view = _open_view(live=not (headless or quiet or as_json), quiet=quiet or as_json)
     with (
         own_rig(plan, _tell) as own,
         fan_out(plan, own.descriptors),

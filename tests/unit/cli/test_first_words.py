@@ -1,0 +1,102 @@
+"""What people type first: other names of commands, options of other programs, numbers with their units."""
+
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import telenano
+from telenano.cli.model_options import options_of
+from telenano.cli.root import app
+from telenano.launcher.plan import SessionRequest, UpRequest
+from telenano.settings import DEMO_RECORDING
+
+
+def typed(line: str, **more: str) -> tuple[int, str]:
+    done = CliRunner().invoke(app, line.split(), env=more)
+    return done.exit_code, " ".join(done.output.split())
+
+
+@pytest.mark.parametrize("line", ["help", "--help", "-h"])
+def test_help_lists_the_commands(line: str) -> None:
+    code, text = typed(line)
+    assert code == 0
+    assert "Usage: " in text and " simulate " in text
+
+
+@pytest.mark.parametrize("line", ["help up", "up --help", "run --help", "help run"])
+def test_the_help_of_a_command_comes_by_either_word(line: str) -> None:
+    code, text = typed(line)
+    assert code == 0
+    assert "[NAME|FILE]" in text and "--scenario" in text and "--round-trip-ms" in text
+
+
+def test_the_version_has_a_short_option() -> None:
+    assert typed("-V") == typed("--version")
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("up", "no experiment is named"),
+        ("run", "no experiment is named"),
+        ("up fig12 --scenario touch", "two experiments are named"),
+        ("up fig13", "did you mean fig12"),
+        ("up session.mcap", "is the name of a recording"),
+        ("simulate session.mcap", "is the name of a recording"),
+        ("up fig12 --delay 40", "--round-trip-ms 40"),
+        ("simulate fig12 --rate 500", "--set realtime.rate_hz=500"),
+        ("up fig12 --verbose", "OUT/logs"),
+        ("up fig12 --round-trip-ms 40kg", "is not a valid float"),
+        ("simulate fig12 --duration 5nm", "is not a valid float"),
+        ("stop", "telenano estop"),
+        ("demo", "telenano up fig12"),
+        ("report session.mcap", "--out"),
+    ],
+)
+def test_what_is_meant_is_said(line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, text = typed(line)
+    assert code == 2
+    assert says in text
+
+
+@pytest.mark.parametrize(
+    ("flag", "text", "value"),
+    [
+        ("--round-trip-ms", "40", 40.0),
+        ("--round-trip-ms", "40ms", 40.0),
+        ("--round-trip-ms", "0.04 s", 40.0),
+        ("--duration", "2s", 2.0),
+        ("--duration", "500ms", 0.5),
+        ("--duration", "1min", 60.0),
+        ("--duration", "1e1", 10.0),
+    ],
+)
+def test_a_number_may_have_its_unit(flag: str, text: str, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def noted(request: UpRequest, folder: Path) -> None:
+        seen.append(request)
+        raise typer.Exit(7)
+
+    monkeypatch.setattr("telenano.cli.commands.up.make_plan", noted)
+    done = CliRunner().invoke(app, ["up", "fig12", flag, text, "--out", "/nowhere"])
+    assert done.exit_code == 7, done.output
+    field = next(option.field for option in options_of(SessionRequest) if option.flag in (flag, f"{flag}-s"))
+    assert getattr(seen[0], field) == pytest.approx(value)
+
+
+@pytest.mark.check("judges a recording")
+def test_a_session_is_named_by_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "session.mcap").write_bytes(DEMO_RECORDING.read_bytes())
+    code, text = typed(f"report {tmp_path}")
+    assert code == 0, text
+    assert (tmp_path / "summary.json").is_file() and (tmp_path / "fig12.png").is_file()
+
+
+def test_completion_offers_what_there_is() -> None:
+    assert {"open", "simulate", "live"} <= set(dir(telenano))
+    assert not {"Any", "import_module", "TYPE_CHECKING"} & set(dir(telenano))
+    assert all(hasattr(telenano, name) for name in dir(telenano))
