@@ -111,9 +111,7 @@ def up(
 def _experiment(argument: str | None, option: str | None) -> str:
     """Return the experiment that was named, as an argument or as an option."""
     if argument is None and option is None:
-        raise ConfigError(
-            "no experiment is named: give one, such as `telenano up fig12`; `telenano scenario list` has them all"
-        )
+        raise ConfigError("no experiment is named, such as in `telenano up fig12` (`telenano up --help` explains)")
     if argument is not None and option not in (None, argument):
         raise ConfigError(f"two experiments are named, {argument} and --scenario {option}: give one")
     return argument or option or ""

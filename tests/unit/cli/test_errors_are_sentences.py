@@ -206,7 +206,7 @@ def test_what_a_package_prints_is_standard_output_and_what_it_writes_is_a_file(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("up",), "no experiment is named: give one, such as `telenano up fig12`"),
+        (("up",), "no experiment is named, such as in `telenano up fig12`"),
         (("upp",), "no such command 'upp'; did you mean up? (`telenano --help` explains)"),
         (("up", "--scenario", "fig12", "--duration", "x"), "invalid value for '--duration': "),
         (
