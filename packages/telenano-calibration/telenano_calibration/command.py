@@ -1,5 +1,6 @@
 """`telenano calibrate`: sensitivity and stiffness from the measurements of your own instrument."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,6 +10,15 @@ from telenano.cli import JsonOption, command_group, print_document, report_error
 from telenano.wire import ConfigError
 
 app = command_group()
+
+
+class Sides(StrEnum):
+    """Sides of 0 Hz that a density is of."""
+
+    ONE = "one"
+    TWO = "two"
+
+
 ColumnsOption = Annotated[
     tuple[str, str] | None,
     typer.Option(
@@ -67,9 +77,25 @@ def stiffness(
         typer.Option(
             "--unit",
             metavar="UNIT",
-            help="Unit of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz); of a record V; default: by its heading.",
+            help="Unit of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz), Vpk/sqrt(Hz), 'dB re 1 V^2/Hz'; of the"
+            " power of lines V^2 or V; of a record V; default: by its heading.",
         ),
     ] = "",
+    sides: Annotated[
+        Sides | None,
+        typer.Option(
+            "--sides", help="Whether the density is that of one side of 0 Hz or of both; default: as the file shows."
+        ),
+    ] = None,
+    noise_bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            "--noise-bandwidth",
+            min=1e-9,
+            metavar="HZ",
+            help="Noise bandwidth of a line, where the file has the power of lines; default: by its head.",
+        ),
+    ] = None,
     frequency_unit: Annotated[
         str,
         typer.Option("--frequency-unit", metavar="UNIT", help="Unit of the frequency; default: by its heading, or Hz."),
@@ -129,9 +155,13 @@ def stiffness(
 
         if (spectrum is None) == (record is None):
             raise ConfigError("--spectrum, --record: give one of them")
-        is_of_metres = False
+        is_of_metres, window = False, None
         if spectrum is not None:
-            found_spectrum = spectrum_of(spectrum, unit, frequency_unit, columns or ())
+            found_spectrum = spectrum_of(
+                spectrum, unit, frequency_unit, columns or (), sides=None if sides is None else 1 + (sides is Sides.TWO),
+                noise_bandwidth_hz=noise_bandwidth,
+            )  # fmt: skip
+            window = found_spectrum.window
             is_of_metres = found_spectrum.is_of_metres
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
@@ -141,7 +171,7 @@ def stiffness(
         mode = BY_ANGLE if factor is None else factor
         thermal = Thermal(
             way_m, temperature, mode, width, length, rate, averages, way_error_m, 1e-9 * size_error,
-            (exclude,) if exclude else (), anyway,
+            (exclude,) if exclude else (), anyway, window,
         )  # fmt: skip
         if spectrum is not None:
             stiffness_found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, thermal)

@@ -16,7 +16,7 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,10 @@ from telenano.settings import read_by_package
 from telenano.wire import ConfigError
 from telenano_calibration.line_fit import regressed
 from telenano_calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
+from telenano_calibration.spectrum_files import TEXTS as TEXTS
+from telenano_calibration.spectrum_files import Spectrum as Spectrum
+from telenano_calibration.spectrum_files import spectrum_of as spectrum_of
+from telenano_calibration.spectrum_forms import DENSITIES as DENSITIES
 
 Array = npt.NDArray[np.float64]
 
@@ -35,11 +39,6 @@ BY_ANGLE = 0.971 / 1.09**2
 # Density and viscosity are those of air at 20 degrees Celsius and 1013 hPa.
 AIR_DENSITY_KG_PER_M3 = 1.204
 AIR_VISCOSITY_PA_S = 1.825e-5
-# Units of a density, as columns are named: of a power or of its root, in volts or in metres.
-DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
-_NO_DECIBELS = "decibels are not taken, so write the density itself, in"
-# files with other names are those of an instrument, which packages read
-TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
 _REAL = (
     (0.91324, -0.48274, 0.46842, -0.12886, 0.044055, -0.0035117, 0.00069085),
@@ -68,6 +67,8 @@ _BENT = 0.1
 _BENT_ERRORS = 6.0
 # Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
 _WITHIN = 1.96
+# A resonance of fewer lines across its width is said to be one.
+_FEW_ACROSS = 2.0
 # Sizes that a maker states make a stiffness wrong by less than this factor, so that more is another unit.
 _FARTHEST = 4.0
 
@@ -122,7 +123,7 @@ class Thermal(NamedTuple):
     rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
     averages None: by the scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the
     sensitivity, and of width and length each. exclude_hz: bands whose lines are left out. anyway: resonance, Q and mass
-    that no usual lever has are accepted.
+    that no usual lever has are accepted. window: of the segments of a spectrum, None where it is not known.
     """
 
     sensitivity_m_per_v: float
@@ -136,104 +137,12 @@ class Thermal(NamedTuple):
     size_error_m: float = 0.0
     exclude_hz: tuple[tuple[float, float], ...] = ()
     anyway: bool = False
+    window: Any = None
 
     @property
     def sensitivity_share(self) -> float:
         """The standard error of a stiffness by that of the sensitivity, as a share."""
         return 2.0 * self.sensitivity_error_m_per_v / abs(self.sensitivity_m_per_v)
-
-
-class Spectrum(NamedTuple):
-    """A thermal spectrum: lines [Hz], their density, whether that is of metres and not of volts, and its averages.
-
-    averages: None where nothing says how many periodograms a line is the mean of; remarks: how the file was read.
-    """
-
-    frequency_hz: Array
-    density_per_hz: Array
-    is_of_metres: bool
-    averages: float | None = None
-    remarks: tuple[str, ...] = ()
-
-
-def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: Sequence[str] = ()) -> Spectrum:
-    """Return a thermal spectrum, as density of a power.
-
-    Args:
-        path: A text table whose head may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that an
-            installed package reads.
-        unit: The unit of the density; empty takes that of the file.
-        frequency_unit: The unit of the frequency; empty takes that of the file.
-        columns: Those of frequency and density in a text table, by number or title; none takes what its head says.
-
-    Raises:
-        ConfigError: The file cannot be read, or a unit is not known; the message says how to give it.
-    """
-    if path.suffix.lower() not in TEXTS:
-        try:
-            facts, (frequency_hz, density) = read_by_package(path, "spectrum")
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise ConfigError(f"{path}: {error}") from error
-        power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
-        return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
-    table = TextTable.read(path)
-    others = ("psd", "power", "density", "pwr", "amplitude")
-    first, second = _pair_of(table, columns, ("Hz",), DENSITIES, ("freq", "f"), others)
-    remarks = list(table.remarks)
-    words = table.units_in_head("Hz") if not (first.unit or frequency_unit) else set()
-    if len(words) > 1:
-        raise ConfigError(f"{path}: its head names the units {', '.join(sorted(words))} of a frequency: give one by "
-                          "--frequency-unit")  # fmt: skip
-    named = frequency_unit or "".join(words)
-    lines = table.in_si(first, ("Hz",), named, "--frequency-unit" if frequency_unit or not named else "")
-    if lines is None:
-        remarks.append("nothing names the unit of the frequency, which is taken as Hz")
-        lines = first.values
-    density, is_of_metres = _density_of(table, second, unit)
-    sound = np.isfinite(lines) & np.isfinite(density)
-    order = np.argsort(lines[sound], kind="stable")
-    if np.any(np.diff(order) < 0):
-        remarks.append("its lines were not in order, and are sorted")
-    return Spectrum(lines[sound][order], density[sound][order], is_of_metres, None, tuple(remarks))
-
-
-def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, bool]:
-    values = table.numbers(column)
-    choices = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
-    kinds = [kind.powers for kind in map(unit_of, DENSITIES) if kind]
-    if unit:
-        unit_read = unit_of(unit)
-        if unit_read is None or unit_read.powers not in kinds:
-            raise ConfigError(f"--unit {unit}: must be {choices}")
-        return _power_of(values, unit, "--unit")
-    if column.unit:
-        unit_read = unit_of(column.unit)
-        if unit_read is None or unit_read.powers not in kinds:
-            raise ConfigError(
-                f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
-                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {choices}"
-            )
-        return _power_of(values, column.unit, table.name)
-    words = table.units_in_head(*DENSITIES)
-    if len({unit_of(word) for word in words}) != 1:
-        several = f"names several units ({', '.join(sorted(words))})" if words else "names no unit"
-        raise ConfigError(f"{table.name}: its head {several} for the density: give --unit, {choices}")
-    return _power_of(values, words.pop(), table.name)
-
-
-def _power_of(density: Array, word: str, where: str) -> tuple[Array, bool]:
-    """Return a density as that of a power in SI units, and whether it is of metres."""
-    unit = unit_of(word)
-    for name in DENSITIES:
-        kind = unit_of(name)
-        if unit and kind and unit.powers == kind.powers:
-            values = density * unit.factor
-            if np.any(values < 0.0):
-                raise ConfigError(f"{where}: a density in {word} is below 0: is it in decibels? Then write it without")
-            return (values if "^2" in name else values**2), name.startswith("m")
-    raise ConfigError(f"{where}: {word!r} is no unit of a density; known are {', '.join(DENSITIES)}")
 
 
 def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
@@ -372,7 +281,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
         if not starts or all(abs(math.log(start[1] / other[1])) > 0.5 / start[2] for other in starts):
             starts.append(start)
     try:
-        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
+        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages, known.window)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     k = known.factor * constants.Boltzmann * known.temperature_k / peak.mean_square_m2
@@ -440,6 +349,16 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
     if resonance.chance < WIDENED:
         remarks.append(
             f"the standard error is widened {math.sqrt(resonance.mismatch):.2g} times by the residuals of the fit"
+        )
+    if resonance.by_window > 0.1 * resonance.share:
+        remarks.append(
+            f"the resonance is {resonance.lines_across:.2g} lines wide, and which window the segments had is not known:"
+            " the standard error has it in it. A finer spectrum, or its window in the head, makes it smaller"
+        )
+    elif resonance.lines_across < _FEW_ACROSS:
+        remarks.append(
+            f"the resonance is {resonance.lines_across:.2g} lines wide, of which the standard error has account: a finer"
+            " spectrum makes it smaller"
         )
     remarks.append(f"lines from {resonance.band_hz[0]:.6g} to {resonance.band_hz[1]:.6g} Hz are taken")
     return tuple(remarks)
