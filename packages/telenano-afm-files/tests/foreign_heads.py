@@ -435,8 +435,11 @@ def outcome(kind: Kind, seed: int, folder: Path) -> Outcome:
         # with an offset that nothing tells, only differences are known
         found = {"span": found["span"], "greatest": np.ptp(back)}
         truth = {"span": truth["span"], "greatest": float(np.ptp(curve.back))}
-        if force[np.argmax(base)] < np.median(force):
-            return Outcome("sign", "", said)
+    # which end is the sample, and the sign, show in the course of the approach
+    course = np.interp(np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, len(approach)), approach)
+    true = np.interp(np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, len(curve.there)), curve.there)
+    if kind is no_free_part and np.corrcoef(course, true)[0, 1] < 0.9:
+        return Outcome("orientation", "", said)
     limits = {"span": 0.02 * truth["span"]}
     off = {
         name: found[name] - truth[name]

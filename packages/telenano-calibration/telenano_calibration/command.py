@@ -158,8 +158,8 @@ def stiffness(
         is_of_metres, window = False, None
         if spectrum is not None:
             found_spectrum = spectrum_of(
-                spectrum, unit, frequency_unit, columns or (), sides=None if sides is None else 1 + (sides is Sides.TWO),
-                noise_bandwidth_hz=noise_bandwidth,
+                spectrum, unit, frequency_unit, columns or (),
+                sides=None if sides is None else 1 + (sides is Sides.TWO), noise_bandwidth_hz=noise_bandwidth,
             )  # fmt: skip
             window = found_spectrum.window
             is_of_metres = found_spectrum.is_of_metres

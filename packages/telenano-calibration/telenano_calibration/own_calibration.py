@@ -357,8 +357,8 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
         )
     elif resonance.lines_across < _FEW_ACROSS:
         remarks.append(
-            f"the resonance is {resonance.lines_across:.2g} lines wide, of which the standard error has account: a finer"
-            " spectrum makes it smaller"
+            f"the resonance is {resonance.lines_across:.2g} lines wide, of which the standard error has account: a"
+            " finer spectrum makes it smaller"
         )
     remarks.append(f"lines from {resonance.band_hz[0]:.6g} to {resonance.band_hz[1]:.6g} Hz are taken")
     return tuple(remarks)

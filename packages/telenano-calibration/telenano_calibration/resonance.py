@@ -270,8 +270,8 @@ def _judged_fit(
     mismatch, chance = _mismatch(ratio[kept], lines[kept], f0, q, count / joined)
     deviance = float(np.mean(ratio[kept] - 1.0 - np.log(ratio[kept]))) / _deviance_of(count)
     return Resonance(
-        s2, f0, q, max(float(free[3]) * unit, 0.0), math.hypot(share, by_window), covariance, deviance, mismatch, chance,
-        tones, float(np.abs(moved).max()) / share, count, (float(lines[0]), float(lines[-1])), by_window,
+        s2, f0, q, max(float(free[3]) * unit, 0.0), math.hypot(share, by_window), covariance, deviance, mismatch,
+        chance, tones, float(np.abs(moved).max()) / share, count, (float(lines[0]), float(lines[-1])), by_window,
         f0 / q / spacing,
     )  # fmt: skip
 

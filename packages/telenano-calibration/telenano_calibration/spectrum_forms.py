@@ -35,11 +35,14 @@ _PER_LINE = re.compile(r"(?i)\s*(?:/|per)\s*(?:bin|line)\b")
 _MILLIWATT = re.compile(r"(?i)m(?:W)?(/Hz)?")
 _OHMS = re.compile(r"(?i)(\d+(?:[.,]\d+)?)\s*(k?)(?:Ω|\u2126|ohms?\b)")
 _TWO_SIDED = re.compile(
-    r"(?i)(?:two|double|2)[-_ ]?sided|zweiseitig|bilat[eé]ral|bilateral|return_onesided\s*[=:]\s*false|\bcentered\b"
+    r"(?i)(?:two|double|2)[-_ ]?sided|zweiseitig|bilat[eé]ral|bilateral|return_onesided\s*[=:]\s*false"
 )
 _ONE_SIDED = re.compile(
     r"(?i)(?:one|single|1)[-_ ]?sided|einseitig|unilat[eé]ral|unilateral|return_onesided\s*[=:]\s*true"
 )
+_WORD_OF_SIDES = re.compile(r"(?i)(?:two|double|2|one|single|1)[-_ ]sided|(?:two|double)sided")
+# A sample may be on two-sided tape: the words count in a line that speaks of a spectrum.
+_SPECTRAL = re.compile(r"(?i)spectr|spektr|psd|densi|dichte|sides?\b|seiten|onesided|periodogram|welch|range")
 _OF_LINES = re.compile(r"(?i)scaling\s*[=:]\s*['\"]?spectrum|per (?:bin|line)\b|pro (?:linie|bin)\b|\bpro Kanal\b")
 _BANDWIDTH = re.compile(
     r"(?i)(?:enbw|(?:equivalent )?noise[- _]?bandwidth|rauschbandbreite|bande (?:é|e)quivalente de bruit)\W*?"
@@ -50,10 +53,10 @@ _WINDOW = re.compile(
     r"([a-z]+(?:[- ](?:top|harris))?)(?:['\",\s)\]]+(\d+(?:\.\d+)?))?"
 )
 _NAMES = {
-    "hanning": "hann", "von": "hann", "rectangular": "boxcar", "rect": "boxcar", "rectangle": "boxcar", "none": "boxcar",
-    "uniform": "boxcar", "rechteck": "boxcar", "keine": "boxcar", "no": "boxcar", "aucune": "boxcar",
+    "hanning": "hann", "von": "hann", "rectangular": "boxcar", "rect": "boxcar", "rectangle": "boxcar",
+    "none": "boxcar", "uniform": "boxcar", "rechteck": "boxcar", "keine": "boxcar", "no": "boxcar", "aucune": "boxcar",
     "flat top": "flattop", "flat-top": "flattop", "blackman-harris": "blackmanharris",
-    "blackman harris": "blackmanharris", "welch": "parzen",
+    "blackman harris": "blackmanharris",
 }  # fmt: skip
 _KNOWN = ("hann", "boxcar", "hamming", "blackman", "blackmanharris", "flattop", "bartlett", "nuttall")
 _WITH_PARAMETER = ("kaiser", "tukey", "gaussian")
@@ -154,7 +157,8 @@ class Said(NamedTuple):
 
 def said_of(head: str) -> Said:
     """Return what the text of a head says of its spectrum; ConfigError where it says both sides and one."""
-    two, one = _TWO_SIDED.search(head), _ONE_SIDED.search(head)
+    of_sides = "\n".join(line for line in head.splitlines() if _SPECTRAL.search(_WORD_OF_SIDES.sub("", line)))
+    two, one = _TWO_SIDED.search(of_sides), _ONE_SIDED.search(of_sides)
     if two and one:
         raise ConfigError(f"its head says {two[0]!r} and {one[0]!r}: --sides says which it is")
     bandwidth = _BANDWIDTH.search(head)
