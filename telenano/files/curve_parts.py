@@ -17,6 +17,9 @@ _FEWEST_IN_BLOCK = 4
 # A rest has this number of blocks, and of rows.
 _FEWEST_BLOCKS = 3
 _FEWEST_ROWS = 12
+# The lever is free at an end where the value changes by less than this share of the steepest change, of so many bins.
+_FREE = 0.2
+_BINS = 20
 
 
 class Part(NamedTuple):
@@ -92,3 +95,40 @@ def _rests(way: Array, start: int, end: int) -> list[Part]:
             parts.append(Part(kind, low, high))
         place = last
     return parts
+
+
+class Orientation(NamedTuple):
+    """The sign of heights that rise away from the sample, that of values that push, and whether a part is free."""
+
+    away: float
+    turned: float
+    is_free: bool
+
+
+def orientation_of(height: Array, value: Array, *, falls_first: bool) -> Orientation:
+    """Return how a curve lies: at which end of its height the sample is, and which sign pushes.
+
+    The lever is free at the end where the value hardly changes. Where it changes at both ends, or at neither, the end
+    at which the value is farther from its middle is at the sample, or that at which the first way ends.
+    """
+    edges = np.linspace(height.min(), height.max(), _BINS + 1)
+    place = np.clip(np.searchsorted(edges, height, side="right") - 1, 0, _BINS - 1)
+    means = np.array([float(np.mean(value[place == one])) for one in np.unique(place)])
+    steps = np.abs(np.diff(means))
+    steepest = float(steps.max()) if len(steps) else 0.0
+    low_is_flat, high_is_flat = (
+        len(steps) > 4 and abs(float(part[-1] - part[0])) < _FREE * steepest * (len(part) - 1)
+        for part in (means[:3], means[-3:])
+    )
+    low, high, middle = float(means[0]), float(means[-1]), float(np.median(value))
+    if low_is_flat and high_is_flat:
+        away = -1.0 if abs(high - middle) > abs(low - middle) else 1.0
+    elif low_is_flat or high_is_flat:
+        away = 1.0 if high_is_flat else -1.0
+    else:
+        # a curve begins with its approach
+        away = 1.0 if falls_first else -1.0
+    near = means if away > 0.0 else means[::-1]
+    if low_is_flat or high_is_flat:
+        return Orientation(away, 1.0 if near[0] >= near[-1] else -1.0, True)
+    return Orientation(away, 1.0 if near[0] >= near[1] else -1.0, False)

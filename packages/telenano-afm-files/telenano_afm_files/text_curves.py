@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.files import Column, TextTable, parts_of, role_of, unit_of
+from telenano.files import Column, TextTable, orientation_of, parts_of, role_of, unit_of
 from telenano.wire import ConfigError
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way
 
@@ -34,9 +34,6 @@ _TOGETHER = 0.5
 _END = 0.1
 # A way is this share of the whole span or more.
 _WAY = 0.3
-# The lever is free at an end where the value changes by less than this share of the steepest change, of so many bins.
-_FREE = 0.2
-_BINS = 20
 # So many rows, and this share of them, at one extreme value are no noise: a detector is at its end.
 _FEWEST_AT_END = 5
 _AT_END = 0.01
@@ -281,7 +278,7 @@ def _in_order(ways: list[Way], sign: int | None = None) -> tuple[tuple[Way, ...]
     value = np.concatenate([way[1] for way in ways])
     if np.ptp(z) <= 0.0 or len(z) < _FEWEST_POINTS:
         raise ValueError("its height stays at one value: it is no force curve")
-    away, turned, is_free = _orientation(ways, z, value)
+    away, turned, is_free = orientation_of(z, value, falls_first=bool(ways[0][0][0] > ways[0][0][-1]))
     if sign is not None:
         remarks.append(f"the sign of the values is that of --set value_sign={sign}")
         turned = float(sign)
@@ -308,36 +305,6 @@ def _in_order(ways: list[Way], sign: int | None = None) -> tuple[tuple[Way, ...]
         remarks.append("there is one way, which is taken for approach and retraction")
     both = tuple(ways) if len(ways) == 2 else (ways[0], (ways[0][0][::-1], ways[0][1][::-1]))
     return both, tuple(remarks)
-
-
-def _orientation(ways: list[Way], z: Array, value: Array) -> tuple[float, float, bool]:
-    """Return the signs of heights that rise away from the sample and of values that push, and whether a part is free.
-
-    The lever is free at the end where the value hardly changes. Where it changes at both ends, or at neither, the end
-    at which the value is farther from its middle is at the sample, or that at which the first way ends.
-    """
-    edges = np.linspace(z.min(), z.max(), _BINS + 1)
-    place = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, _BINS - 1)
-    present = np.unique(place)
-    means = np.array([float(np.mean(value[place == one])) for one in present])
-    steps = np.abs(np.diff(means))
-    steepest = float(steps.max()) if len(steps) else 0.0
-    low_is_flat, high_is_flat = (
-        len(steps) > 4 and abs(float(part[-1] - part[0])) < _FREE * steepest * (len(part) - 1)
-        for part in (means[:3], means[-3:])
-    )
-    low, high, middle = float(means[0]), float(means[-1]), float(np.median(value))
-    if low_is_flat and high_is_flat:
-        away = -1.0 if abs(high - middle) > abs(low - middle) else 1.0
-    elif low_is_flat or high_is_flat:
-        away = 1.0 if high_is_flat else -1.0
-    else:
-        # a curve begins with its approach
-        away = 1.0 if ways[0][0][0] > ways[0][0][-1] else -1.0
-    near = means if away > 0.0 else means[::-1]
-    if low_is_flat or high_is_flat:
-        return away, 1.0 if near[0] >= near[-1] else -1.0, True
-    return away, 1.0 if near[0] >= near[1] else -1.0, False
 
 
 def _at_an_end(value: Array, free: float) -> list[str]:

@@ -25,6 +25,10 @@ ColumnsOption = Annotated[
         "--columns", metavar="X Y", help="Columns of a text table, by number or title; default: by its headings."
     ),
 ]
+FigureOption = Annotated[
+    Path | None,
+    typer.Option("--figure", metavar="FILE", help="Draw the data, what was left out and the fit, as .png, .svg, .pdf."),
+]
 
 
 @app.command()
@@ -34,7 +38,8 @@ def sensitivity(
         typer.Option(
             "--curve",
             metavar="FILE",
-            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads.",
+            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads. The"
+            " way may rise towards the sample or away from it: the end where the lever is free tells.",
         ),
     ],
     part: Annotated[
@@ -57,11 +62,15 @@ def sensitivity(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Accept a deflection per volt outside the usual range.")
     ] = False,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error."""
+    """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error.
+
+    The approach is taken, and what is left out of the curve is printed.
+    """
     with report_errors(as_json):
-        document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway)
+        document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway, figure=figure)
     print_document(document, str(curve), as_json=as_json)
 
 
@@ -140,18 +149,21 @@ def stiffness(
     size_error: Annotated[
         float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of width and of length [nm].")
     ] = 0.0,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the stiffness of the cantilever from its thermal noise, by the area of the fitted resonance."""
     with report_errors(as_json):
         from telenano_calibration.own_calibration import (
             BY_ANGLE,
+            Spectrum,
             Thermal,
             record_of,
             spectrum_of,
             stiffness_of_record,
             stiffness_of_spectrum,
         )
+        from telenano_calibration.resonance import periodogram
 
         if (spectrum is None) == (record is None):
             raise ConfigError("--spectrum, --record: give one of them")
@@ -179,6 +191,14 @@ def stiffness(
         else:
             deflection, remarks = record_of(record or Path(), unit)
             stiffness_found = stiffness_of_record(deflection, thermal)
+            found_spectrum = Spectrum(*periodogram(deflection, rate or 1.0), is_of_metres=False)
+        if figure is not None:
+            from telenano_calibration.calibration_figure import draw, resonance_figure
+
+            draw(
+                resonance_figure(found_spectrum.frequency_hz, found_spectrum.density_per_hz, stiffness_found, thermal),
+                figure,
+            )
         stiffness_found = stiffness_found._replace(remarks=(*remarks, *stiffness_found.remarks))
     print_document(stiffness_found._asdict(), str(spectrum or record), as_json=as_json)
 
@@ -191,6 +211,7 @@ def _sensitivity(
     columns: tuple[str, str] | None,
     *,
     anyway: bool,
+    figure: Path | None,
 ) -> dict[str, Any]:
     """Return what one curve gives, or the statistic of those of a file of several."""
     from telenano_calibration.own_calibration import (
@@ -203,10 +224,16 @@ def _sensitivity(
 
     remarks: tuple[str, ...] = ()
     if curve.suffix.lower() not in TEXTS:
+        if figure is not None:
+            raise ConfigError("--figure: is for a text table of one curve")
         several, refused = sensitivities_of_file(curve, *part)
     else:
         way_m, volts, remarks = curve_of(curve, way_unit, deflection_unit, columns or ())
         several, refused = [sensitivity_of_curve(way_m, volts, *part)], 0
+        if figure is not None:
+            from telenano_calibration.calibration_figure import contact_figure, draw
+
+            draw(contact_figure(way_m, volts, several[0]), figure)
     if not anyway:
         require_usual(several)
     if len(several) + refused == 1:
@@ -216,7 +243,8 @@ def _sensitivity(
             "standard_error_nm_per_v": 1e9 * sensitivity.standard_error_m_per_v,
             "points": sensitivity.points,
             "residual_nm": 1e9 * sensitivity.residual_m,
-            "remarks": remarks,
+            "residual_ratio": sensitivity.residual_ratio,
+            "remarks": (*remarks, *sensitivity.remarks),
         }
     from telenano_studies.repetitions import statistic
 

@@ -14,7 +14,6 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,10 +21,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants, ndimage
 
-from telenano.files import Column, TextTable, unit_of
-from telenano.settings import read_by_package
+from telenano.files import TextTable
 from telenano.wire import ConfigError
-from telenano_calibration.line_fit import regressed
+from telenano_calibration.hard_curves import Sensitivity as Sensitivity
+from telenano_calibration.hard_curves import curve_of as curve_of
+from telenano_calibration.hard_curves import require_usual as require_usual
+from telenano_calibration.hard_curves import sensitivities_of_file as sensitivities_of_file
+from telenano_calibration.hard_curves import sensitivity_of_curve as sensitivity_of_curve
 from telenano_calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
 from telenano_calibration.spectrum_files import TEXTS as TEXTS
 from telenano_calibration.spectrum_files import Spectrum as Spectrum
@@ -82,6 +84,7 @@ class Stiffness(NamedTuple):
     averages: periodograms in a line, as given or by the scatter of the lines; deviance_ratio: deviance of the lines in
     that of thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise; lines_left_out: of
     the electronics, which no thermal noise has; influence: of the line that matters most [standard errors of k].
+    band_hz: of the lines that were taken [Hz].
     """
 
     stiffness_n_per_m: float
@@ -99,21 +102,8 @@ class Stiffness(NamedTuple):
     residual_ratio: float = 1.0
     lines_left_out: int = 0
     influence: float = 0.0
+    band_hz: tuple[float, float] = (0.0, math.inf)
     remarks: tuple[str, ...] = ()
-
-
-class Sensitivity(NamedTuple):
-    """Way for a volt [m/V] with its standard error, the points in contact, and the scatter about the line [m]."""
-
-    m_per_v: float
-    standard_error_m_per_v: float
-    points: int
-    residual_m: float
-
-    @property
-    def share(self) -> float:
-        """The standard error as a share, which counts twice in a stiffness."""
-        return self.standard_error_m_per_v / abs(self.m_per_v)
 
 
 class Thermal(NamedTuple):
@@ -166,77 +156,6 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
         place = int(np.argmin(np.isfinite(values)))
         raise ConfigError(f"{path}, line {table.lines[place]}: has no number; a record has one in each line")
     return values, remarks
-
-
-def curve_of(
-    path: Path, way_unit: str = "", deflection_unit: str = "", columns: Sequence[str] = ()
-) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return way [m] and deflection [V] of a curve on a hard sample in a text table, and remarks on how it was read.
-
-    The columns are given by number or title, way and deflection; without them the head says which they are.
-
-    Raises:
-        ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
-    """
-    table = TextTable.read(path)
-    ways = ("z", "way", "height", "piezo", "dist")
-    first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
-    remarks = list(table.remarks)
-    way, volts = (
-        table.in_si(column, wanted, unit, option)
-        for column, wanted, unit, option in (
-            (first, ("m",), way_unit, "--way-unit"),
-            (second, ("V",), deflection_unit, "--deflection-unit"),
-        )
-    )
-    if volts is None:
-        volts = table.numbers(second)
-        remarks.append("nothing names the unit of the deflection, which is taken as V")
-    if way is None:
-        way = table.numbers(first)
-        span = float(np.nanmax(way) - np.nanmin(way))
-        if not _WAY_NM[0] <= span <= _WAY_NM[1]:
-            likely = "m" if span < 1e-3 else "um" if span < _WAY_NM[0] else "pm"
-            raise ConfigError(
-                f"{path}: its head names no unit of the way, whose span of {span:.3g} is not one in nm: is it "
-                f"in {likely}?"
-                f" Give --way-unit {likely}, or what it is"
-            )
-        way = 1e-9 * way
-        remarks.append("nothing names the unit of the way, which is taken as nm")
-    sound = np.isfinite(way) & np.isfinite(volts)
-    return way[sound], volts[sound], tuple(remarks)
-
-
-def _pair_of(
-    table: TextTable,
-    chosen: Sequence[str],
-    first: Sequence[str],
-    second: Sequence[str],
-    names: Sequence[str],
-    others: Sequence[str],
-) -> tuple[Column, Column]:
-    """Return the two columns that are meant: as chosen, else by unit, else by name, else the first two."""
-    columns = table.columns
-    if len(columns) < 2 or len(table.lines) < 16:
-        raise ConfigError(
-            f"{table.name}: has {len(table.lines)} lines of {len(columns)} columns, 16 or more lines of 2 are needed"
-        )
-    if chosen:
-        return table.column(chosen[0]), table.column(chosen[1])
-    pair: list[Column | None] = []
-    for kinds, words in ((first, names), (second, others)):
-        powers = [kind.powers for kind in map(unit_of, kinds) if kind]
-        of_unit = [column for column in columns if (unit := column.known) and unit.powers in powers]
-        if len(of_unit) > 1 and (by_name := [one for one in of_unit if one.name.lower().startswith(tuple(words))]):
-            of_unit = by_name
-        named = table.find(*words)
-        pair.append(of_unit[0] if of_unit else named if named is None or not named.known else None)
-    x = pair[0] if pair[0] is not None and pair[0] is not pair[1] else None
-    y = pair[1]
-    x = x or next(column for column in columns if column is not y)
-    y = y or next(column for column in columns if column is not x)
-    return x, y
 
 
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, thermal: Thermal) -> Stiffness:
@@ -296,7 +215,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     thermal = Stiffness(
         k, deviation, peak.resonance_hz, peak.quality, peak.floor_m2_per_hz, known.factor, averages=peak.averages,
         deviance_ratio=peak.deviance, residual_ratio=peak.mismatch, lines_left_out=peak.tones,
-        influence=peak.influence, remarks=_remarks_on(peak, averages),
+        influence=peak.influence, band_hz=peak.band_hz, remarks=_remarks_on(peak, averages),
     )  # fmt: skip
     if known.width_m is None or known.length_m is None:
         return thermal
@@ -433,90 +352,3 @@ def sader_n_per_m(width_m: float, length_m: float, resonance_hz: float, quality:
     omega = 2.0 * math.pi * resonance_hz
     reynolds = AIR_DENSITY_KG_PER_M3 * omega * width_m**2 / (4.0 * AIR_VISCOSITY_PA_S)
     return 0.1906 * AIR_DENSITY_KG_PER_M3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2
-
-
-def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: float = 0.95) -> Sensitivity:
-    """Return the way for a volt in contact: of the points between two shares of the span of the voltage.
-
-    Args:
-        way_m: Way of the base towards the sample [m], shape (n,).
-        volts: Deflection [V], shape (n,).
-        low: Share of the span at which contact is sure.
-        high: Share up to which the read-out is linear.
-
-    Raises:
-        ConfigError: Too few points lie there, or the voltage does not follow the way.
-    """
-    span = float(np.ptp(volts))
-    # The free lever is where the base is farthest, whatever the sign of the read-out.
-    shares = np.abs(volts - volts[np.argmin(way_m)]) / span if span > 0.0 else np.zeros(len(volts))
-    chosen = (shares >= low) & (shares <= high)
-    _require(int(chosen.sum()), low, high)
-    # Points that are chosen by their voltage are chosen by its noise too: their line chooses the ways.
-    slope, error, scatter = regressed(way_m[chosen], shares[chosen])
-    if slope > 0.0:
-        predicted = shares[chosen].mean() + slope * (way_m - way_m[chosen].mean())
-        chosen = (predicted >= low) & (predicted <= high)
-        _require(int(chosen.sum()), low, high)
-        slope, error, scatter = (span * part for part in regressed(way_m[chosen], shares[chosen]))
-    if not slope > 3.0 * error:
-        raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
-    _require_straight(way_m[chosen], volts[chosen])
-    return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
-
-
-def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
-    """Raise ConfigError for a way for a volt that no usual read-out has, with the likely mistake."""
-    for one in sensitivities:
-        if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
-            raise ConfigError(
-                f"{1e9 * one.m_per_v:.3g} nm/V is outside the usual range of a deflection per volt: check that "
-                "--way-unit and --deflection-unit are those of the file; --anyway accepts it"
-            )
-
-
-def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> tuple[list[Sensitivity], int]:
-    """Return the sensitivity by each curve of a file of curves, and how many of its curves are none on a hard sample.
-
-    Of a force map or QI data with many curves it is the first block of them. `low` and `high` are those of
-    `sensitivity_of_curve`.
-
-    Raises:
-        ConfigError: The file cannot be read, or no curve of it will do; the message names it and the reason.
-    """
-    try:
-        _, (counts, heights, volts) = read_by_package(path, "deflections")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: is no file of curves: {error}") from error
-    sensitivities, reason = [], ""
-    ends = np.cumsum(counts)[:-1]
-    for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
-        try:
-            # the height rises away from the sample
-            sensitivities.append(sensitivity_of_curve(-height, volt, low, high))
-        except ConfigError as error:
-            reason = str(error)
-    if not sensitivities:
-        raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
-    return sensitivities, len(counts) - len(sensitivities)
-
-
-def _require_straight(way_m: Array, volts: Array) -> None:
-    """Raise ConfigError where the two halves of the line of contact have slopes that differ by more than noise."""
-    upper = way_m > np.median(way_m)
-    if min(upper.sum(), (~upper).sum()) < 8:
-        return
-    (low, low_error, _), (high, high_error, _) = (regressed(way_m[part], volts[part]) for part in (~upper, upper))
-    apart = abs(high - low)
-    if apart > _BENT * abs(0.5 * (low + high)) and apart > _BENT_ERRORS * math.hypot(low_error, high_error):
-        raise ConfigError(
-            f"the line of contact is bent: its second half has {high / low:.2g} times the slope of the first. The"
-            " sample gives way, or the read-out is not linear there: choose another --part LOW HIGH"
-        )
-
-
-def _require(points: int, low: float, high: float) -> None:
-    if points < 8:
-        raise ConfigError(f"{points} points lie between {low:g} and {high:g} of the span: 8 are needed")

@@ -56,7 +56,7 @@ _STARTS_OF_Q = (1.0, 4.0, 16.0)
 _KNOWN_TO = 1.0
 _TURN = 2.0 * math.pi
 # A line that noise exceeds in this share of spectra alone is no noise.
-_NOT_THERMAL = 1e-6
+NOT_THERMAL = 1e-6
 # More lines than these, and than this share, are no tones.
 _MOST_TONES = 40
 _MOST_TONE_SHARE = 0.02
@@ -225,7 +225,7 @@ def _judged_fit(
             raise ValueError(f"no resonance is known from these lines near {start[1]:.6g} Hz")
         ratio = np.where(model > 0.0, values / np.where(model > 0.0, model, 1.0), 0.0)
         count = averages or _averages_of(ratio[kept])
-        thermal = (special.gammaincc(count, count * ratio) > _NOT_THERMAL) & (values > 0.0)
+        thermal = (special.gammaincc(count, count * ratio) > NOT_THERMAL) & (values > 0.0)
         if (thermal == kept).all():
             break
         kept = thermal
