@@ -7,7 +7,7 @@ import unicodedata
 _ROLES = (
     ("lateral", r"lateral|friction|torsion|horizontal|\bhdefl|reibung|querkraft|frottement|friccion|attrito|wrijving|"
                 r"torcion|\blfm\b|\bl-r\b|twist|shear|scher|cisaill|摩擦|侧向|横向|латерал|трени|кручени"),
-    ("amplitude", r"(?<!s)ampl|\bamp\b|^r$|振幅|амплитуд"),
+    ("amplitude", r"amplitud|(?<!s)ampl|\bamp\b|^r$|振幅|амплитуд"),
     ("phase", r"phas|\bfase\b|相位|фаза"),
     ("sum", r"\bsum|somme|\bsuma\b|\bsomma\b|intensi|\btotal\b|сумма"),
     ("time", r"time|zeit|temps\b|tiempo|\btempo\b|\btijd\b|时间|время|^t$|\bsec"),

@@ -39,7 +39,11 @@ def parts_of(way: Array) -> list[Part]:
     """Return the parts of a course, one after another: where its way rises, falls and rests."""
     parts: list[Part] = []
     for start, end in zip(*_turns(way), strict=True):
-        parts += _rests(way, start, end)
+        for part in _rests(way, start, end):
+            if parts and parts[-1].direction == part.direction == 0:
+                parts[-1] = parts[-1]._replace(end=part.end)
+            else:
+                parts.append(part)
     return parts
 
 
@@ -74,12 +78,15 @@ def _rests(way: Array, start: int, end: int) -> list[Part]:
     count = end - start
     size = max(_FEWEST_IN_BLOCK, count // _BLOCKS)
     direction = 1 if way[end - 1] >= way[start] else -1
+    # of the whole course, so that noise in a rest is no way
+    least = _RESTS * float(np.ptp(way)) / len(way)
     if count < 2 * size * _FEWEST_BLOCKS:
-        return [Part(direction, start, end)]
+        moves = abs(float(way[end - 1] - way[start])) > least * count or count == len(way)
+        return [Part(direction if moves else 0, start, end)]
     edges = np.append(np.arange(start, end - size + 1, size), end)
     means = np.array([way[low:high].mean() for low, high in pairwise(edges.tolist())])
     moved = direction * np.gradient(means)
-    still = moved < _RESTS * float(np.quantile(moved, 0.85))
+    still = moved < max(_RESTS * float(np.quantile(moved, 0.85)), least * size)
     parts: list[Part] = []
     place = 0
     while place < len(still):

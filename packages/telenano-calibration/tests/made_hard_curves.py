@@ -255,6 +255,16 @@ def written(kind: Kind, seed: int) -> tuple[str, float]:
     return f"{head}\n{rows}", course.nm_per_v
 
 
+def two_columns(way: str, first: str, second: str) -> str:
+    """Return a clean curve of 50 nm/V with three columns: a way, a noisy course, and the deflection."""
+    x = np.linspace(0.0, 400.0, 400)
+    noise = np.random.default_rng(0).standard_normal((2, 400))
+    other = 0.3 * np.sin(x / 40.0) + 0.1 * noise[0]
+    deflection = np.maximum(x - 200.0, 0.0) / 50.0 + 0.005 * noise[1]
+    rows = "".join(f"{a:.6f}\t{b:.6f}\t{c:.6f}\n" for a, b, c in zip(x, other, deflection, strict=True))
+    return f"{way}\t{first}\t{second}\n{rows}"
+
+
 class Outcome(NamedTuple):
     """Of one curve: error as a share and in its own errors; None where it was refused; whether it has a truth."""
 
