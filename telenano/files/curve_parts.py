@@ -38,8 +38,12 @@ class Part(NamedTuple):
 def parts_of(way: Array) -> list[Part]:
     """Return the parts of a course, one after another: where its way rises, falls and rests."""
     parts: list[Part] = []
-    for start, end in zip(*_turns(way), strict=True):
-        for part in _rests(way, start, end):
+    stretches = list(zip(*_turns(way), strict=True))
+    travel = sum(float(np.ptp(way[start:end])) for start, end in stretches)
+    # what a row moves on average, so that noise in a rest is no way
+    least = _RESTS * travel / max(len(way), 1)
+    for start, end in stretches:
+        for part in _rests(way, start, end, least):
             if parts and parts[-1].direction == part.direction == 0:
                 parts[-1] = parts[-1]._replace(end=part.end)
             else:
@@ -73,13 +77,11 @@ def _turns(way: Array) -> tuple[list[int], list[int]]:
     return turns, [*turns[1:], len(way)]
 
 
-def _rests(way: Array, start: int, end: int) -> list[Part]:
-    """Return a stretch as its moving parts and those in which it rests."""
+def _rests(way: Array, start: int, end: int, least: float) -> list[Part]:
+    """Return a stretch as its moving parts and those in which it rests: a row moves by less than the least there."""
     count = end - start
     size = max(_FEWEST_IN_BLOCK, count // _BLOCKS)
     direction = 1 if way[end - 1] >= way[start] else -1
-    # of the whole course, so that noise in a rest is no way
-    least = _RESTS * float(np.ptp(way)) / len(way)
     if count < 2 * size * _FEWEST_BLOCKS:
         moves = abs(float(way[end - 1] - way[start])) > least * count or count == len(way)
         return [Part(direction if moves else 0, start, end)]
@@ -87,6 +89,10 @@ def _rests(way: Array, start: int, end: int) -> list[Part]:
     means = np.array([way[low:high].mean() for low, high in pairwise(edges.tolist())])
     moved = direction * np.gradient(means)
     still = moved < max(_RESTS * float(np.quantile(moved, 0.85)), least * size)
+    # a few blocks beside rests move by noise
+    for first, last in _runs(~still):
+        if last - first < _FEWEST_BLOCKS:
+            still[first:last] = True
     parts: list[Part] = []
     place = 0
     while place < len(still):
@@ -102,6 +108,12 @@ def _rests(way: Array, start: int, end: int) -> list[Part]:
             parts.append(Part(kind, low, high))
         place = last
     return parts
+
+
+def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return where each run of true flags begins and ends."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 class Orientation(NamedTuple):
