@@ -9,6 +9,10 @@ if TYPE_CHECKING:
     from telenano.files.atomic_files import changed as changed
     from telenano.files.atomic_files import locked as locked
     from telenano.files.atomic_files import whole_folder as whole_folder
+    from telenano.files.column_roles import role_of as role_of
+    from telenano.files.curve_parts import Part as Part
+    from telenano.files.curve_parts import orientation_of as orientation_of
+    from telenano.files.curve_parts import parts_of as parts_of
     from telenano.files.limited_child import Limits as Limits
     from telenano.files.limited_child import read_in_child as read_in_child
     from telenano.files.regular_files import is_own as is_own

@@ -32,6 +32,20 @@ _SEPARATORS = ("\t", ";", "", ",")
 _LONGEST_NUMBER = 64
 # Lines of a head, before the first row of numbers.
 _LONGEST_HEAD = 4000
+# A line that says that the table begins below it: of Nanonis, NanoScope, LabVIEW, SPIP and others.
+_BEGINS = re.compile(
+    r"(?i)[\W_]*(?:\[data\]|file list end|end[ _]of[ _]header|end[ _]header|header[ _]end|start of data|begin of data|"
+    r"begin data|daten|donn[eé]es|data)[\W_]*"
+)
+# Below such a line there are this number of lines of names and units at most.
+_MOST_TITLES = 8
+# Rows of numbers in a head are fewer than this, and this many times fewer than those of the table.
+_SHORT_RUN = 16
+_TIMES_AS_LONG = 4
+# A run of so many rows is the table.
+_LONG_RUN = 400
+# Comments among the rows of a table, of which so many are kept.
+_MOST_NOTES = 1000
 
 
 class Column(NamedTuple):
@@ -56,7 +70,8 @@ class Column(NamedTuple):
 class TextTable(NamedTuple):
     """A table: name of the file, columns, lines of the rows, lines of the head, what separates, and remarks.
 
-    ends_whole: whether its last line has an end; without one its last number may have lost digits.
+    ends_whole: whether its last line has an end; without one its last number may have lost digits. notes: comments
+    among the rows, each with the count of rows before it.
     """
 
     name: str
@@ -67,6 +82,7 @@ class TextTable(NamedTuple):
     decimal_comma: bool
     remarks: tuple[str, ...]
     ends_whole: bool = True
+    notes: tuple[tuple[int, str], ...] = ()
 
     def find(self, *beginnings: str) -> Column | None:
         """Return the first column whose name begins with a word, in the order of the words, whatever its capitals."""
@@ -155,7 +171,7 @@ class TextTable(NamedTuple):
         rows = text.splitlines()
         if not any(map(str.strip, rows)):
             raise ConfigError(f"{name}: is empty")
-        first, separator = _first_row(rows, name)
+        first, separator, in_head = _first_row(rows, name)
         fold = _Folding(separator)
         ends_whole = text.endswith(("\n", "\r"))
         # The table has as many columns as most of its first rows.
@@ -165,12 +181,26 @@ class TextTable(NamedTuple):
         while width and len(fold.split(rows[first])) != width:
             first += 1
         width = width or len(fold.split(rows[first]))
-        head, titles = titles_of(rows[:first], width, separator)
+        if in_head:
+            places = ", ".join(
+                f"{run.start + 1} to {run.end}" if run.end > run.start + 1 else f"{run.end}" for run in in_head[:4]
+            )
+            remarks.append(f"the table begins in line {first + 1}: the numbers in lines {places} are of its head")
+        # a row of numbers in a head names no column
+        above = [
+            "" if any(run.start <= place < run.end for run in in_head) else row
+            for place, row in enumerate(rows[:first])
+        ]
+        _, titles = titles_of(above, width, separator)
+        head = [row.strip() for row in rows[:first] if row.strip()]
+        notes: list[tuple[int, str]] = []
         columns = [array("d") for _ in range(width)]
         lines = array("q")
         bad: dict[int, tuple[int, str]] = {}
         for number, row in enumerate(rows[first:], start=first + 1):
             if not row.strip() or (COMMENT.match(row) and not fold.is_numeric(row)):
+                if row.strip() and len(notes) < _MOST_NOTES:
+                    notes.append((len(lines), row.strip()))
                 continue
             cells = fold.split(row)
             count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
@@ -218,7 +248,7 @@ class TextTable(NamedTuple):
             remarks.append(f"{missing} of {len(found) * len(lines)} cells have no number")
         return TextTable(
             name, tuple(found), np.frombuffer(lines, np.int64), tuple(head), separator, bool(fold.commas),
-            tuple(remarks), ends_whole,
+            tuple(remarks), ends_whole, tuple(notes),
         )  # fmt: skip
 
 
@@ -234,6 +264,15 @@ def as_number(cell: str) -> float | None:
             return None
     value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
     return value if math.isfinite(value) else math.nan
+
+
+class _Run(NamedTuple):
+    """Rows of numbers one after another, [start, end), what separates their cells, and what stands before them."""
+
+    start: int
+    end: int
+    separator: str
+    after: str
 
 
 class _Folding:
@@ -277,20 +316,69 @@ def _is_data(cells: Sequence[str]) -> bool:
     return None not in numbers and not all(math.isnan(value) for value in numbers if value is not None)
 
 
-def _first_row(rows: Sequence[str], name: str) -> tuple[int, str]:
-    """Return the place of the first row of numbers, and what separates its columns."""
+def _runs_of(rows: Sequence[str]) -> list[_Run]:
+    """Return the runs of rows of numbers among the first lines, up to the first that is as long as a table's."""
+    runs: list[_Run] = []
+    after = ""
+    for place, row in enumerate(rows[:_LONGEST_HEAD]):
+        separator = _separator_of(row)
+        if separator is None and runs and runs[-1].end == place and row.strip() and _is_empty(row, runs[-1].separator):
+            separator = runs[-1].separator
+        if separator is None:
+            after = "blank" if not row.strip() else after if after == "blank" else _break_of(row, after)
+            continue
+        if runs and runs[-1].end == place:
+            runs[-1] = runs[-1]._replace(end=place + 1)
+            if place + 1 - runs[-1].start >= _LONG_RUN:
+                break
+        else:
+            runs.append(_Run(place, place + 1, separator, after))
+        after = ""
+    return runs
+
+
+def _is_empty(row: str, separator: str) -> bool:
+    """Return whether each cell of a row says that its number is missing."""
+    return all(as_number(cell) is not None for cell in split(row, separator))
+
+
+def _break_of(row: str, before: str) -> str:
+    return "comment" if COMMENT.match(row) and before in ("", "comment") else "text"
+
+
+def _separator_of(row: str) -> str | None:
+    """Return what separates the numbers of a row, None for a row of something else."""
+    for separator in _SEPARATORS:
+        cells = split(row, separator)
+        # 1,5 alone may be two columns; with another beside it, it is not
+        if separator in row and _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
+            return separator
+    return None
+
+
+def _first_row(rows: Sequence[str], name: str) -> tuple[int, str, tuple[_Run, ...]]:
+    """Return the place of the first row of the table, what separates its columns, and the runs of numbers before it.
+
+    The table begins below a line that says so, such as [DATA] or *File list end. Without one, a few rows of numbers
+    with a line of text or a blank one behind them are of the head where many more follow.
+    """
+    runs = _runs_of(rows)
+    marks = [place for place, row in enumerate(rows[:_LONGEST_HEAD]) if _BEGINS.fullmatch(row.strip())]
+    for mark in reversed(marks):
+        below = [run for run in runs if mark < run.start <= mark + _MOST_TITLES]
+        if below:
+            return below[0].start, below[0].separator, tuple(run for run in runs if run.start < mark)
+    for number, run in enumerate(runs):
+        rest = [later for later in runs[number + 1 :] if later.after != "comment"]
+        longest = max((later.end - later.start for later in rest), default=0)
+        if run.end - run.start >= _SHORT_RUN or longest <= _TIMES_AS_LONG * (run.end - run.start):
+            return run.start, run.separator, tuple(runs[:number])
     begin = rows[:_LONGEST_HEAD]
-    for place, row in enumerate(begin):
-        for separator in _SEPARATORS:
-            cells = split(row, separator)
-            # 1,5 alone may be two columns; with another beside it, it is not
-            if separator in row and _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
-                return place, separator
     # A column of texts, such as the name of a machine, beside columns of numbers: below a head without a number.
     for place, (head, row) in enumerate(pairwise(begin), start=1):
         for separator in _SEPARATORS:
             above, numbers = split(head, separator), [as_number(cell) for cell in split(row, separator)]
             has_number = any(value is not None and not math.isnan(value) for value in numbers)
             if len(numbers) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
-                return place, separator
+                return place, separator, ()
     raise ConfigError(f"{name}: has no line of numbers in its first {min(len(rows), _LONGEST_HEAD)} lines")

@@ -130,7 +130,10 @@ def _deflections_of(curve: Recorded, constants: dict[str, float]) -> Found:
     sound = [(z[kept], value[kept]) for z, value in curve.ways if (kept := np.isfinite(z) & np.isfinite(value)).any()]
     if len(sound) < 2:
         raise ValueError("it needs an approach and a retraction")
-    facts = {"stiffness_n_per_m": k, "speed_m_per_s": curve.speed_m_per_s, "turn": len(sound[0][0])}
+    facts = {
+        "stiffness_n_per_m": k, "speed_m_per_s": curve.speed_m_per_s, "turn": len(sound[0][0]),
+        "remarks": curve.remarks,
+    }  # fmt: skip
     return facts, [-np.concatenate([z for z, _ in sound]), factor * np.concatenate([value for _, value in sound])]
 
 

@@ -31,7 +31,9 @@ def inspect(
     lacking: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="KEY=VALUE", help="For a curve without headings: columns=1,2, way_unit=nm, value_unit=nN."
+            "--set",
+            metavar="KEY=VALUE",
+            help="Of a curve: columns=1,2, way_unit=nm, value_unit=nN, value_sign=-1.",
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -187,6 +189,7 @@ def _curve(path: Path, options: TableOptions) -> dict[str, Any]:
                                                   and np.array_equal(approach[1], retract[1][::-1]) else ""),
         "least_value": float(min(approach[1].min(), retract[1].min())),
         "greatest_value": float(max(approach[1].max(), retract[1].max())),
+        "assumed": list(curve.remarks),
     }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ class Recorded(NamedTuple):
     place: column and row of its grid. ways: of the approach and of the retraction the height [m], rising away from the
     sample, and the value, in the order of time. unit: of the values, N of a force, m or V of a deflection.
     stiffness_n_per_m, sensitivity_m_per_v: as the file has them, or None. speed_m_per_s: of the approach.
+    remarks: what was assumed and left out, in sentences.
     """
 
     place: tuple[int, int]
@@ -24,6 +25,7 @@ class Recorded(NamedTuple):
     stiffness_n_per_m: float | None = None
     sensitivity_m_per_v: float | None = None
     speed_m_per_s: float = 1.0
+    remarks: tuple[str, ...] = ()
 
 
 class Curves(NamedTuple):

@@ -1,5 +1,6 @@
 """`telenano calibrate`: sensitivity and stiffness from the measurements of your own instrument."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,11 +10,24 @@ from telenano.cli import JsonOption, command_group, print_document, report_error
 from telenano.wire import ConfigError
 
 app = command_group()
+
+
+class Sides(StrEnum):
+    """Sides of 0 Hz that a density is of."""
+
+    ONE = "one"
+    TWO = "two"
+
+
 ColumnsOption = Annotated[
     tuple[str, str] | None,
     typer.Option(
         "--columns", metavar="X Y", help="Columns of a text table, by number or title; default: by its headings."
     ),
+]
+FigureOption = Annotated[
+    Path | None,
+    typer.Option("--figure", metavar="FILE", help="Draw the data, what was left out and the fit, as .png, .svg, .pdf."),
 ]
 
 
@@ -24,7 +38,8 @@ def sensitivity(
         typer.Option(
             "--curve",
             metavar="FILE",
-            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads.",
+            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads. The"
+            " way may rise towards the sample or away from it: the end where the lever is free tells.",
         ),
     ],
     part: Annotated[
@@ -47,11 +62,15 @@ def sensitivity(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Accept a deflection per volt outside the usual range.")
     ] = False,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error."""
+    """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error.
+
+    The approach is taken, and what is left out of the curve is printed.
+    """
     with report_errors(as_json):
-        document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway)
+        document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway, figure=figure)
     print_document(document, str(curve), as_json=as_json)
 
 
@@ -67,9 +86,25 @@ def stiffness(
         typer.Option(
             "--unit",
             metavar="UNIT",
-            help="Unit of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz); of a record V; default: by its heading.",
+            help="Unit of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz), Vpk/sqrt(Hz), 'dB re 1 V^2/Hz'; of the"
+            " power of lines V^2 or V; of a record V; default: by its heading.",
         ),
     ] = "",
+    sides: Annotated[
+        Sides | None,
+        typer.Option(
+            "--sides", help="Whether the density is that of one side of 0 Hz or of both; default: as the file shows."
+        ),
+    ] = None,
+    noise_bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            "--noise-bandwidth",
+            min=1e-9,
+            metavar="HZ",
+            help="Noise bandwidth of a line, where the file has the power of lines; default: by its head.",
+        ),
+    ] = None,
     frequency_unit: Annotated[
         str,
         typer.Option("--frequency-unit", metavar="UNIT", help="Unit of the frequency; default: by its heading, or Hz."),
@@ -114,24 +149,31 @@ def stiffness(
     size_error: Annotated[
         float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of width and of length [nm].")
     ] = 0.0,
+    figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the stiffness of the cantilever from its thermal noise, by the area of the fitted resonance."""
     with report_errors(as_json):
         from telenano_calibration.own_calibration import (
             BY_ANGLE,
+            Spectrum,
             Thermal,
             record_of,
             spectrum_of,
             stiffness_of_record,
             stiffness_of_spectrum,
         )
+        from telenano_calibration.resonance import periodogram
 
         if (spectrum is None) == (record is None):
             raise ConfigError("--spectrum, --record: give one of them")
-        is_of_metres = False
+        is_of_metres, window = False, None
         if spectrum is not None:
-            found_spectrum = spectrum_of(spectrum, unit, frequency_unit, columns or ())
+            found_spectrum = spectrum_of(
+                spectrum, unit, frequency_unit, columns or (),
+                sides=None if sides is None else 1 + (sides is Sides.TWO), noise_bandwidth_hz=noise_bandwidth,
+            )  # fmt: skip
+            window = found_spectrum.window
             is_of_metres = found_spectrum.is_of_metres
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
@@ -141,7 +183,7 @@ def stiffness(
         mode = BY_ANGLE if factor is None else factor
         thermal = Thermal(
             way_m, temperature, mode, width, length, rate, averages, way_error_m, 1e-9 * size_error,
-            (exclude,) if exclude else (), anyway,
+            (exclude,) if exclude else (), anyway, window,
         )  # fmt: skip
         if spectrum is not None:
             stiffness_found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, thermal)
@@ -149,6 +191,14 @@ def stiffness(
         else:
             deflection, remarks = record_of(record or Path(), unit)
             stiffness_found = stiffness_of_record(deflection, thermal)
+            found_spectrum = Spectrum(*periodogram(deflection, rate or 1.0), is_of_metres=False)
+        if figure is not None:
+            from telenano_calibration.calibration_figure import draw, resonance_figure
+
+            draw(
+                resonance_figure(found_spectrum.frequency_hz, found_spectrum.density_per_hz, stiffness_found, thermal),
+                figure,
+            )
         stiffness_found = stiffness_found._replace(remarks=(*remarks, *stiffness_found.remarks))
     print_document(stiffness_found._asdict(), str(spectrum or record), as_json=as_json)
 
@@ -161,6 +211,7 @@ def _sensitivity(
     columns: tuple[str, str] | None,
     *,
     anyway: bool,
+    figure: Path | None,
 ) -> dict[str, Any]:
     """Return what one curve gives, or the statistic of those of a file of several."""
     from telenano_calibration.own_calibration import (
@@ -173,10 +224,16 @@ def _sensitivity(
 
     remarks: tuple[str, ...] = ()
     if curve.suffix.lower() not in TEXTS:
+        if figure is not None:
+            raise ConfigError("--figure: is for a text table of one curve")
         several, refused = sensitivities_of_file(curve, *part)
     else:
         way_m, volts, remarks = curve_of(curve, way_unit, deflection_unit, columns or ())
         several, refused = [sensitivity_of_curve(way_m, volts, *part)], 0
+        if figure is not None:
+            from telenano_calibration.calibration_figure import contact_figure, draw
+
+            draw(contact_figure(way_m, volts, several[0]), figure)
     if not anyway:
         require_usual(several)
     if len(several) + refused == 1:
@@ -186,7 +243,8 @@ def _sensitivity(
             "standard_error_nm_per_v": 1e9 * sensitivity.standard_error_m_per_v,
             "points": sensitivity.points,
             "residual_nm": 1e9 * sensitivity.residual_m,
-            "remarks": remarks,
+            "residual_ratio": sensitivity.residual_ratio,
+            "remarks": (*remarks, *sensitivity.remarks),
         }
     from telenano_studies.repetitions import statistic
 

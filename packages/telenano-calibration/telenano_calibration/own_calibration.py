@@ -14,19 +14,25 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import constants, ndimage
 
-from telenano.files import Column, TextTable, unit_of
-from telenano.settings import read_by_package
+from telenano.files import TextTable
 from telenano.wire import ConfigError
-from telenano_calibration.line_fit import regressed
+from telenano_calibration.hard_curves import Sensitivity as Sensitivity
+from telenano_calibration.hard_curves import curve_of as curve_of
+from telenano_calibration.hard_curves import require_usual as require_usual
+from telenano_calibration.hard_curves import sensitivities_of_file as sensitivities_of_file
+from telenano_calibration.hard_curves import sensitivity_of_curve as sensitivity_of_curve
 from telenano_calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
+from telenano_calibration.spectrum_files import TEXTS as TEXTS
+from telenano_calibration.spectrum_files import Spectrum as Spectrum
+from telenano_calibration.spectrum_files import spectrum_of as spectrum_of
+from telenano_calibration.spectrum_forms import DENSITIES as DENSITIES
 
 Array = npt.NDArray[np.float64]
 
@@ -35,11 +41,6 @@ BY_ANGLE = 0.971 / 1.09**2
 # Density and viscosity are those of air at 20 degrees Celsius and 1013 hPa.
 AIR_DENSITY_KG_PER_M3 = 1.204
 AIR_VISCOSITY_PA_S = 1.825e-5
-# Units of a density, as columns are named: of a power or of its root, in volts or in metres.
-DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
-_NO_DECIBELS = "decibels are not taken, so write the density itself, in"
-# files with other names are those of an instrument, which packages read
-TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
 _REAL = (
     (0.91324, -0.48274, 0.46842, -0.12886, 0.044055, -0.0035117, 0.00069085),
@@ -68,6 +69,8 @@ _BENT = 0.1
 _BENT_ERRORS = 6.0
 # Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
 _WITHIN = 1.96
+# A resonance of fewer lines across its width is said to be one.
+_FEW_ACROSS = 2.0
 # Sizes that a maker states make a stiffness wrong by less than this factor, so that more is another unit.
 _FARTHEST = 4.0
 
@@ -81,6 +84,7 @@ class Stiffness(NamedTuple):
     averages: periodograms in a line, as given or by the scatter of the lines; deviance_ratio: deviance of the lines in
     that of thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise; lines_left_out: of
     the electronics, which no thermal noise has; influence: of the line that matters most [standard errors of k].
+    band_hz: of the lines that were taken [Hz].
     """
 
     stiffness_n_per_m: float
@@ -98,21 +102,8 @@ class Stiffness(NamedTuple):
     residual_ratio: float = 1.0
     lines_left_out: int = 0
     influence: float = 0.0
+    band_hz: tuple[float, float] = (0.0, math.inf)
     remarks: tuple[str, ...] = ()
-
-
-class Sensitivity(NamedTuple):
-    """Way for a volt [m/V] with its standard error, the points in contact, and the scatter about the line [m]."""
-
-    m_per_v: float
-    standard_error_m_per_v: float
-    points: int
-    residual_m: float
-
-    @property
-    def share(self) -> float:
-        """The standard error as a share, which counts twice in a stiffness."""
-        return self.standard_error_m_per_v / abs(self.m_per_v)
 
 
 class Thermal(NamedTuple):
@@ -122,7 +113,7 @@ class Thermal(NamedTuple):
     rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
     averages None: by the scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the
     sensitivity, and of width and length each. exclude_hz: bands whose lines are left out. anyway: resonance, Q and mass
-    that no usual lever has are accepted.
+    that no usual lever has are accepted. window: of the segments of a spectrum, None where it is not known.
     """
 
     sensitivity_m_per_v: float
@@ -136,104 +127,12 @@ class Thermal(NamedTuple):
     size_error_m: float = 0.0
     exclude_hz: tuple[tuple[float, float], ...] = ()
     anyway: bool = False
+    window: Any = None
 
     @property
     def sensitivity_share(self) -> float:
         """The standard error of a stiffness by that of the sensitivity, as a share."""
         return 2.0 * self.sensitivity_error_m_per_v / abs(self.sensitivity_m_per_v)
-
-
-class Spectrum(NamedTuple):
-    """A thermal spectrum: lines [Hz], their density, whether that is of metres and not of volts, and its averages.
-
-    averages: None where nothing says how many periodograms a line is the mean of; remarks: how the file was read.
-    """
-
-    frequency_hz: Array
-    density_per_hz: Array
-    is_of_metres: bool
-    averages: float | None = None
-    remarks: tuple[str, ...] = ()
-
-
-def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "", columns: Sequence[str] = ()) -> Spectrum:
-    """Return a thermal spectrum, as density of a power.
-
-    Args:
-        path: A text table whose head may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that an
-            installed package reads.
-        unit: The unit of the density; empty takes that of the file.
-        frequency_unit: The unit of the frequency; empty takes that of the file.
-        columns: Those of frequency and density in a text table, by number or title; none takes what its head says.
-
-    Raises:
-        ConfigError: The file cannot be read, or a unit is not known; the message says how to give it.
-    """
-    if path.suffix.lower() not in TEXTS:
-        try:
-            facts, (frequency_hz, density) = read_by_package(path, "spectrum")
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise ConfigError(f"{path}: {error}") from error
-        power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
-        return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
-    table = TextTable.read(path)
-    others = ("psd", "power", "density", "pwr", "amplitude")
-    first, second = _pair_of(table, columns, ("Hz",), DENSITIES, ("freq", "f"), others)
-    remarks = list(table.remarks)
-    words = table.units_in_head("Hz") if not (first.unit or frequency_unit) else set()
-    if len(words) > 1:
-        raise ConfigError(f"{path}: its head names the units {', '.join(sorted(words))} of a frequency: give one by "
-                          "--frequency-unit")  # fmt: skip
-    named = frequency_unit or "".join(words)
-    lines = table.in_si(first, ("Hz",), named, "--frequency-unit" if frequency_unit or not named else "")
-    if lines is None:
-        remarks.append("nothing names the unit of the frequency, which is taken as Hz")
-        lines = first.values
-    density, is_of_metres = _density_of(table, second, unit)
-    sound = np.isfinite(lines) & np.isfinite(density)
-    order = np.argsort(lines[sound], kind="stable")
-    if np.any(np.diff(order) < 0):
-        remarks.append("its lines were not in order, and are sorted")
-    return Spectrum(lines[sound][order], density[sound][order], is_of_metres, None, tuple(remarks))
-
-
-def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, bool]:
-    values = table.numbers(column)
-    choices = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
-    kinds = [kind.powers for kind in map(unit_of, DENSITIES) if kind]
-    if unit:
-        unit_read = unit_of(unit)
-        if unit_read is None or unit_read.powers not in kinds:
-            raise ConfigError(f"--unit {unit}: must be {choices}")
-        return _power_of(values, unit, "--unit")
-    if column.unit:
-        unit_read = unit_of(column.unit)
-        if unit_read is None or unit_read.powers not in kinds:
-            raise ConfigError(
-                f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
-                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {choices}"
-            )
-        return _power_of(values, column.unit, table.name)
-    words = table.units_in_head(*DENSITIES)
-    if len({unit_of(word) for word in words}) != 1:
-        several = f"names several units ({', '.join(sorted(words))})" if words else "names no unit"
-        raise ConfigError(f"{table.name}: its head {several} for the density: give --unit, {choices}")
-    return _power_of(values, words.pop(), table.name)
-
-
-def _power_of(density: Array, word: str, where: str) -> tuple[Array, bool]:
-    """Return a density as that of a power in SI units, and whether it is of metres."""
-    unit = unit_of(word)
-    for name in DENSITIES:
-        kind = unit_of(name)
-        if unit and kind and unit.powers == kind.powers:
-            values = density * unit.factor
-            if np.any(values < 0.0):
-                raise ConfigError(f"{where}: a density in {word} is below 0: is it in decibels? Then write it without")
-            return (values if "^2" in name else values**2), name.startswith("m")
-    raise ConfigError(f"{where}: {word!r} is no unit of a density; known are {', '.join(DENSITIES)}")
 
 
 def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
@@ -257,77 +156,6 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
         place = int(np.argmin(np.isfinite(values)))
         raise ConfigError(f"{path}, line {table.lines[place]}: has no number; a record has one in each line")
     return values, remarks
-
-
-def curve_of(
-    path: Path, way_unit: str = "", deflection_unit: str = "", columns: Sequence[str] = ()
-) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return way [m] and deflection [V] of a curve on a hard sample in a text table, and remarks on how it was read.
-
-    The columns are given by number or title, way and deflection; without them the head says which they are.
-
-    Raises:
-        ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
-    """
-    table = TextTable.read(path)
-    ways = ("z", "way", "height", "piezo", "dist")
-    first, second = _pair_of(table, columns, ("m",), ("V",), ways, ("defl", "volt", "signal"))
-    remarks = list(table.remarks)
-    way, volts = (
-        table.in_si(column, wanted, unit, option)
-        for column, wanted, unit, option in (
-            (first, ("m",), way_unit, "--way-unit"),
-            (second, ("V",), deflection_unit, "--deflection-unit"),
-        )
-    )
-    if volts is None:
-        volts = table.numbers(second)
-        remarks.append("nothing names the unit of the deflection, which is taken as V")
-    if way is None:
-        way = table.numbers(first)
-        span = float(np.nanmax(way) - np.nanmin(way))
-        if not _WAY_NM[0] <= span <= _WAY_NM[1]:
-            likely = "m" if span < 1e-3 else "um" if span < _WAY_NM[0] else "pm"
-            raise ConfigError(
-                f"{path}: its head names no unit of the way, whose span of {span:.3g} is not one in nm: is it "
-                f"in {likely}?"
-                f" Give --way-unit {likely}, or what it is"
-            )
-        way = 1e-9 * way
-        remarks.append("nothing names the unit of the way, which is taken as nm")
-    sound = np.isfinite(way) & np.isfinite(volts)
-    return way[sound], volts[sound], tuple(remarks)
-
-
-def _pair_of(
-    table: TextTable,
-    chosen: Sequence[str],
-    first: Sequence[str],
-    second: Sequence[str],
-    names: Sequence[str],
-    others: Sequence[str],
-) -> tuple[Column, Column]:
-    """Return the two columns that are meant: as chosen, else by unit, else by name, else the first two."""
-    columns = table.columns
-    if len(columns) < 2 or len(table.lines) < 16:
-        raise ConfigError(
-            f"{table.name}: has {len(table.lines)} lines of {len(columns)} columns, 16 or more lines of 2 are needed"
-        )
-    if chosen:
-        return table.column(chosen[0]), table.column(chosen[1])
-    pair: list[Column | None] = []
-    for kinds, words in ((first, names), (second, others)):
-        powers = [kind.powers for kind in map(unit_of, kinds) if kind]
-        of_unit = [column for column in columns if (unit := column.known) and unit.powers in powers]
-        if len(of_unit) > 1 and (by_name := [one for one in of_unit if one.name.lower().startswith(tuple(words))]):
-            of_unit = by_name
-        named = table.find(*words)
-        pair.append(of_unit[0] if of_unit else named if named is None or not named.known else None)
-    x = pair[0] if pair[0] is not None and pair[0] is not pair[1] else None
-    y = pair[1]
-    x = x or next(column for column in columns if column is not y)
-    y = y or next(column for column in columns if column is not x)
-    return x, y
 
 
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, thermal: Thermal) -> Stiffness:
@@ -372,7 +200,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
         if not starts or all(abs(math.log(start[1] / other[1])) > 0.5 / start[2] for other in starts):
             starts.append(start)
     try:
-        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
+        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages, known.window)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     k = known.factor * constants.Boltzmann * known.temperature_k / peak.mean_square_m2
@@ -387,7 +215,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     thermal = Stiffness(
         k, deviation, peak.resonance_hz, peak.quality, peak.floor_m2_per_hz, known.factor, averages=peak.averages,
         deviance_ratio=peak.deviance, residual_ratio=peak.mismatch, lines_left_out=peak.tones,
-        influence=peak.influence, remarks=_remarks_on(peak, averages),
+        influence=peak.influence, band_hz=peak.band_hz, remarks=_remarks_on(peak, averages),
     )  # fmt: skip
     if known.width_m is None or known.length_m is None:
         return thermal
@@ -440,6 +268,16 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
     if resonance.chance < WIDENED:
         remarks.append(
             f"the standard error is widened {math.sqrt(resonance.mismatch):.2g} times by the residuals of the fit"
+        )
+    if resonance.by_window > 0.1 * resonance.share:
+        remarks.append(
+            f"the resonance is {resonance.lines_across:.2g} lines wide, and which window the segments had is not known:"
+            " the standard error has it in it. A finer spectrum, or its window in the head, makes it smaller"
+        )
+    elif resonance.lines_across < _FEW_ACROSS:
+        remarks.append(
+            f"the resonance is {resonance.lines_across:.2g} lines wide, of which the standard error has account: a"
+            " finer spectrum makes it smaller"
         )
     remarks.append(f"lines from {resonance.band_hz[0]:.6g} to {resonance.band_hz[1]:.6g} Hz are taken")
     return tuple(remarks)
@@ -514,90 +352,3 @@ def sader_n_per_m(width_m: float, length_m: float, resonance_hz: float, quality:
     omega = 2.0 * math.pi * resonance_hz
     reynolds = AIR_DENSITY_KG_PER_M3 * omega * width_m**2 / (4.0 * AIR_VISCOSITY_PA_S)
     return 0.1906 * AIR_DENSITY_KG_PER_M3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2
-
-
-def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: float = 0.95) -> Sensitivity:
-    """Return the way for a volt in contact: of the points between two shares of the span of the voltage.
-
-    Args:
-        way_m: Way of the base towards the sample [m], shape (n,).
-        volts: Deflection [V], shape (n,).
-        low: Share of the span at which contact is sure.
-        high: Share up to which the read-out is linear.
-
-    Raises:
-        ConfigError: Too few points lie there, or the voltage does not follow the way.
-    """
-    span = float(np.ptp(volts))
-    # The free lever is where the base is farthest, whatever the sign of the read-out.
-    shares = np.abs(volts - volts[np.argmin(way_m)]) / span if span > 0.0 else np.zeros(len(volts))
-    chosen = (shares >= low) & (shares <= high)
-    _require(int(chosen.sum()), low, high)
-    # Points that are chosen by their voltage are chosen by its noise too: their line chooses the ways.
-    slope, error, scatter = regressed(way_m[chosen], shares[chosen])
-    if slope > 0.0:
-        predicted = shares[chosen].mean() + slope * (way_m - way_m[chosen].mean())
-        chosen = (predicted >= low) & (predicted <= high)
-        _require(int(chosen.sum()), low, high)
-        slope, error, scatter = (span * part for part in regressed(way_m[chosen], shares[chosen]))
-    if not slope > 3.0 * error:
-        raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
-    _require_straight(way_m[chosen], volts[chosen])
-    return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
-
-
-def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
-    """Raise ConfigError for a way for a volt that no usual read-out has, with the likely mistake."""
-    for one in sensitivities:
-        if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
-            raise ConfigError(
-                f"{1e9 * one.m_per_v:.3g} nm/V is outside the usual range of a deflection per volt: check that "
-                "--way-unit and --deflection-unit are those of the file; --anyway accepts it"
-            )
-
-
-def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> tuple[list[Sensitivity], int]:
-    """Return the sensitivity by each curve of a file of curves, and how many of its curves are none on a hard sample.
-
-    Of a force map or QI data with many curves it is the first block of them. `low` and `high` are those of
-    `sensitivity_of_curve`.
-
-    Raises:
-        ConfigError: The file cannot be read, or no curve of it will do; the message names it and the reason.
-    """
-    try:
-        _, (counts, heights, volts) = read_by_package(path, "deflections")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: is no file of curves: {error}") from error
-    sensitivities, reason = [], ""
-    ends = np.cumsum(counts)[:-1]
-    for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
-        try:
-            # the height rises away from the sample
-            sensitivities.append(sensitivity_of_curve(-height, volt, low, high))
-        except ConfigError as error:
-            reason = str(error)
-    if not sensitivities:
-        raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
-    return sensitivities, len(counts) - len(sensitivities)
-
-
-def _require_straight(way_m: Array, volts: Array) -> None:
-    """Raise ConfigError where the two halves of the line of contact have slopes that differ by more than noise."""
-    upper = way_m > np.median(way_m)
-    if min(upper.sum(), (~upper).sum()) < 8:
-        return
-    (low, low_error, _), (high, high_error, _) = (regressed(way_m[part], volts[part]) for part in (~upper, upper))
-    apart = abs(high - low)
-    if apart > _BENT * abs(0.5 * (low + high)) and apart > _BENT_ERRORS * math.hypot(low_error, high_error):
-        raise ConfigError(
-            f"the line of contact is bent: its second half has {high / low:.2g} times the slope of the first. The"
-            " sample gives way, or the read-out is not linear there: choose another --part LOW HIGH"
-        )
-
-
-def _require(points: int, low: float, high: float) -> None:
-    if points < 8:
-        raise ConfigError(f"{points} points lie between {low:g} and {high:g} of the span: 8 are needed")

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from scipy import signal, special
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +41,11 @@ _ENOUGH = 1e-7
 _DIFFERENCE = 1e-5
 # Windows count where the peak has fewer lines within the width at half its height.
 _FEW_LINES = 2.0
+# The window that a file names counts up to so many of its noise bandwidths; those that are tried where none is named.
+_FEW_LINES_OF_KNOWN = 5.0
+_WINDOWS = ("boxcar", "hann")
+# A window whose fit has a logarithm of the likelihood that is smaller by less than this may have been used as well.
+_AS_LIKELY = 4.0
 # A peak whose width at half its height is less than this share of the distance of lines looks as a tone does.
 _AS_A_TONE = 0.3
 # A window spreads the area of a peak and leaves it as it is, so that a fit of another area took wings for the peak.
@@ -51,19 +56,27 @@ _STARTS_OF_Q = (1.0, 4.0, 16.0)
 _KNOWN_TO = 1.0
 _TURN = 2.0 * math.pi
 # A line that noise exceeds in this share of spectra alone is no noise.
-_NOT_THERMAL = 1e-6
+NOT_THERMAL = 1e-6
 # More lines than these, and than this share, are no tones.
 _MOST_TONES = 40
 _MOST_TONE_SHARE = 0.02
 _MOST_ROUNDS = 12
 _FEWEST_LINES = 16
+# of the fit: log s^2, log f0, log Q and the floor
+_PARAMETERS = 4
+# The distance of the quartiles tells of the scatter as much as this share of the lines by their squares.
+_OF_QUARTILES = 0.37
+# Averages by the scatter, over the count of segments without overlap, where segments overlap by half.
+_OVERLAP = 1.6
 # Residuals that noise has in fewer spectra than these shares: errors are widened, another band is tried, refused.
 WIDENED = 0.05
 _DOUBTFUL = 0.01
 _IMPOSSIBLE = 1e-5
 # Correlation of neighbouring lines above which there was a window, and the most that one of those in use does.
 _LEAST_JOINED = 0.15
-_MOST_JOINED = 2.5
+_MOST_JOINED = 12.0
+# Lines that are farther apart are not joined, also where each segment was padded with zeros to four times its length.
+_FARTHEST_JOINED = 8
 # in standard errors
 _MOST_INFLUENCE = 4.0
 # A narrower band has this number of widths of the peak at least.
@@ -81,7 +94,8 @@ class Resonance(NamedTuple):
     covariance: of log s^2, log f0 and log Q, shape (3, 3). deviance: of the lines, in that of noise of `averages`.
     mismatch: mean square of the residuals of blocks of lines, in that of noise; chance: of as much by noise.
     tones: lines that were left out because no thermal noise has them. influence: by how many standard errors the one
-    line that matters most moves log s^2. band_hz: of the lines that were taken.
+    line that matters most moves log s^2. band_hz: of the lines that were taken. by_window: the part of the share that
+    windows make of which the lines do not tell which was used. lines_across: the width at half its height, in lines.
     """
 
     mean_square_m2: float
@@ -97,6 +111,8 @@ class Resonance(NamedTuple):
     influence: float
     averages: float
     band_hz: tuple[float, float]
+    by_window: float = 0.0
+    lines_across: float = math.inf
 
 
 def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
@@ -125,6 +141,7 @@ def fit_spectrum(
     rate_hz: float,
     starts: Sequence[tuple[float, float, float]],
     averages: float | None = 1.0,
+    window: Any = None,
 ) -> Resonance:
     """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms, and judge the fit.
 
@@ -139,6 +156,7 @@ def fit_spectrum(
         rate_hz: The rate at which the deflection was sampled [Hz].
         starts: Where to look: mean square [m^2], resonance [Hz] and Q each.
         averages: How many periodograms each line is the mean of; None takes it from the scatter of the lines.
+        window: That of the segments, as `scipy.signal.get_window` takes it; None tries the rectangle and Hann's.
 
     Raises:
         ValueError: No fit describes the lines, or the fit ends at a bound, or the peak has too few lines, or the mean
@@ -151,7 +169,7 @@ def fit_spectrum(
         fits: list[Resonance] = [] if best is None else [best]
         for start in starts:
             try:
-                fits.append(_judged_fit(frequency_hz, power, rate_hz, start, averages, band))
+                fits.append(_judged_fit(frequency_hz, power, rate_hz, start, averages, band, window))
             except ValueError as error:
                 reason = reason or error
         good = [one for one in fits if one.chance > _DOUBTFUL]
@@ -184,6 +202,7 @@ def _judged_fit(
     start: tuple[float, float, float],
     averages: float | None,
     band: tuple[float, float],
+    window: Any = None,
 ) -> Resonance:
     """Return the fit of a band [resonances], without lines that are no noise, and how well it describes the rest."""
     low, high = band[0] * start[1], min(band[1] * start[1], 0.45 * rate_hz)
@@ -196,7 +215,7 @@ def _judged_fit(
     spacing = float(np.median(np.diff(frequency_hz)))
     kept = values > 0.0
     for _ in range(_MOST_ROUNDS):
-        fit, shape = _fit_in_band(lines[kept], values[kept], rate_hz, start, spacing)
+        fit, shape, others = _fit_in_band(lines[kept], values[kept], rate_hz, start, spacing, window)
         places = np.rint(lines / spacing).astype(int)
         s2, f0, q = np.exp(np.clip(fit.place[:3], -200.0, 200.0)).tolist()
         if not low < f0 < high or s2 <= 0.0:
@@ -206,7 +225,7 @@ def _judged_fit(
             raise ValueError(f"no resonance is known from these lines near {start[1]:.6g} Hz")
         ratio = np.where(model > 0.0, values / np.where(model > 0.0, model, 1.0), 0.0)
         count = averages or _averages_of(ratio[kept])
-        thermal = (special.gammaincc(count, count * ratio) > _NOT_THERMAL) & (values > 0.0)
+        thermal = (special.gammaincc(count, count * ratio) > NOT_THERMAL) & (values > 0.0)
         if (thermal == kept).all():
             break
         kept = thermal
@@ -218,7 +237,7 @@ def _judged_fit(
             f"{tones} of {len(lines)} lines near {start[1]:.6g} Hz are far above any thermal noise: another mode or the"
             " electronics (leave them out by --exclude LOW HIGH), or --averages is too large"
         )
-    _, free, slopes, unit = fit
+    least, free, slopes, unit = fit
     s2, f0, q = np.exp(free[:3]).tolist()
     if band != BANDS[0] and q * (band[1] - band[0]) < _BAND_WIDTHS:
         raise ValueError(f"the peak near {f0:.6g} Hz is too wide for a narrower band")
@@ -238,20 +257,32 @@ def _judged_fit(
             f"no resonance is known from these lines: the mean square near {f0:.6g} Hz has a standard error of more"
             " than a factor of e; a tone of the electronics has such a peak"
         )
-    share = math.sqrt(float(covariance[0, 0]))
+    share = math.sqrt(float(covariance[0, 0])) * (1.0 if averages else _by_scatter(int(kept.sum())))
+    # A lever that swings longer than a segment lasts has the same energy in neighbouring segments: over a record of the
+    # time T its mean square is known to sqrt(Q / pi f0 T), however little the lines elsewhere scatter.
+    segments = count / (1.0 if averages else _OVERLAP)
+    if f0 / q < _FEW_LINES * spacing:
+        share = math.hypot(share, math.sqrt(spacing * q / (math.pi * f0 * segments)))
+    # another window that the lines allow as well gives another area
+    allowed = [one for one in others if count / joined * (one.cost - least) < _AS_LIKELY]
+    by_window = max((abs(float(one.place[0] - free[0])) for one in allowed), default=0.0)
     moved = inverse[0] @ slopes * (ratio[kept] - 1.0)
     mismatch, chance = _mismatch(ratio[kept], lines[kept], f0, q, count / joined)
     deviance = float(np.mean(ratio[kept] - 1.0 - np.log(ratio[kept]))) / _deviance_of(count)
     return Resonance(
-        s2, f0, q, max(float(free[3]) * unit, 0.0), share, covariance, deviance, mismatch, chance, tones,
-        float(np.abs(moved).max()) / share, count, (float(lines[0]), float(lines[-1])),
+        s2, f0, q, max(float(free[3]) * unit, 0.0), math.hypot(share, by_window), covariance, deviance, mismatch,
+        chance, tones, float(np.abs(moved).max()) / share, count, (float(lines[0]), float(lines[-1])), by_window,
+        f0 / q / spacing,
     )  # fmt: skip
 
 
 def _fit_in_band(
-    lines: Array, power: Array, rate_hz: float, start: tuple[float, float, float], spacing: float
-) -> tuple["_Fit", Callable[..., Array]]:
-    """Return the fit of some lines, and the density at any lines as a function of them, places, s^2, f0 and Q."""
+    lines: Array, power: Array, rate_hz: float, start: tuple[float, float, float], spacing: float, window: Any
+) -> tuple["_Fit", Callable[..., Array], list["_Fit"]]:
+    """Return the fit of some lines, the density at any lines as a function of them, places, s^2, f0 and Q, and others.
+
+    The others are the fits of other windows than that of the best, where the peak is so narrow that windows count.
+    """
     mean_square, resonance_hz, quality = start
     starts = [(mean_square, resonance_hz, quality * times) for times in _STARTS_OF_Q]
 
@@ -261,24 +292,33 @@ def _fit_in_band(
     fits: list[tuple[_Fit, Callable[..., Array]]] = [(_fit(partial(plain, lines, None), power, starts[0]), plain)]
     places = np.rint(lines / spacing).astype(int)
     is_even = np.abs(lines - places * spacing).max() < 0.1 * spacing
-    if is_even and fits[0][0].place[1] - math.log(_FEW_LINES * spacing) < fits[0][0].place[2]:
+    least_lines = _FEW_LINES if window is None else _FEW_LINES_OF_KNOWN * noise_bandwidth_of(window)
+    if is_even and fits[0][0].place[1] - math.log(least_lines * spacing) < fits[0][0].place[2]:
         count = round(rate_hz / spacing)
-        for kernel in (
-            1.0 - np.arange(count) / count,
-            _autocorrelation(0.5 - 0.5 * np.cos(_TURN / count * np.arange(count))),
-        ):
+        kernels = [_autocorrelation(signal.get_window(one, count)) for one in ((window,) if window else _WINDOWS)]
+        fits = [] if window else fits
+        for kernel in kernels:
 
             def seen(_: Any, at: Any, s2: float, f0: float, q: float, kernel: Array = kernel) -> Array:
                 return _seen_through(kernel, at, rate_hz, s2, f0, q)
 
-            fits += [(_fit(partial(seen, None, places), power, one), seen) for one in starts]
+            found = [(_fit(partial(seen, None, places), power, one), seen) for one in starts]
+            found = [one for one in found if one[0].has_area_of(power, spacing)]
+            fits += [min(found, key=lambda one: one[0].cost)] if found else []
         fits = [one for one in fits if one[0].has_area_of(power, spacing)]
         if not fits:
             raise ValueError(
                 f"no resonance has the area of the peak, which has too few lines {spacing:.4g} Hz apart: take a finer "
                 "spectrum, or --record"
             )
-    return min(fits, key=lambda one: one[0].cost)
+    best = min(fits, key=lambda one: one[0].cost)
+    return *best, [one[0] for one in fits if one is not best and one[1] is not plain]
+
+
+def noise_bandwidth_of(window: Any) -> float:
+    """Return the noise bandwidth of a window, as `scipy.signal.get_window` takes it, in lines."""
+    values = signal.get_window(window, 4096)
+    return float(4096 * np.sum(values**2) / np.sum(values) ** 2)
 
 
 def _deviance_of(averages: float) -> float:
@@ -293,22 +333,38 @@ def _averages_of(ratio: Array) -> float:
     wanted = math.log(max(high / low, 1.0 + 1e-9)) if low > 0.0 else math.inf
     counts = np.geomspace(0.5, 1e5, 400)
     spreads = np.log(special.gammaincinv(counts, 0.75) / special.gammaincinv(counts, 0.25))
-    return float(np.interp(-wanted, -spreads, counts))
+    found = float(np.interp(-wanted, -spreads, counts))
+    # The parameters of the fit take their share of the scatter.
+    return max(found * max(len(ratio) - _PARAMETERS, 1) / len(ratio), 0.5)
+
+
+def _by_scatter(lines: int) -> float:
+    """Return by how much an error is larger that follows from the scatter of so few lines, for an interval of 95 %."""
+    return float(special.stdtrit(max(_OF_QUARTILES * (lines - _PARAMETERS), 1.0), 0.975)) / 1.96
 
 
 def _joined(residual: Array) -> float:
     """Return by how much the sum of neighbouring lines varies more than that of lines without a window.
 
-    Hann's window gives neighbours a correlation of 4/9, and 1/36 over the next but one. A course of the residuals is in
-    all of them alike, and so no part of it.
+    Hann's window gives neighbours a correlation of 4/9, and 1/36 over the next but one; zeros behind a segment give it
+    to as many lines as there are to one of the segment. A course of the residuals is in all of them alike, and so no
+    part of it.
     """
     square = float(residual @ residual)
     if len(residual) < 64 or square <= 0.0:
         return 1.0
-    first, second, third = (float(residual[:-lag] @ residual[lag:]) / square for lag in (1, 2, 3))
-    if first - third < _LEAST_JOINED:
+    lags = range(1, 2 * _FARTHEST_JOINED + 1)
+    correlations = np.array([float(residual[:-lag] @ residual[lag:]) / square for lag in lags])
+    total, near = 0.0, 1.0
+    for lag, here in enumerate(correlations[:_FARTHEST_JOINED]):
+        # that of lines which are twice as far is of the course
+        near = float(here - correlations[max(2 * lag + 1, 2)])
+        if near < _LEAST_JOINED:
+            break
+        total += near
+    if not total:
         return 1.0
-    return min(1.0 + 2.0 * (first + second - 2.0 * third), _MOST_JOINED)
+    return min(1.0 + 2.0 * (total + max(near, 0.0)), _MOST_JOINED)
 
 
 def _mismatch(ratio: Array, lines: Array, resonance_hz: float, quality: float, averages: float) -> tuple[float, float]:

@@ -58,7 +58,7 @@ def curve(
             "--set",
             metavar="KEY=VALUE",
             help="What the measured file lacks: stiffness_n_per_m, sensitivity_m_per_v; for a text table columns=1,2, "
-            "way_unit=nm, value_unit=nN.",
+            "way_unit=nm, value_unit=nN, value_sign=-1.",
         ),
     ] = None,
     reduced_modulus: Annotated[
@@ -117,6 +117,7 @@ def curve(
     document = {"model": curve_taken.model, "stiffness_n_per_m": curve_taken.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
+        document["measured"]["assumed"] = list(other[0].remarks)
     if fit is not None:
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]

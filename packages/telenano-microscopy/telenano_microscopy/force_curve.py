@@ -9,7 +9,7 @@ the pull-off, which is the strongest pull on the way back, and where the force p
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ _JUMP_SHARE = 0.5
 # A file of a curve may lack these constants.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
 # What a person says of a text table whose head does not.
-OF_TABLES = ("columns", "way_unit", "value_unit")
+OF_TABLES = ("columns", "way_unit", "value_unit", "value_sign")
 # A tenth of a piconewton is below the thermal force of any lever.
 _LEAST_LOAD_N = 1e-13
 # The dynamic cantilever takes four times as long to compute at the 50 nm/s of a program [m/s].
@@ -45,7 +45,7 @@ class Half:
 
 @dataclass(frozen=True)
 class Curve:
-    """Approach and retraction, with what they were measured with."""
+    """Approach and retraction, with what they were measured with, and what was assumed of a file."""
 
     approach: Half
     retract: Half
@@ -53,6 +53,7 @@ class Curve:
     rest_distance_m: float
     speed_m_per_s: float
     model: str
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -285,7 +286,7 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
         path: The file.
         number: Which curve of a map, the first being 0.
         constants: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file; of a text table
-            `columns`, `way_unit` and `value_unit`, which its head does not say.
+            `columns`, `way_unit`, `value_unit` and `value_sign`, which its head does not say.
 
     Raises:
         ConfigError: The message names the file and what is wrong with it.
@@ -303,6 +304,7 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
     try:
         facts, (base, deflection) = read_by_package(path, "curve", str(number), *texts)
         curve = _measured(base, deflection, facts["stiffness_n_per_m"], facts["turn"], facts["speed_m_per_s"])
+        curve = replace(curve, remarks=tuple(facts.get("remarks", ())))
     except ConfigError:
         raise
     except OSError as error:

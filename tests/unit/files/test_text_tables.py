@@ -65,6 +65,31 @@ def test_a_table_has_the_values_and_units_that_were_written(written: tuple[str, 
         assert any("decimal" in remark for remark in table.remarks) == (mark == "," and any("," in w for w in text))
 
 
+ROWS = "".join(f"{n}.5\t{n}.25\n" for n in range(100))
+NUMBERS = ("7\n", "1.5\t2.5\n3.5\t4.5\n", "1\t2\t3\t4\n5\t6\t7\t8\n", "1;2;3\n", "0.5 0.25\n")
+MARKS = (
+    "[DATA]\n", "[Data]\n", "\\*File list end\n", "*File list end\n", "***End_of_Header***\n", "# Start of Data:\n",
+    "Daten:\n", "\n", "some words\n",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("numbers", "mark"), list(product(NUMBERS, MARKS)))
+def test_numbers_in_a_head_are_no_table(numbers: str, mark: str) -> None:
+    table = TextTable.parse(f"Settings\n{numbers}{mark}z [nm]\tU [V]\n{ROWS}".encode(), "t")
+    assert [column.name for column in table.columns] == ["z", "U"]
+    assert (len(table.lines), table.columns[0].values[0]) == (100, 0.5)
+    assert "are of its head" in " ".join(table.remarks)
+
+
+def test_numbers_before_a_blank_line_leave_the_titles_above_them() -> None:
+    table = TextTable.parse(f"z [nm]\tU [V]\n9.5\t8.5\n\n{ROWS}".encode(), "t")
+    assert [column.unit for column in table.columns] == ["nm", "V"]
+    assert len(table.lines) == 100
+    # comments among the rows are kept, with the count of rows before them
+    table = TextTable.parse(f"a\tb\n{ROWS}# segment: retract\n{ROWS}".encode(), "t")
+    assert (len(table.lines), table.notes) == (200, ((100, "# segment: retract"),))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
