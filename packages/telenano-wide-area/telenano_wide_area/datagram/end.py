@@ -341,7 +341,8 @@ class DatagramEnd:
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
             self.outgoing.record_heard(report, now_ns)
-            self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            if self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns):
+                self.outgoing.record_jump(self.offset.present, monotonic_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
@@ -418,8 +419,10 @@ class DatagramEnd:
         """Adapt what is sent to the line, and tell of a line that is full."""
         if now_ns - self._answered_ns < _UNHEARD_NS:
             # What was reported before that says nothing of the queue now.
-            offset = self.offset.estimate()
-            self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
+            offset, line = self.offset.estimate(), self.outgoing.line
+            round_trip_ns = 0 if offset is None else round(offset.round_trip_s * 1e9)
+            # A queue that stands is in the round trip as well.
+            self.outgoing.update(now_ns, max(0, round_trip_ns - (line.there_ns or 0) - (line.back_ns or 0)))
         if self.acknowledged:
             seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):

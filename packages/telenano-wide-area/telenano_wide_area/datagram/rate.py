@@ -211,6 +211,15 @@ class RateControl:
         if self.bytes_per_s >= self.most_bytes_per_s:
             self.mode = "free"
 
+    def forget_queue(self, now_ns: int) -> None:
+        """Send again as before what was taken for a queue, and was a route that has become longer."""
+        tried = self._trial or self._last
+        if tried is not None and now_ns - tried.first_ns < _SOON_NS:
+            self.bytes_per_s = max(self.bytes_per_s, tried.before_bytes_per_s)
+        self._trial = self._last = self._full_at = None
+        if self.bytes_per_s >= self.most_bytes_per_s:
+            self.mode = "free"
+
     def _is_of_others(self, trial: Trial, now_ns: int, seen: Seen) -> bool:
         """Return whether sending less does not lower a queue, or is not what lowers it."""
         less = max(0.0, 1.0 - self.bytes_per_s / max(1.0, trial.carried_bytes_per_s))
