@@ -3,7 +3,7 @@
 What the line takes now follows from exchanges (`telenano.timing.line_present`), and one in a tenth of a second would
 tell of a longer route half a second late. So a question that is not answered when it should be, answers that came
 later, or the silence of the other half of the law begins a series of questions a hundredth of a second apart. It ends
-when the line is as it was or has been seen to be longer, and after half a second in any case; the next one begins a
+when the line is as it was or has been seen to be longer, and after half a second in any case; the next one then begins a
 second later at the earliest, and not before an answer has come, so that a line that is cut or full is left alone.
 """
 
@@ -16,6 +16,8 @@ _APART_NS = 10_000_000
 # A series lasts for this time at most, and the next one begins this long after it [ns].
 _SERIES_NS = 500_000_000
 _PAUSE_NS = 1_000_000_000
+# One that found the line unchanged, or longer, may be followed after this time [ns].
+_BREATH_NS = 200_000_000
 # An answer may be later by this than the line takes [ns].
 _LATE_NS = 10_000_000
 # A silence of the law is this number of mean distances of its messages, and at least that long [ns].
@@ -59,7 +61,7 @@ class Questions(msgspec.Struct, array_like=True):
         self.unanswered_ns = NEVER_NS
         self.answers += 1
         if now_ns < self.until_ns and (is_longer or (not in_doubt and self.answers >= _ENOUGH)):
-            self.until_ns = now_ns
+            self.until_ns, self.rest_until_ns = now_ns, now_ns + _BREATH_NS
         elif in_doubt:
             self._begin(now_ns)
 

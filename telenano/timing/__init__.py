@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from telenano.timing.clock_line import ClockLine as ClockLine
     from telenano.timing.clock_offset import STEP_NS as STEP_NS
     from telenano.timing.clock_offset import OffsetFilter as OffsetFilter
-    from telenano.timing.line_present import LinePresent as LinePresent
     from telenano.timing.loop_age import STAGES as STAGES
     from telenano.timing.play_out import PlayOut as PlayOut
 else:

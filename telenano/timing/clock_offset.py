@@ -136,10 +136,10 @@ class OffsetFilter:
 
     def there_ns(self) -> int | None:
         """Return t2 - t1 of the fastest question of the present [ns], which has the offset in it."""
-        line, least = self.line(), self.present.least
-        if line is None or least is None:
+        line, there = self.line(), self.present.there
+        if line is None or there is None:
             return None
-        return round(least.there_ns + line.drift * (self._newest_ns - least.at_ns))
+        return round(there.least_ns + line.drift * (self._newest_ns - there.at_ns))
 
     def report(self, *, of_line: bool = True) -> LinkClock:
         """Return what is known of the other clock, and of a line between two machines how well its round trip is."""

@@ -19,26 +19,27 @@ from typing import NamedTuple
 
 import msgspec
 
-# Exchanges within this time count as one, by the fastest of them [ns].
+# Messages within this time count as one, by the fastest of them [ns].
 _BIN_NS = 10_000_000
-# For this time exchanges are kept [ns], and this number of them in any case.
+# For this time messages are kept [ns], and this number of them in any case.
 _KEPT_NS = 1_000_000_000
 _KEPT = 6
-# A longer way has to be seen for this time [ns], in this number of exchanges.
-_SHORT_NS = 50_000_000
+# A longer way has to be seen for this time [ns], in this number of messages.
+_SHORT_NS = 40_000_000
 _FEWEST = 5
 # A way that is longer without a jump has to be so for this time [ns].
 _LONG_NS = 800_000_000
-# Exchanges that are above this share of the rise are on the other side of the jump, and those below the other share on
+# Messages that are above this share of the rise are on the other side of the jump, and those below the other share on
 # this side.
 _ABOVE = 0.6
 _BELOW = 0.2
-# No more than this number of exchanges are in between, where a way jumps.
+# No more than this number of messages are in between, where a way jumps.
 _BETWEEN = 2
-# That jitter keeps so many exchanges above that share by chance is less likely than this.
+# That jitter keeps so many messages above that share by chance is less likely than this.
 _BY_CHANCE = 1e-4
-# A jump is one from this on [ns].
-_JUMP_NS = 2_000_000
+# A change is one from this on [ns], and a jump from that on: shorter queues come and go within a millisecond.
+_CHANGE_NS = 2_000_000
+_JUMP_NS = 5_000_000
 # Within this the least of a second is that of the way [ns].
 _SAME_NS = 500_000
 # The least delays of a longer way are the same within this share of the rise, but within no more than the first and no
@@ -51,6 +52,8 @@ _NEIGHBOURS = 1.5
 # The least of two ways seen apart is below the least of both by no more than this, or than the delays scatter, unless a
 # clock was set [ns].
 _STEP_NS = 10_000_000
+# This number of the newest exchanges show by how much round trips scatter.
+_BOTH = 32
 # A change from this on, and by this share, is worth telling of [ns].
 _TOLD_NS = 5_000_000
 _TOLD_SHARE = 0.1
@@ -59,22 +62,6 @@ _LASTED_NS = 200_000_000
 # The bound below the least of some delays, in distances of the two least, that holds in nine of ten samples (Robson and
 # Whitlock, "Estimation of a truncation point", Biometrika 51, 1964).
 _FURTHER = 9
-
-
-class Fastest(NamedTuple):
-    """The fastest exchanges of some time, the last of which ended at at_ns: t2 - t1, t4 - t3 and their sum [ns].
-
-    The two ways have what the other clock is ahead in them. Their sum is the least of any one exchange.
-    """
-
-    at_ns: int
-    there_ns: int
-    back_ns: int
-    both_ns: int
-
-    def joined(self, other: "Fastest") -> "Fastest":
-        """Return the fastest of both times, at the time of this one."""
-        return Fastest(self.at_ns, *map(min, self[1:], other[1:]))
 
 
 class RoundTrip(NamedTuple):
@@ -99,150 +86,165 @@ class Changed(NamedTuple):
     high_ns: int
 
 
-class LeastWays(NamedTuple):
-    """What t2 - t1 and t4 - t3 are at least now [ns], seen last at at_ns [ns]."""
+class Way(msgspec.Struct, array_like=True):
+    """The present of one way: the least that a message takes, with what the clocks are apart in it [ns].
 
+    least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so, by
+    that clock; jumped_ns: by how much it became longer last, from one message to the next as a route does; 0 where it
+    did so by and by; newest: when those of the last second were sent, and what they took.
+    """
+
+    least_ns: int
     at_ns: int
-    there_ns: int
-    back_ns: int
+    since_ns: int
+    jumped_ns: int = 0
+    newest: list[tuple[int, int]] = msgspec.field(default_factory=list)
+
+    def copy(self) -> "Way":
+        """Return a copy that does not change with this one."""
+        return Way(self.least_ns, self.at_ns, self.since_ns, self.jumped_ns, list(self.newest))
+
+    def record(self, sent_ns: int, took_ns: int) -> int:
+        """Record a message and what it took; return by how much the way is seen with it to have become longer [ns].
+
+        What comes in one go after a stall was sent at times of its own, so that these are the times that count.
+        """
+        newest = self.newest
+        if took_ns < self.least_ns:
+            if self.least_ns - took_ns >= _CHANGE_NS:
+                self.since_ns = sent_ns
+            self.least_ns, self.at_ns = took_ns, sent_ns
+        if newest:
+            before_ns, before = newest[-1]
+            if sent_ns - before_ns < _BIN_NS:
+                if took_ns < before and sent_ns >= before_ns:
+                    newest[-1] = (before_ns, took_ns)
+                return 0
+        newest.append((sent_ns, took_ns))
+        while len(newest) > _KEPT and sent_ns - newest[0][0] > _KEPT_NS:
+            del newest[0]
+        return self._follow(sent_ns)
+
+    def begin(self, sent_ns: int, took_ns: int) -> None:
+        """Begin again: a clock was set."""
+        self.least_ns, self.at_ns, self.since_ns = took_ns, sent_ns, sent_ns
+        self.newest.clear()
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the newest messages took longer than the way is believed to take."""
+        return bool(self.newest) and min(took for _, took in self.newest[-2:]) - self.least_ns >= _CHANGE_NS
+
+    def interval(self) -> tuple[int, int]:
+        """Return the interval in which the least is [ns]."""
+        seen = sorted(took for _, took in self.newest)[:2] or [self.least_ns]
+        return min(self.least_ns, seen[0]) - _FURTHER * (seen[-1] - seen[0]), max(self.least_ns, seen[0])
+
+    def _follow(self, now_ns: int) -> int:
+        newest = self.newest
+        if len(newest) < _FEWEST:
+            return 0
+        rise_ns = min(took for _, took in newest[-_FEWEST:]) - self.least_ns
+        if rise_ns <= _SAME_NS:
+            if now_ns - max(self.at_ns, self.since_ns, newest[0][0]) >= _LONG_NS:
+                # The clocks drift apart, so what the way seems to take is that of the last second.
+                self.least_ns, self.at_ns = min(took for at_ns, took in newest if at_ns >= self.since_ns), now_ns
+            return 0
+        above_ns = self.least_ns + _ABOVE * rise_ns
+        first = len(newest)
+        while first and newest[first - 1][1] > above_ns:
+            first -= 1
+        run = newest[first:]
+        lasts_ns = now_ns - run[0][0]
+        is_jump = rise_ns >= _JUMP_NS and lasts_ns >= _SHORT_NS and self._jumps(first, rise_ns)
+        if not (is_jump or lasts_ns >= _LONG_NS) or not _is_flat(run, rise_ns):
+            return 0
+        longer_ns = min(took for _, took in run) - self.least_ns
+        self.least_ns, self.at_ns = self.least_ns + longer_ns, now_ns
+        if rise_ns < _CHANGE_NS:
+            return 0
+        self.since_ns, self.jumped_ns = run[0][0], longer_ns if is_jump else 0
+        return longer_ns
+
+    def _jumps(self, first: int, rise_ns: int) -> bool:
+        """Return whether what the way takes is so from one message to the next, and not by chance."""
+        newest, above_ns = self.newest, self.least_ns + _ABOVE * rise_ns
+        # By chance: as often as the messages before were there (Laplace's rule of succession).
+        often = (1 + sum(took > above_ns for _, took in newest[:first])) / (2 + first)
+        before = newest[max(0, first - _BETWEEN - 1) : first]
+        was_near = any(took <= self.least_ns + _BELOW * rise_ns for _, took in before)
+        return was_near and often ** (len(newest) - first) <= _BY_CHANCE
 
 
 class LinePresent(msgspec.Struct, array_like=True):
     """The present of a line, both ways; it is its own state.
 
-    least: what each way takes at least now; since_ns: since when; told_ns: the round trip that was told of last;
-    newest: the exchanges of the last second; jumped: which ways last became longer from one exchange to the next, as a
-    route does, and not by and by (1 there, 2 back, 3 both); asked_ns: when the newest question was sent.
+    there, back: the ways, None before the first exchange; since_ns: since when the round trip is so; told_ns: the round
+    trip that was told of last; both_ns: the round trips of the newest exchanges; jumped_ns: by how much each way became
+    longer at the last change, from one message to the next as a route does.
     """
 
-    least: LeastWays | None = None
+    there: Way | None = None
+    back: Way | None = None
     since_ns: int = 0
     told_ns: int = 0
-    newest: list[Fastest] = msgspec.field(default_factory=list)
-    jumped: int = 0
-    asked_ns: int = -1
+    both_ns: list[int] = msgspec.field(default_factory=list)
+    jumped_ns: tuple[int, int] = (0, 0)
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> bool:
         """Record an exchange of four time stamps; return whether the line is seen to have become longer with it."""
-        there, back = there_ns - sent_ns, received_ns - back_ns
-        one = Fastest(received_ns, there, back, there + back)
-        least, newest = self.least, self.newest
-        if least is None or (newest and received_ns < newest[-1].at_ns - _KEPT_NS):
-            self.least, self.since_ns, self.newest = LeastWays(received_ns, there, back), received_ns, [one]
-            self.told_ns = self.told_ns or there + back
+        took_there, took_back = there_ns - sent_ns, received_ns - back_ns
+        there, back, both_ns = self.there, self.back, took_there + took_back
+        if there is None or back is None or received_ns < self.since_ns:
+            self.there, self.back = Way(took_there, sent_ns, sent_ns), Way(took_back, back_ns, back_ns)
+            self.since_ns, self.told_ns, self.both_ns = received_ns, self.told_ns or both_ns, [both_ns]
             return False
-        if there < least.there_ns or back < least.back_ns:
-            self._fall(one, least)
-        if sent_ns == self.asked_ns:
-            # Two answers to one question say of its way once how long it was.
+        if took_there < there.least_ns or took_back < back.least_ns:
+            lower_ns = min(took_there, there.least_ns) + min(took_back, back.least_ns)
+            if lower_ns < min(both_ns, *self.both_ns) - max(_STEP_NS, _scatter(self.both_ns)):
+                # A clock was set: what the ways seemed to take before was by another one.
+                there.begin(sent_ns, took_there)
+                back.begin(back_ns, took_back)
+            elif there.least_ns + back.least_ns - lower_ns >= _CHANGE_NS:
+                self.since_ns = received_ns
+        self.both_ns.append(both_ns)
+        del self.both_ns[:-_BOTH]
+        longer = there.record(sent_ns, took_there) > 0, back.record(back_ns, took_back) > 0
+        if not any(longer):
             return False
-        self.asked_ns = sent_ns
-        if newest and received_ns - newest[-1].at_ns < _BIN_NS:
-            newest[-1] = newest[-1].joined(one)
-            return False
-        newest.append(one)
-        while len(newest) > _KEPT and received_ns - newest[0].at_ns > _KEPT_NS:
-            del newest[0]
-        return self._follow(received_ns)
+        self.jumped_ns = (there.jumped_ns if longer[0] else 0, back.jumped_ns if longer[1] else 0)
+        self.since_ns = received_ns - max(
+            way.newest[-1][0] - way.since_ns for way, is_longer in zip((there, back), longer, strict=True) if is_longer
+        )
+        return True
 
     def round_trip(self) -> RoundTrip | None:
         """Return the least round trip of the present; None before the first exchange."""
-        if self.least is None:
+        if self.there is None or self.back is None:
             return None
-        now_ns = max(0, self.least.there_ns + self.least.back_ns)
-        low_ns = high_ns = 0
-        for way, floor_ns in enumerate(self.least[1:], 1):
-            seen = sorted(one[way] for one in self.newest)[:2] or [floor_ns]
-            low_ns += min(floor_ns, seen[0]) - _FURTHER * (seen[-1] - seen[0])
-            high_ns += max(floor_ns, seen[0])
+        now_ns = max(0, self.there.least_ns + self.back.least_ns)
+        low_ns, high_ns = map(sum, zip(self.there.interval(), self.back.interval(), strict=True))
         return RoundTrip(now_ns, max(0, low_ns - _SAME_NS), max(0, high_ns + _SAME_NS), self.since_ns)
 
     def copy(self) -> "LinePresent":
         """Return a copy that does not change with this one."""
-        return LinePresent(self.least, self.since_ns, self.told_ns, list(self.newest), self.jumped, self.asked_ns)
+        ways = (None if way is None else way.copy() for way in (self.there, self.back))
+        return LinePresent(*ways, self.since_ns, self.told_ns, list(self.both_ns), self.jumped_ns)
 
     @property
     def is_in_doubt(self) -> bool:
         """Whether the newest exchanges took longer than the line is believed to take: more of them would tell."""
-        if self.least is None or not self.newest:
-            return False
-        return any(
-            min(one[way] for one in self.newest[-2:]) - floor_ns >= _JUMP_NS
-            for way, floor_ns in enumerate(self.least[1:], 1)
-        )
+        return any(way is not None and way.is_in_doubt for way in (self.there, self.back))
 
     def take_change(self, now_ns: int) -> Changed | None:
         """Return a change that has lasted and was not told of yet; it counts as told then."""
         found, before_ns = self.round_trip(), self.told_ns
         if found is None or now_ns - self.since_ns < _LASTED_NS:
             return None
-        scatter_ns = _scatter([one.both_ns for one in self.newest])
-        if abs(found.now_ns - before_ns) < max(_TOLD_NS, _TOLD_SHARE * before_ns, scatter_ns):
+        if abs(found.now_ns - before_ns) < max(_TOLD_NS, _TOLD_SHARE * before_ns, _scatter(self.both_ns)):
             return None
         self.told_ns = found.now_ns
         return Changed(self.since_ns, before_ns, found.now_ns, found.low_ns, found.high_ns)
-
-    def _fall(self, one: Fastest, least: LeastWays) -> None:
-        """Take what is less than the least of a way."""
-        lower = LeastWays(one.at_ns, min(least.there_ns, one.there_ns), min(least.back_ns, one.back_ns))
-        both = [one.both_ns, *(other.both_ns for other in self.newest)]
-        if lower.there_ns + lower.back_ns < min(both) - max(_STEP_NS, _scatter(both)):
-            # A clock was set: what the ways seemed to take before was by another one.
-            lower = LeastWays(*one[:3])
-            self.newest.clear()
-        if least.there_ns + least.back_ns - lower.there_ns - lower.back_ns >= _JUMP_NS:
-            self.since_ns = one.at_ns
-        self.least = lower
-
-    def _follow(self, now_ns: int) -> bool:
-        """Follow what the exchanges of the last second say; return whether a way has become longer."""
-        least, newest = self.least, self.newest
-        if least is None or len(newest) < _FEWEST:
-            return False
-        is_old = now_ns - max(least.at_ns, self.since_ns, newest[0].at_ns) >= _LONG_NS
-        floors_ns, begins_ns, jumped = list(least), [], 0
-        for way in (1, 2):
-            rise_ns = min(one[way] for one in newest[-_FEWEST:]) - least[way]
-            if rise_ns <= _SAME_NS:
-                if is_old:
-                    # The clocks drift apart, so what a way seems to take is that of the last second.
-                    floors_ns[way] = min(one[way] for one in newest if one.at_ns >= self.since_ns)
-                continue
-            first, is_jump = self._longer(way, least[way], rise_ns, now_ns)
-            if first is None:
-                continue
-            floors_ns[way] = min(one[way] for one in newest[first:])
-            if rise_ns >= _JUMP_NS:
-                begins_ns.append(newest[first].at_ns)
-                jumped |= way * is_jump
-        if floors_ns[1:] != list(least[1:]) or is_old:
-            self.least = LeastWays(now_ns, *floors_ns[1:])
-        if begins_ns:
-            self.since_ns, self.jumped = min(begins_ns), jumped
-        return bool(begins_ns)
-
-    def _longer(self, way: int, floor_ns: int, rise_ns: int, now_ns: int) -> tuple[int | None, bool]:
-        """Return since which of the newest exchanges a way is longer for good, None where it is not; whether it jumped."""
-        newest = self.newest
-        above_ns = floor_ns + _ABOVE * rise_ns
-        first = len(newest)
-        while first and newest[first - 1][way] > above_ns:
-            first -= 1
-        if first == len(newest):
-            return None, False
-        lasts_ns = now_ns - newest[first].at_ns
-        # By chance: as often as the exchanges before were there (Laplace's rule of succession).
-        often = (1 + sum(one[way] > above_ns for one in newest[:first])) / (2 + first)
-        before = newest[max(0, first - _BETWEEN - 1) : first]
-        is_jump = (
-            rise_ns >= _JUMP_NS
-            and lasts_ns >= _SHORT_NS
-            and any(one[way] <= floor_ns + _BELOW * rise_ns for one in before)
-            and often ** (len(newest) - first) <= _BY_CHANCE
-        )
-        is_longer = is_jump or lasts_ns >= _LONG_NS
-        run = [(one.at_ns, one[way]) for one in newest[first:]]
-        return (first, is_jump) if is_longer and _is_flat(run, rise_ns) else (None, False)
 
 
 def _scatter(delays_ns: Sequence[int]) -> int:

@@ -24,7 +24,9 @@ HOST_BYTES = 48
 # A hand, and a tip, obey what is no older than this beyond what the link says of the line [ns].
 FRESH_NS = 50 * MS
 QUESTION_BYTES = 170
-# A lost packet of TCP is sent again after this time [ns].
+# A lost packet of TCP is sent again after a round trip and a quarter (RACK, RFC 8985) and this time, in which the
+# packets behind it come, and after that one is lost as well, after the other one [ns].
+NOTICED_NS = 20 * MS
 AGAIN_NS = 200 * MS
 Course = Callable[[float], float]
 
@@ -290,7 +292,8 @@ class _Run:
         """Return when a message of TCP arrives: a lost packet is sent again, and what follows waits for it."""
         wait_ns = 0
         while (arrives_ns := way.arrives_ns(self.now, size, lossy=False)) is None or self.draw.random() < way.of.loss:
-            wait_ns += AGAIN_NS
+            round_trip_ns = self.there.base_ns(self.now) + self.back.base_ns(self.now)
+            wait_ns += AGAIN_NS if wait_ns else round(1.25 * round_trip_ns) + NOTICED_NS
             if wait_ns > SECOND:
                 break
         return max(before_ns, (self.now if arrives_ns is None else arrives_ns) + wait_ns)
@@ -390,3 +393,128 @@ class _Run:
 def run(line: LineOf, seed: str) -> Session:
     """Run a session over a line."""
     return _Run(line, seed).run()
+
+
+# --- the generator ---
+
+# What one sample takes of the line with what is around it [bit].
+SAMPLE_BITS = 8 * 175
+# Over a line with a longer round trip than this no law of the rig is asked to go on [ms].
+BORNE_MS = 250.0
+
+
+def _jitter(draw: random.Random, most_ms: float) -> tuple[str, float]:
+    kind = draw.choice(["none", "none", "even", "normal", "exponential"])
+    return (kind, 0.0 if kind == "none" else draw.uniform(0.05, most_ms))
+
+
+def _ways(draw: random.Random, there: tuple[Piece, ...], back: tuple[Piece, ...], jitter_ms: float = 1.5) -> Any:
+    jitter, loss = _jitter(draw, jitter_ms), draw.choice([0.0, 0.0, 0.0, 0.01, 0.03])
+    return {"there": WayOf(there, jitter=jitter, loss=loss), "back": WayOf(back, jitter=jitter, loss=loss)}
+
+
+def _steps(draw: random.Random, *, returns: bool) -> Any:
+    base, at_s = draw.uniform(2.0, 40.0), draw.uniform(2.5, 5.0)
+    rises = [draw.uniform(5.0, 60.0), draw.uniform(5.0, 60.0)]
+    if draw.random() < 0.3:
+        rises[draw.randrange(2)] = 0.0
+    if draw.random() < 0.2:
+        base, rises = base + 60.0, [-draw.uniform(10.0, 60.0)] * 2
+    ways = []
+    for rise in rises:
+        pieces = [Piece(0.0, base), Piece(at_s, base + rise)]
+        if returns:
+            pieces.append(Piece(at_s + draw.choice([0.3, 1.5, 3.0]), base))
+        ways.append(tuple(pieces))
+    return _ways(draw, *ways)
+
+
+def _ramps(draw: random.Random) -> Any:
+    base, at_s, over_s = draw.uniform(5.0, 40.0), draw.uniform(2.0, 4.0), draw.uniform(0.3, 3.0)
+    rise = draw.choice([1, 1, -1]) * draw.uniform(3.0, 30.0)
+    base += max(0.0, -rise)
+    pieces = (Piece(0.0, base), Piece(at_s, base + rise, over_s))
+    return _ways(draw, pieces, pieces if draw.random() < 0.5 else (Piece(0.0, base),), 0.5)
+
+
+def _limited(draw: random.Random, hz: int, course: str) -> Any:
+    """Give a line that one or both ways cannot carry what is sent, all the time, or from or up to a time."""
+    made = []
+    for limits in (True, draw.random() < 0.5):
+        demand = hz * SAMPLE_BITS * 1e-6
+        narrow = demand * draw.uniform(0.5, 0.9)
+        wide = demand * draw.uniform(4.0, 20.0)
+        at_s = draw.uniform(2.0, 4.0)
+        rates = {
+            "always": (Piece(0.0, narrow),),
+            "narrows": (Piece(0.0, wide), Piece(at_s, narrow)),
+            "widens": (Piece(0.0, narrow), Piece(at_s, wide)),
+        }[course if limits else "always"]
+        rates = rates if limits else (Piece(0.0, wide),)
+        room = round(max(20_000.0, rates[-1].value * 125_000.0 * draw.uniform(0.15, 0.4)))
+        delay = (Piece(0.0, draw.uniform(2.0, 40.0)),)
+        made.append(WayOf(delay, rates, room, _jitter(draw, 1.0)))
+    draw.shuffle(made)
+    return {"there": made[0], "back": made[1], "seconds": 11.0}
+
+
+def _wide(draw: random.Random, hz: int, *, others: bool) -> Any:
+    """Give a line that carries what is sent, perhaps with bursts of others that fill it for a while."""
+    made = []
+    for _ in range(2):
+        rate = hz * SAMPLE_BITS * 1e-6 * draw.uniform(2.5, 30.0)
+        traffic = []
+        if others:
+            from_s = draw.uniform(1.0, 3.0)
+            for _ in range(draw.randint(1, 3)):
+                until_s = from_s + draw.uniform(0.05, 0.4)
+                traffic.append((from_s, until_s, rate * draw.uniform(0.6, 2.0)))
+                from_s = until_s + draw.uniform(0.3, 1.5)
+        delay = (Piece(0.0, draw.uniform(2.0, 40.0)),)
+        room = round(max(30_000.0, rate * 125_000.0 * draw.uniform(0.05, 0.3)))
+        made.append(WayOf(delay, (Piece(0.0, rate),), room, _jitter(draw, 0.5), others=tuple(traffic)))
+    return {"there": made[0], "back": made[1]}
+
+
+def _varies(draw: random.Random, *, in_order: bool) -> Any:
+    kind = draw.choice(["even", "normal", "exponential"])
+    delay = (Piece(0.0, draw.uniform(5.0, 40.0)),)
+    way = WayOf(delay, jitter=(kind, draw.uniform(2.0, 15.0)), in_order=in_order, loss=draw.choice([0.0, 0.02]))
+    return {"there": way, "back": way}
+
+
+def _set_clock(draw: random.Random) -> Any:
+    delay = (Piece(0.0, draw.uniform(5.0, 40.0)),)
+    step_s = draw.choice([-1, 1]) * 10 ** draw.uniform(-2.3, 1.0)
+    return _ways(draw, delay, delay) | {"set_clock": (draw.uniform(2.0, 5.0), step_s)}
+
+
+# Each kind, and its share of the lines.
+KINDS: dict[str, int] = {
+    "step": 6, "step and back": 3, "ramp": 2, "limited": 4, "narrows": 3, "widens": 1, "wide": 2,
+    "queue of others": 2, "reorders": 1, "jitters in order": 1, "clock set": 1,
+}  # fmt: skip
+# Of these the samples fill the line at the end.
+LIMITED = ("limited", "narrows")
+
+
+def draw_line(seed: int) -> LineOf:
+    """Return the line of a seed."""
+    draw = random.Random(f"line {seed}")
+    kind = draw.choices(list(KINDS), list(KINDS.values()))[0]
+    hz = draw.choice([125, 250, 500, 1000])
+    drift = draw.choice([0.0, draw.uniform(-1e-4, 1e-4)])
+    makers: dict[str, Callable[[], Any]] = {
+        "step": lambda: _steps(draw, returns=False),
+        "step and back": lambda: _steps(draw, returns=True),
+        "ramp": lambda: _ramps(draw),
+        "limited": lambda: _limited(draw, hz, "always"),
+        "narrows": lambda: _limited(draw, hz, "narrows"),
+        "widens": lambda: _limited(draw, hz, "widens"),
+        "wide": lambda: _wide(draw, hz, others=False),
+        "queue of others": lambda: _wide(draw, hz, others=True),
+        "reorders": lambda: _varies(draw, in_order=False),
+        "jitters in order": lambda: _varies(draw, in_order=True),
+        "clock set": lambda: _set_clock(draw),
+    }
+    return LineOf(kind, hz=hz, drift=drift, **makers[kind]())

@@ -342,7 +342,7 @@ class DatagramEnd:
         if report.heard_sent_ns and not is_behind:
             self.outgoing.record_heard(report, now_ns)
             if self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns):
-                self.outgoing.record_jump(self.offset.present, monotonic_ns)
+                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)

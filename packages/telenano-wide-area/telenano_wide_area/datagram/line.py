@@ -118,27 +118,21 @@ class Line:
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
-    def jump(self, at_ns: int, there_ns: int | None, back_ns: int | None) -> None:
-        """Begin again from a route that is longer: what t2 - t1 or t4 - t3, or both, are at least since then [ns].
-
-        A way for which that is None is what it was.
-        """
+    def jump(self, at_ns: int, there_ns: int, back_ns: int) -> None:
+        """Begin again from a route that has become longer there and back by so much [ns]."""
         if self._zero is None:
             return
         at = at_ns - self._zero[0]
-        f = round(self._there + self._slope * at) if there_ns is None else there_ns - self._zero[1]
-        b = round(self._back - self._slope * at) if back_ns is None else back_ns - self._zero[2]
+        f, b = round(self._there + self._slope * at) + there_ns, round(self._back - self._slope * at) + back_ns
         self._spans, self._span_ns, self._now, self._now_ends_ns = [Least((at, f), (at, b), f + b)], _FIRST_SPAN_NS, None, 0
         # The clocks run as they did.
         self._expected_slope = self._slope
         self._there, self._back, self._least_both = f - self._slope * at, b + self._slope * at, f + b
-        ways = there_ns is None, back_ns is None
-        # What stood of a way that jumped was no queue.
+        # So much of what stood was no queue.
         self._lowest, self._before = (
-            tuple(queue if stands else 0.0 for queue, stands in zip(queues, ways, strict=True))
-            for queues in (self._lowest, self._before)
+            (max(0.0, there - there_ns), max(0.0, back - back_ns)) for there, back in (self._lowest, self._before)
         )
-        self._most_back = self._most_back if ways[1] else 0.0
+        self._most_back = max(0.0, self._most_back - back_ns)
 
     def _keep(self, least: Least, at: int) -> None:
         self._now = least if self._now is None else self._now.and_least(least)

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from telenano.timing import LinePresent
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, mark, packed
 from telenano_wide_area.datagram.body import TRAIN as TRAIN_MARK
 from telenano_wide_area.datagram.line import Line
@@ -101,13 +100,11 @@ class Outgoing:
         self.line.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
         self._delivery.record(report.heard_ns, report.expected, report.arrived)
 
-    def record_jump(self, present: LinePresent, now_ns: int) -> None:
-        """Record that the route has become longer: what was taken for a queue since then is none."""
-        if present.least is None or not present.jumped:
-            return
-        at_ns, there_ns, back_ns = present.least
-        self.line.jump(at_ns, there_ns if present.jumped & 1 else None, back_ns if present.jumped & 2 else None)
-        if present.jumped & 1:
+    def record_jump(self, there_ns: int, back_ns: int, heard_ns: int, now_ns: int) -> None:
+        """Record that the route each way has become longer, seen when something was heard [ns]: that is no queue."""
+        if there_ns or back_ns:
+            self.line.jump(heard_ns, there_ns, back_ns)
+        if there_ns:
             self.control.forget_queue(now_ns)
 
     def update(self, now_ns: int, round_trip_ns: int) -> None:
