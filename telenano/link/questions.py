@@ -3,8 +3,9 @@
 What the line takes now follows from exchanges (`telenano.timing.line_present`), and one in a tenth of a second would
 tell of a longer route half a second late. So a question that is not answered when it should be, answers that came
 later, or the silence of the other half of the law begins a series of questions a hundredth of a second apart. It ends
-when the line is as it was or has been seen to be longer, and after half a second in any case; the next one then begins a
-second later at the earliest, and not before an answer has come, so that a line that is cut or full is left alone.
+when the line is as it was or has been seen to be longer, and after half a second in any case. The next one then begins
+a second later at the earliest, and after each that shows nothing twice as late, and never before an answer has come, so
+that a line that is cut or full is left alone.
 """
 
 import msgspec
@@ -16,6 +17,7 @@ _APART_NS = 10_000_000
 # A series lasts for this time at most, and the next one begins this long after it [ns].
 _SERIES_NS = 500_000_000
 _PAUSE_NS = 1_000_000_000
+_LONGEST_PAUSE_NS = 8_000_000_000
 # One that found the line unchanged, or longer, may be followed after this time [ns].
 _BREATH_NS = 200_000_000
 # An answer may be later by this than the line takes [ns].
@@ -35,7 +37,8 @@ class Questions(msgspec.Struct, array_like=True):
 
     unanswered_ns: when the oldest question was sent that none after it was answered; until_ns: the end of the series
     under way; next_ns: its next question; rest_until_ns: no series begins before; answers: how many came since the last
-    one began; heard_ns, apart_ns: the newest message of the other half of the law, and their mean distance.
+    one began; heard_ns, apart_ns: the newest message of the other half of the law, and their mean distance; pause_ns:
+    the pause behind a series that shows nothing.
     """
 
     unanswered_ns: int = NEVER_NS
@@ -45,6 +48,7 @@ class Questions(msgspec.Struct, array_like=True):
     answers: int = 0
     heard_ns: int = 0
     apart_ns: float = 0.0
+    pause_ns: int = _PAUSE_NS
 
     def hear(self, now_ns: int) -> None:
         """Note a message of the other half of the law."""
@@ -61,9 +65,11 @@ class Questions(msgspec.Struct, array_like=True):
         self.unanswered_ns = NEVER_NS
         self.answers += 1
         if now_ns < self.until_ns and (is_longer or (not in_doubt and self.answers >= _ENOUGH)):
-            self.until_ns, self.rest_until_ns = now_ns, now_ns + _BREATH_NS
+            self.until_ns, self.rest_until_ns, self.pause_ns = now_ns, now_ns + _BREATH_NS, _PAUSE_NS
         elif in_doubt:
             self._begin(now_ns)
+        elif now_ns >= self.until_ns:
+            self.pause_ns = _PAUSE_NS
 
     def due_ns(self, round_trip_ns: int) -> int:
         """Return when `take` is to be called [ns], for a line that takes so long."""
@@ -92,7 +98,8 @@ class Questions(msgspec.Struct, array_like=True):
         if now_ns < self.rest_until_ns:
             return
         self.until_ns, self.next_ns = now_ns + _SERIES_NS, now_ns
-        self.rest_until_ns = self.until_ns + _PAUSE_NS
+        self.rest_until_ns = self.until_ns + self.pause_ns
+        self.pause_ns = min(2 * self.pause_ns, _LONGEST_PAUSE_NS)
         self.answers = 0
         # A silence begins one series.
         self.heard_ns = 0

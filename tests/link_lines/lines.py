@@ -438,11 +438,14 @@ def _ramps(draw: random.Random) -> Any:
 
 
 def _limited(draw: random.Random, hz: int, course: str) -> Any:
-    """Give a line that one or both ways cannot carry what is sent, all the time, or from or up to a time."""
+    """Give a line that one or both ways cannot carry what is sent, all the time, or from or up to a time.
+
+    A line that carries less than a third of a megabit per second has no session.
+    """
     made = []
     for limits in (True, draw.random() < 0.5):
         demand = hz * SAMPLE_BITS * 1e-6
-        narrow = demand * draw.uniform(0.5, 0.9)
+        narrow = max(0.33, demand * draw.uniform(0.5, 0.9))
         wide = demand * draw.uniform(4.0, 20.0)
         at_s = draw.uniform(2.0, 4.0)
         rates = {
@@ -502,7 +505,7 @@ def draw_line(seed: int) -> LineOf:
     """Return the line of a seed."""
     draw = random.Random(f"line {seed}")
     kind = draw.choices(list(KINDS), list(KINDS.values()))[0]
-    hz = draw.choice([125, 250, 500, 1000])
+    hz = draw.choice([500, 1000] if kind in (*LIMITED, "widens") else [125, 250, 500, 1000])
     drift = draw.choice([0.0, draw.uniform(-1e-4, 1e-4)])
     makers: dict[str, Callable[[], Any]] = {
         "step": lambda: _steps(draw, returns=False),
