@@ -35,6 +35,9 @@ _ABOVE = 0.6
 _BELOW = 0.2
 # No more than this number of messages are in between, where a way jumps.
 _BETWEEN = 2
+# The last one on this side was sent no longer before the first one on the other side: of what lies further back it is
+# open how it became longer, as where a process stood still and is behind [ns].
+_NEAR_NS = 350_000_000
 # That jitter keeps so many messages above that share by chance is less likely than this.
 _BY_CHANCE = 1e-4
 # A change is one from this on [ns], and a jump from that on: shorter queues come and go within a millisecond.
@@ -49,9 +52,9 @@ _FLAT_NS = 1_000_000
 _FLAT_LEAST_NS = 300_000
 # Or within so many times what neighbours differ by in the median.
 _NEIGHBOURS = 1.5
-# The least of two ways seen apart is below the least of both by no more than this, or than the delays scatter, unless a
-# clock was set [ns].
+# A clock was set if one way takes less by this at least [ns], and the other one more by this share of that at least.
 _STEP_NS = 10_000_000
+_OTHER_WAY = 0.5
 # This number of the newest exchanges show by how much round trips scatter.
 _BOTH = 32
 # A change from this on, and by this share, is worth telling of [ns].
@@ -172,7 +175,8 @@ class Way(msgspec.Struct, array_like=True):
         # By chance: as often as the messages before were there (Laplace's rule of succession).
         often = (1 + sum(took > above_ns for _, took in newest[:first])) / (2 + first)
         before = newest[max(0, first - _BETWEEN - 1) : first]
-        was_near = any(took <= self.least_ns + _BELOW * rise_ns for _, took in before)
+        near_ns, below_ns = newest[first][0] - _NEAR_NS, self.least_ns + _BELOW * rise_ns
+        was_near = any(at_ns >= near_ns and took <= below_ns for at_ns, took in before)
         return was_near and often ** (len(newest) - first) <= _BY_CHANCE
 
 
@@ -199,14 +203,13 @@ class LinePresent(msgspec.Struct, array_like=True):
             self.there, self.back = Way(took_there, sent_ns, sent_ns), Way(took_back, back_ns, back_ns)
             self.since_ns, self.told_ns, self.both_ns = received_ns, self.told_ns or both_ns, [both_ns]
             return False
-        if took_there < there.least_ns or took_back < back.least_ns:
-            lower_ns = min(took_there, there.least_ns) + min(took_back, back.least_ns)
-            if lower_ns < min(both_ns, *self.both_ns) - max(_STEP_NS, _scatter(self.both_ns)):
-                # A clock was set: what the ways seemed to take before was by another one.
-                there.begin(sent_ns, took_there)
-                back.begin(back_ns, took_back)
-            elif there.least_ns + back.least_ns - lower_ns >= _CHANGE_NS:
-                self.since_ns = received_ns
+        falls_ns = there.least_ns - took_there, back.least_ns - took_back
+        if max(falls_ns) >= _STEP_NS and min(falls_ns) <= -_OTHER_WAY * max(falls_ns):
+            # A clock was set, which takes off one way what it adds to the other.
+            there.begin(sent_ns, took_there)
+            back.begin(back_ns, took_back)
+        elif max(falls_ns) >= _CHANGE_NS:
+            self.since_ns = received_ns
         self.both_ns.append(both_ns)
         del self.both_ns[:-_BOTH]
         longer = there.record(sent_ns, took_there) > 0, back.record(back_ns, took_back) > 0
