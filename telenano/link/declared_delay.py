@@ -5,7 +5,7 @@ from typing import NamedTuple
 import msgspec
 
 from telenano.link.fate import Release
-from telenano.timing.clock_offset import Offset
+from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.codec import WireError, decode_header
 from telenano.wire.messages import LinkDelay
 
@@ -51,22 +51,39 @@ class DeclaredDelay(msgspec.Struct, array_like=True):
 
 
 class BetweenSites(NamedTuple):
-    """Least transit between two machines besides the delay, and what the slave's clock is ahead there [ns]."""
+    """What lies between two machines besides the delay, now [ns].
+
+    transit_ns: half the least round trip; clock_ahead_ns: what the slave's clock is ahead there; there_ns: what a
+    sample takes at least to the slave, with clocks that are so far apart.
+    """
 
     transit_ns: int
     clock_ahead_ns: int
+    there_ns: int = 0
+
+    def at_slave(self) -> dict[str, int]:
+        """Return what a reader at the slave takes off the age of a sample."""
+        return {"transit_ns": self.there_ns, "clock_ahead_ns": self.clock_ahead_ns}
+
+    def at_master(self) -> dict[str, int]:
+        """Return what a reader at the master takes off: the transit twice, whatever each way has of it."""
+        return {"transit_ns": self.transit_ns, "clock_ahead_ns": self.clock_ahead_ns}
 
 
 ONE_MACHINE = BetweenSites(0, 0)
 
 
-def between_sites(offset: Offset | None) -> BetweenSites:
+def between_sites(offset: OffsetFilter) -> BetweenSites:
     """Return what lies between two machines, from the exchanges of time stamps with the other one.
 
-    With the offset estimated as it is, a message on the shortest way seems to take half the round trip, however the two
-    directions share it. Where the offset is within its uncertainty the clocks may be one, and count as one.
+    A message to the slave took at least what the fastest question takes now, by two clocks; with any offset taken off,
+    what is left is its transit, so that an error of the offset is none of the age. Where the offset is within its
+    uncertainty the clocks may be one, and count as one.
     """
-    if offset is None:
+    estimate, there_ns = offset.estimate(), offset.there_ns()
+    if estimate is None or there_ns is None:
         return ONE_MACHINE
-    ahead_s = offset.offset_s if abs(offset.offset_s) > offset.uncertainty_s else 0.0
-    return BetweenSites(round(0.5e9 * offset.round_trip_s), round(1e9 * ahead_s))
+    ahead_s = estimate.offset_s if abs(estimate.offset_s) > estimate.uncertainty_s else 0.0
+    # No transit is below zero.
+    ahead_ns = min(round(1e9 * ahead_s), there_ns)
+    return BetweenSites(round(0.5e9 * estimate.round_trip_s), ahead_ns, there_ns - ahead_ns)

@@ -1,6 +1,7 @@
 """The link process: the only path between the sites, with the impairments in force on each direction."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
@@ -10,6 +11,7 @@ from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, De
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine, LinkState
 from telenano.link.fate import Direction, Fate, Release
+from telenano.link.questions import Questions
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.link_stops import FarStop, FarStopState
 from telenano.runtime.loop.deadlines import PeriodicDeadline
@@ -67,7 +69,7 @@ class DelayNodeState(NamedTuple):
     Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps by second
     that it follows from; when the newest answer was sent and received [ns], 0 before it; the command that began the
     session; when the next report is due [ns], and how many messages it has to tell of; the emergency stop that the
-    instrument has not obeyed yet.
+    instrument has not obeyed yet; when the other site is asked for its time.
     """
 
     engine: LinkState
@@ -80,6 +82,7 @@ class DelayNodeState(NamedTuple):
     status_ns: int
     unreported: int
     stop: FarStopState = FarStopState()
+    questions: Questions | None = None
 
 
 class DelayNode(Node):
@@ -134,6 +137,7 @@ class DelayNode(Node):
         # The newest message that was sent on, by topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
+        self._questions = Questions()
         self._answer = (0, 0)
         self._session_id = ""
         self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
@@ -146,25 +150,27 @@ class DelayNode(Node):
         # The report has the state of the link as well, its delays, which late readers need and which the clocks change,
         # and the next exchange of time stamps.
         self._report: tuple[Task, ...] = (*self._fates, self._publish_status, self._declare_forward)
-        self._report += partial(self._declare, self._backward), partial(to_slave.publish, "clock/ping")
+        self._report += partial(self._declare, self._backward), self._ask
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
         due_ns = min(self._status.deadline_ns, self.freshness.deadline_ns(), self._stop.due_ns)
+        if self._spans_machines:
+            due_ns = min(due_ns, self._questions.due_ns(2 * self._between.transit_ns))
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
         self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
         if type(received.message) is ClockPong:
-            pong = received.message
-            self._answer = (pong.t_ns, received.received_ns)
-            self._offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
+            self._take_answer(received.message, received.received_ns)
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
         message = received.message
+        if self._spans_machines and received.topic == self._backward_delay.topic:
+            self._questions.hear(received.received_ns - self.clock.epoch_offset_ns)
         is_stop = type(message) is SessionControl and message.command == "estop"
         if type(message) is SessionControl and is_stop:
             if fault := self._stop.record(message, received.payload, self.clock.monotonic_ns()):
@@ -199,6 +205,8 @@ class DelayNode(Node):
         for way in self._ways:
             self._send(way, way.engine.due(epoch_ns))
         self._send_stop(now_ns)
+        if self._spans_machines and self._questions.take(now_ns, 2 * self._between.transit_ns):
+            self._ask()
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
             for task in self._report:
@@ -216,6 +224,7 @@ class DelayNode(Node):
             status_ns=self._status.deadline_ns,
             unreported=self._unreported,
             stop=self._stop.capture(),
+            questions=copy(self._questions),
         )
 
     def restore(self, state: DelayNodeState, find: FindInput) -> None:
@@ -226,6 +235,7 @@ class DelayNode(Node):
         self._answer, self._session_id = state.answer, state.session_id
         self._status.deadline_ns = state.status_ns
         self._stop.restore(state.stop)
+        self._questions = Questions() if state.questions is None else copy(state.questions)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
@@ -314,14 +324,44 @@ class DelayNode(Node):
 
     def _declare(self, way: DirectionPath) -> None:
         """Publish the delay of a direction where it counts: that of the way back does at the master only."""
-        fields = {"direction": way.name, **self._declared(way).current._asdict(), **self._between._asdict()}
-        for outlet in (way.outlet,) if way is self._backward else (way.outlet, self._backward.outlet):
-            outlet.publish("link/delay", **fields)
+        fields = {"direction": way.name, **self._declared(way).current._asdict()}
+        if way is self._forward:
+            way.outlet.publish("link/delay", **fields, **self._between.at_slave())
+        self._backward.outlet.publish("link/delay", **fields, **self._between.at_master())
 
     def _declare_forward(self) -> None:
         if self._spans_machines:
-            self._between = between_sites(self._offset.estimate())
+            self._between = between_sites(self._offset)
+            self._tell_change()
         self._declare(self._forward)
+
+    def _tell_change(self) -> None:
+        """Tell of a line that has become longer or shorter for good, which a loop feels as delay."""
+        if (changed := self._offset.present.take_change(self.clock.now_ns())) is None:
+            return
+        before_ms, after_ms, low_ms, high_ms = (1e-6 * value for value in changed[1:])
+        word = "longer" if after_ms > before_ms else "shorter"
+        self.event(
+            "link",
+            "info",
+            f"the way between the sites has become {word}: the round trip was {before_ms:.3g} ms and is {after_ms:.3g}"
+            f" ms ({low_ms:.3g} to {high_ms:.3g} ms)",
+        )
+
+    def _ask(self) -> None:
+        """Ask the other site for its time."""
+        self._questions.ask(self.clock.monotonic_ns())
+        self._forward.outlet.publish("clock/ping")
+
+    def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
+        self._answer = (pong.t_ns, received_ns)
+        is_longer = self._offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
+        in_doubt = self._offset.present.is_in_doubt
+        self._questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
+        if is_longer and self._spans_machines:
+            # Until its readers know, a hand is switched off by the age of what is as fresh as the line allows.
+            self._declare_forward()
+            self._declare(self._backward)
 
     def _publish_fates(self, way: DirectionPath) -> None:
         self._unreported = 0
@@ -340,7 +380,7 @@ class DelayNode(Node):
             "link/status",
             forward=_direction(self._forward, settings, network),
             backward=_direction(self._backward, settings, network),
-            clock=self._offset.report(),
+            clock=self._offset.report(of_line=self._spans_machines),
             **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
         )
 

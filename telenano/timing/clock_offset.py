@@ -9,7 +9,8 @@ arrives here at t4. With the delays d_there and d_back and the other clock ahead
 Queues only ever add delay, so the fastest question and the fastest answer of each second are kept, and the line between
 them has offset and drift (`telenano.timing.clock_line`). Only the difference of the two least delays enters, and no
 exchange can reveal it. Neither is below zero, so the error is never above half of their sum, the uncertainty that is
-given.
+given. A way that becomes longer changes nothing of that. What the line takes now is another question, which the
+exchanges of the last second answer (`telenano.timing.line_present`).
 """
 
 from collections import deque
@@ -17,6 +18,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart
+from telenano.timing.line_present import LinePresent
 from telenano.wire.messages import LinkClock
 
 # Two clocks that are not set drift apart by less between two exchanges of a second.
@@ -28,7 +30,7 @@ _TURN_NS = 100_000_000
 
 
 class Offset(NamedTuple):
-    """Estimate of the offset [s], the bound of its error [s], the round trip [s] it rests on, exchanges in view."""
+    """Estimate of the offset [s], the bound of its error [s], the least round trip of now [s], exchanges in view."""
 
     offset_s: float
     uncertainty_s: float
@@ -57,26 +59,28 @@ class Block(NamedTuple):
 
 
 class OffsetState(NamedTuple):
-    """When the newest exchange was complete [ns], the drift that was shown last [s/s], and the blocks in view."""
+    """When the newest exchange was complete [ns], the drift shown last [s/s], the blocks in view, the line now."""
 
     newest_ns: int
     drift: float
     blocks: list[Block]
+    present: LinePresent | None = None
 
 
 class OffsetFilter:
-    """The line through the exchanges of the last seconds."""
+    """The line through the exchanges of the last seconds; `present` is what an exchange takes at least now."""
 
     def __init__(self, window: int) -> None:
         """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""
         if window < 1:
             raise ValueError(f"window is {window}, must be at least 1 second")
         self.blocks: deque[Block] = deque(maxlen=window)
+        self.present = LinePresent()
         self._newest_ns = 0
         self._drift = 0.0
         self._line: ClockLine | None = None
 
-    def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> None:
+    def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> bool:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
 
         An offset that no delay explains is that of another clock: the other site was started again after its wall clock
@@ -87,18 +91,24 @@ class OffsetFilter:
             there_ns: When it was received there, by the clock there [ns].
             back_ns: When the answer was sent there, by the clock there [ns].
             received_ns: When it was received here [ns].
+
+        Returns:
+            Whether the line is seen with it to have become longer.
         """
         if received_ns - sent_ns < back_ns - there_ns:
-            return
+            return False
         block = Block(sent_ns, there_ns - sent_ns, received_ns, back_ns - received_ns, 1)
         if self.blocks and self._is_of_another_clock(block):
             self.blocks.clear()
+            told_ns, self.present = self.present.told_ns, LinePresent()
+            self.present.told_ns = told_ns
         self._line = None
         self._newest_ns = received_ns
         if self.blocks and self.blocks[-1].answered_ns // BLOCK_NS == received_ns // BLOCK_NS:
             self.blocks[-1] = self.blocks[-1].joined(block)
         else:
             self.blocks.append(block)
+        return self.present.record(sent_ns, there_ns, back_ns, received_ns)
 
     def line(self) -> ClockLine | None:
         """Return the line of what the other clock is ahead, None before the first exchange.
@@ -116,28 +126,46 @@ class OffsetFilter:
 
     def estimate(self) -> Offset | None:
         """Return the estimate for the time of the newest exchange, None before the first one."""
-        line = self.line()
-        if line is None:
+        line, present = self.line(), self.present.round_trip()
+        if line is None or present is None:
             return None
-        round_trip_s = max(0.0, line.round_trip_ns * 1e-9)
         count = sum(block.exchanges for block in self.blocks)
-        return Offset(line.at(self._newest_ns) * 1e-9, 0.5 * round_trip_s, round_trip_s, count)
+        uncertainty_s = 0.5e-9 * max(0.0, line.round_trip_ns)
+        offset_s, round_trip_s = line.at(self._newest_ns) * 1e-9, present.now_ns * 1e-9
+        return Offset(offset_s, uncertainty_s, round_trip_s, count)
 
-    def report(self) -> LinkClock:
-        """Return what is known of the other clock."""
-        offset = self.estimate()
-        if offset is None:
+    def there_ns(self) -> int | None:
+        """Return t2 - t1 of the fastest question of the present [ns], which has the offset in it."""
+        line, there = self.line(), self.present.there
+        if line is None or there is None:
+            return None
+        return round(there.least_ns + line.drift * (self._newest_ns - there.at_ns))
+
+    def report(self, *, of_line: bool = True) -> LinkClock:
+        """Return what is known of the other clock, and of a line between two machines how well its round trip is."""
+        offset, present = self.estimate(), self.present.round_trip()
+        if offset is None or present is None:
             return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-        return LinkClock(valid=True, **offset._asdict())
+        return LinkClock(
+            valid=True,
+            offset_s=offset.offset_s,
+            uncertainty_s=offset.uncertainty_s,
+            round_trip_s=offset.round_trip_s,
+            exchanges=offset.exchanges,
+            round_trip_low_s=present.low_ns * 1e-9 if of_line else None,
+            round_trip_high_s=present.high_ns * 1e-9 if of_line else None,
+            round_trip_since_ns=present.since_ns if of_line else None,
+        )
 
     def capture(self) -> "OffsetState":
         """Return the state, for `restore`."""
-        return OffsetState(self._newest_ns, self._drift, list(self.blocks))
+        return OffsetState(self._newest_ns, self._drift, list(self.blocks), self.present.copy())
 
     def restore(self, state: "OffsetState") -> None:
         """Continue from a state."""
         self._newest_ns, self._drift = state.newest_ns, state.drift
         self.blocks.extend(state.blocks)
+        self.present = LinePresent() if state.present is None else state.present.copy()
 
     def _is_of_another_clock(self, block: Block) -> bool:
         last = self.blocks[-1]

@@ -420,9 +420,20 @@ class LinkClock(Record):
 
     valid: Annotated[bool, about("An exchange with the slave's site was completed")]
     offset_s: Annotated[TimeS, about("What the slave's clock is ahead of the master's [s]")]
-    uncertainty_s: Annotated[DurationS, about("Bound of the error of offset_s [s]: half the round trip")]
-    round_trip_s: Annotated[DurationS, about("Shortest round trip among the exchanges in view [s]")]
+    uncertainty_s: Annotated[
+        DurationS, about("Bound of the error of offset_s [s]: half the shortest round trip of the exchanges in view")
+    ]
+    round_trip_s: Annotated[DurationS, about("Least round trip of the present [s]: a longer route counts at once")]
     exchanges: Annotated[Count, about("Number of exchanges in view of the minimum filter")]
+    round_trip_low_s: Annotated[
+        DurationS | None, about("Lower end of the interval of round_trip_s [s]; absent before the first exchange")
+    ] = None
+    round_trip_high_s: Annotated[
+        DurationS | None, about("Upper end of the interval of round_trip_s [s]; absent before the first exchange")
+    ] = None
+    round_trip_since_ns: Annotated[
+        Count | None, about("Since when the round trip is so, on the asking clock [ns]; absent before the first")
+    ] = None
 
 
 class LinkStatus(Message):

@@ -246,7 +246,7 @@ def test_a_line_that_has_become_narrow_is_named_with_what_it_carries_now_and_its
         line.bytes_per_s = (10.0 if at_s < 5.0 else 0.256) * MBIT
 
     found = run(Bottleneck(10 * MBIT), until_s, change=change)
-    assert found.control.carried_while_full == pytest.approx(256_000, rel=0.05)
+    assert 8.0 * found.control.carried_bytes_per_s == pytest.approx(256_000, rel=0.05)
     # The whole buffer of 2 s has filled; what was sent before a reduction goes first.
     assert max(found.queue_ms[15:], default=0.0) < 50.0
 

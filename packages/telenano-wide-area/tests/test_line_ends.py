@@ -1,8 +1,9 @@
 """Two ends over a line: small samples, trains, an early way out over TCP, and a peer that reports nonsense."""
 
 import hashlib
+import random
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from statistics import median
 
 import datagram_bench
@@ -24,6 +25,7 @@ from telenano_wide_area.datagram.body import (
 )
 from telenano_wide_area.datagram.incoming import Incoming
 from telenano_wide_area.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoing
+from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 from telenano_wide_area.datagram.rate import Mode
 from telenano_wide_area.datagram.reception import DEADLINE_NS, SILENCE_NS
 from telenano_wide_area.datagram.replay_window import ReplayWindow
@@ -34,6 +36,7 @@ from test_datagram_ends import _Blocked
 from telenano.testing import payload
 
 MS = 1_000_000
+SECOND_NS = 1_000_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)
 FORWARD = payload("teleop/forward", "controller@master", 7)
 
@@ -183,32 +186,48 @@ def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_f
         # 500 bytes in 2 ms are 2 Mbit/s; what came during a pause of 8 ms is read at once after it,
         # so that nothing seems faster than it was
         at_ns = max(at_ns, place * 2 * MS + (8 * MS if place == 10 else 0))
-        incoming.record(452, at_ns, [ASKING_TRAIN])
+        incoming.record(452, at_ns, [ASKING_TRAIN], 0, place)
+    incoming.measure(at_ns + 500 * MS)
     assert incoming.capacity == pytest.approx(2e6, rel=0.1)
     assert incoming.wants_train
 
 
-def test_a_line_that_is_full_carries_what_its_sender_says_and_not_what_an_old_train_showed(
-    ends: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ends.joined()
-    ends.turns(100)
-    master, slave = (side.end for side in ends.sides)
-    trained = slave.incoming.capacity
-    assert trained > 1e7
-    monkeypatch.setattr(master.outgoing, "update", lambda *_: None)
-    master.outgoing.control.mode, master.outgoing.control.carried_bytes_per_s = "full", 32_000.0
-    master._report_ns = 0
-    master.maintain(ends.master.clock.monotonic_ns())
-    ends.turns(5)
-    assert slave.incoming.capacity == 256_000
-    slave._report_ns = 0
-    slave.maintain(ends.slave.clock.monotonic_ns())
-    assert ends.slave.outlet.last("link/network").capacity_bit_per_s == 256_000
-    with pytest.raises(RejectedError, match="count"):
-        parse(REPORTED + mark(CARRIES, bytes(8) + b"\xff" * 8))
-    # An earlier end says only what it measured.
-    assert parse(REPORTED + mark(CARRIES, (7).to_bytes(8, "big")))[3:5] == (7, 0)
+@pytest.mark.parametrize("spread_ms", [30.0, 120.0])
+def test_a_train_that_came_in_another_order_or_in_bursts_measures_nothing(spread_ms: float) -> None:
+    draw = random.Random(3)
+    delays_ms = [draw.uniform(0.0, spread_ms) for _ in range(TRAIN_DATAGRAMS)]
+    courses = {
+        "reordered": sorted((round(delay * MS), place) for place, delay in enumerate(delays_ms)),
+        # The delay becomes longer while it is under way.
+        "stepped": [(place * MS // 10 + round(spread_ms * MS) * (place > 20), place) for place in range(TRAIN_DATAGRAMS)],
+    }
+    for course in courses.values():
+        incoming = Incoming("slave")
+        for at_ns, number in course:
+            incoming.record(452, at_ns, [TRAIN], 0, number)
+        incoming.measure(SECOND_NS)
+        assert incoming.capacity == 0
+
+
+def full_queue_over(send_hz: Callable[[float], float], delay_ms: Callable[[float], float], bit_per_s: float) -> int:
+    """Return what is measured of a line of some rate, 0 for none, whose delay has a course, of what is sent over it."""
+    incoming, at_s, free_s, number = Incoming("slave"), 0.0, 0.0, 0
+    while at_s < 6.0:
+        free_s = max(free_s, at_s) + (8.0 * 200 / bit_per_s if bit_per_s else 0.0)
+        arrives_ns, sent_ns = round(1e9 * (free_s + 1e-3 * delay_ms(at_s))), round(1e9 * at_s) + 37 * SECOND_NS
+        incoming.record(200 - NETWORK_BYTES, arrives_ns, [], sent_ns, number)
+        number, at_s = number + 1, at_s + 1.0 / send_hz(at_s)
+    return incoming.capacity
+
+
+def test_what_leaves_a_queue_of_ones_own_is_what_the_line_carries_and_no_course_of_the_delay_is() -> None:
+    more_and_less = lambda at_s: 900.0 if at_s % 2.0 < 1.0 else 400.0  # noqa: E731
+    steady, level = (lambda at_s: 900.0), (lambda at_s: 20.0)
+    assert full_queue_over(more_and_less, level, 1e6) == pytest.approx(1e6, rel=0.05)
+    # A route that becomes longer and shorter, by and by or at once, and a line that is never full, show nothing.
+    assert full_queue_over(steady, lambda at_s: 20.0 + 100.0 * abs(at_s % 2.0 - 1.0), 0.0) == 0
+    assert full_queue_over(steady, lambda at_s: 20.0 if at_s < 3.0 else 300.0, 0.0) == 0
+    assert full_queue_over(more_and_less, level, 2e6) == 0
 
 
 @pytest.mark.parametrize(

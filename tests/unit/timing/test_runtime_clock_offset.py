@@ -52,9 +52,9 @@ def test_the_fastest_question_and_the_fastest_answer_in_view_count() -> None:
     best = offsets.estimate()
     assert best is not None
     assert best == (pytest.approx(1e-3, rel=1e-9), pytest.approx(5e-5), pytest.approx(1e-4), 3)
-    for second in (3, 4):
+    for second in range(3, 12):
         offsets.record(*exchange(1_000_000, 5_000_000, 5_000_000, second * 10**9))
-    # the good ones have left the window
+    # What an exchange a second takes at least now is known after as many of them as tell jitter from a longer route.
     later = offsets.estimate()
     assert later is not None
     assert later.round_trip_s == pytest.approx(1e-2, rel=1e-9, abs=0.0)

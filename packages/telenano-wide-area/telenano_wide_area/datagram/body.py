@@ -81,15 +81,13 @@ class Report(NamedTuple):
 class Body(NamedTuple):
     """A body: its report, its samples (topic, payload), the marks that stand among them (`TRAIN` and others).
 
-    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `carried`, what
-    it found that the line to here carries, 0 while that is not full.
+    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say.
     """
 
     report: Report
     samples: Sequence[tuple[bytes, bytes]]
     marks: Sequence[int]
     carries: int = 0
-    carried: int = 0
 
 
 def short_report(sent_ns: int) -> bytes:
@@ -140,7 +138,7 @@ def parse(body: bytes) -> Body:
         raise RejectedError("count")
     samples: list[tuple[bytes, bytes]] = []
     marks: list[int] = []
-    carries = carried = 0
+    carries = 0
     place = SHORT_REPORT.size if is_short else REPORT.size
     while place < len(body):
         if place + SAMPLE.size > len(body):
@@ -153,11 +151,12 @@ def parse(body: bytes) -> Body:
             marks.append(number)
             content = body[place - length : place]
             if number == CARRIES:
-                carries, carried = int.from_bytes(content[:8], "big"), int.from_bytes(content[8:16], "big")
-                if max(carries, carried) >= BOUND:
+                # An earlier end says further figures behind it.
+                carries = int.from_bytes(content[:8], "big")
+                if carries >= BOUND:
                     raise RejectedError("count")
             continue
         if number >= len(DATAGRAM_TOPICS):
             raise RejectedError("malformed")
         samples.append((_FRAMES[number], _inflated(body[place - length : place])))
-    return Body(report, samples, marks, carries, carried)
+    return Body(report, samples, marks, carries)

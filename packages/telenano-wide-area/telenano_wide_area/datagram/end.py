@@ -323,11 +323,9 @@ class DatagramEnd:
         if opener is not self._agreement.opener:
             return
         self.arrivals.record(number, report.sent_ns, now_ns)
-        self.incoming.record(size, now_ns, body.marks)
+        self.incoming.record(size, now_ns, body.marks, report.sent_ns, number)
         if body.carries:
             self._known = body.carries
-        if CARRIES in body.marks:
-            self.incoming.carried_while_full = body.carried
         if number == opener.window.newest:
             self._agreement.opened(opener)
             self._heard = self._heard if is_behind else (report.sent_ns, now_ns)
@@ -341,7 +339,8 @@ class DatagramEnd:
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
             self.outgoing.record_heard(report, now_ns)
-            self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            if self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns):
+                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
@@ -381,8 +380,7 @@ class DatagramEnd:
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             if self.acknowledged:
-                figures = (self.incoming.measured, self.outgoing.control.carried_while_full)
-                self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
+                self._send(mark(CARRIES, self.incoming.measured.to_bytes(8, "big")), now_ns)
             if self._expected:
                 self.outgoing.adapt_repeats(*self._acknowledged_counts)
             self._weigh_tcp()
@@ -402,8 +400,7 @@ class DatagramEnd:
         self._losses.adapt(settled, settled - max(0, self.arrivals.lost))
         round_trip_s = 0.0 if offset is None else offset.round_trip_s
         self._reception.weigh(carried_by_tcp(self.incoming.capacity, self._losses.loss_share, round_trip_s))
-        capacity = self.outgoing.control.carried_while_full or self._known
-        self._sparse.carried = carried_by_tcp(capacity, self.outgoing.repeats.loss_share, round_trip_s)
+        self._sparse.carried = carried_by_tcp(self._known, self.outgoing.repeats.loss_share, round_trip_s)
 
     def _why_silent(self) -> str:
         """Return what may be said of the UDP port while no datagram comes."""
@@ -418,8 +415,10 @@ class DatagramEnd:
         """Adapt what is sent to the line, and tell of a line that is full."""
         if now_ns - self._answered_ns < _UNHEARD_NS:
             # What was reported before that says nothing of the queue now.
-            offset = self.offset.estimate()
-            self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
+            offset, line = self.offset.estimate(), self.outgoing.line
+            round_trip_ns = 0 if offset is None else round(offset.round_trip_s * 1e9)
+            # A queue that stands is in the round trip as well.
+            self.outgoing.update(now_ns, max(0, round_trip_ns - (line.there_ns or 0) - (line.back_ns or 0)))
         if self.acknowledged:
             seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):

@@ -1,75 +1,142 @@
-"""What an end learns of the line that it receives over, beside its queue: how much it carries."""
+"""What an end learns of the line that it receives over, beside its queue: how much it carries.
 
+Two things show that: a train of datagrams sent back to back, which the line spreads, and a queue that the samples have
+filled (`full_queue`). A train says nothing where its datagrams come in another order, or in bursts, because jitter, a
+stall or a step of the delay has spread it then; nothing else is taken for what the line carries. What was measured
+holds until more arrives than that, or another measurement is made.
+"""
+
+import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from telenano_wide_area.datagram.body import ASKING_TRAIN, TRAIN
+from telenano_wide_area.datagram.full_queue import FullQueue
 from telenano_wide_area.datagram.outgoing import TRAIN_DATAGRAMS
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 
 # A train begins after a pause of this length.
 _PAUSE_NS = 400_000_000
 # A train of fewer datagrams than this says nothing.
-_FEWEST = 10
+_FEWEST = 24
 # Faster than this a train is over before the clock of a process shows how long it took [ns].
 _SHORTEST_NS = 500_000
+# A faster train cannot show in which order and how evenly it came [ns].
+_EVEN_FROM_NS = 4_000_000
+# Of a train that the line spreads, each third takes this share of the time of a third at least.
+_EVEN = 0.6
+# This number of datagrams of a train may come out of order.
+_OVERTAKEN = 1
 _RATE_SPAN_NS = 500_000_000
-# The most that was carried in this time is what the line carries [ns].
+# The most that trains, or full queues, showed in this time is what the line carries, as what others sent makes it less
+# [ns].
 _NOTED_NS = 10_000_000_000
+_QUEUE_NOTED_NS = 2_000_000_000
+# More than this multiple of what was measured shows that the line carries more.
+_MORE = 1.1
+
+
+class Arrived(NamedTuple):
+    """A datagram of a train: when it arrived [ns], its number, and its size [bytes]."""
+
+    at_ns: int
+    number: int
+    size_bytes: int
 
 
 class Incoming:
-    """The line from another machine.
-
-    `measured` is what it was seen to carry [bit/s], 0 until that is known; `carried_while_full`, what its sender found
-    that it carries, 0 while that does not take it for full.
-    """
+    """The line from another machine; `measured` is what it carries [bit/s], 0 until that is known."""
 
     def __init__(self, machine: str) -> None:
         self.machine = machine
-        self.measured = self.carried_while_full = 0
+        self.measured = 0
         # Whether the other end has asked for a train, which is answered once.
         self.wants_train = False
-        # What was carried since a time, and that time [ns].
-        self._carried: dict[int, int] = {}
-        # When each datagram of a train arrived [ns].
-        self._train: list[int] = []
+        self._full = FullQueue()
+        # What was measured lately, by its time [ns]; only by trains, or only by full queues.
+        self._shown: dict[int, int] = {}
+        self._by_queue = False
+        self._train: list[Arrived] = []
         self._span: tuple[int, int] | None = None
         self._bytes = 0
+        self._number = -1
 
     @property
     def capacity(self) -> int:
-        """What the line carries [bit/s], 0 until it is known: an old train says nothing of a line that is full."""
-        return self.carried_while_full or self.measured
+        """What the line carries [bit/s], 0 where no train and no full queue has shown it."""
+        return self.measured
 
-    def record(self, size_bytes: int, now_ns: int, marks: Sequence[int]) -> None:
-        """Record a datagram that arrived; marks: what stands among its samples."""
-        self._bytes += size_bytes + NETWORK_BYTES
-        if not marks or marks[0] not in (TRAIN, ASKING_TRAIN):
-            return
-        if not self._train or now_ns - self._train[-1] > _PAUSE_NS:
-            self._train.clear()
-            self.wants_train = self.wants_train or marks[0] == ASKING_TRAIN
-        if len(self._train) < TRAIN_DATAGRAMS:
-            self._train.append(now_ns)
-        # The first one tells when the others began to arrive, and was itself carried before.
-        count = len(self._train) - 1
-        if count >= _FEWEST:
-            took_ns = max(self._train[-1] - self._train[0], _SHORTEST_NS)
-            self._note(self._train[0], now_ns, round(8e9 * count * (size_bytes + NETWORK_BYTES) / took_ns))
+    def record(self, size_bytes: int, now_ns: int, marks: Sequence[int], sent_ns: int, number: int) -> None:
+        """Record a datagram that arrived.
+
+        Args:
+            size_bytes: Its size [bytes].
+            now_ns: When it arrived [ns].
+            marks: What stands among its samples.
+            sent_ns: When it was sent, by the other clock [ns].
+            number: Its number among those that were sent.
+        """
+        size = size_bytes + NETWORK_BYTES
+        self._bytes += size
+        if self._train and (len(self._train) == TRAIN_DATAGRAMS or now_ns - self._train[-1].at_ns > _PAUSE_NS):
+            self._end_train(now_ns)
+        is_train = bool(marks) and marks[0] in (TRAIN, ASKING_TRAIN)
+        if is_train or number < self._number:
+            # Trains come at times of their own, and a queue keeps the order.
+            self._full.forget()
+        elif (rate := self._full.record(size, now_ns - sent_ns, now_ns)) is not None:
+            self._show(now_ns, round(rate), by_queue=True)
+        self._number = max(self._number, number)
+        if is_train:
+            if not self._train:
+                self.wants_train = self.wants_train or marks[0] == ASKING_TRAIN
+            self._train.append(Arrived(now_ns, number, size))
 
     def measure(self, now_ns: int) -> None:
-        """Measure what is carried: where that is more than a train showed, the line carries more."""
+        """Look at what was carried: where that is more than was measured, the line carries more, and how much is open."""
+        if self._train and now_ns - self._train[-1].at_ns > _PAUSE_NS:
+            self._end_train(now_ns)
         if self._span is None:
             self._span = now_ns, self._bytes
         begin_ns, begin_bytes = self._span
         if now_ns - begin_ns >= _RATE_SPAN_NS:
-            carried = round(8e9 * (self._bytes - begin_bytes) / (now_ns - begin_ns))
-            if 0 < self.measured < carried:
-                self._note(now_ns, now_ns, carried)
+            carried = 8e9 * (self._bytes - begin_bytes) / (now_ns - begin_ns)
+            if 0 < _MORE * self.measured < carried:
+                self._shown.clear()
+                self.measured = 0
             self._span = now_ns, self._bytes
 
-    def _note(self, since_ns: int, now_ns: int, bit_per_s: int) -> None:
-        """Note what was carried since a time: what others sent as well makes that less than the line carries."""
-        self._carried[since_ns] = bit_per_s
-        self._carried = {at_ns: carried for at_ns, carried in self._carried.items() if now_ns - at_ns <= _NOTED_NS}
-        self.measured = max(self._carried.values(), default=bit_per_s)
+    def _end_train(self, now_ns: int) -> None:
+        """Take what a whole train showed, if the line alone has spread it."""
+        train, self._train = self._train, []
+        if (rate := _spread(train)) is None:
+            return
+        self._show(now_ns, rate, by_queue=False)
+
+    def _show(self, now_ns: int, rate: int, *, by_queue: bool) -> None:
+        """Take a measurement; what others sent meanwhile makes it less than the line carries."""
+        if by_queue != self._by_queue:
+            self._shown.clear()
+        self._by_queue = by_queue
+        self._shown[now_ns] = rate
+        lasts_ns = _QUEUE_NOTED_NS if by_queue else _NOTED_NS
+        self._shown = {at_ns: shown for at_ns, shown in self._shown.items() if now_ns - at_ns <= lasts_ns}
+        self.measured = max(self._shown.values())
+
+
+def _spread(train: Sequence[Arrived]) -> int | None:
+    """Return the rate at which a train came [bit/s]; None where something else than the line has spread it."""
+    # The first one tells when the others began to arrive, and was itself carried before.
+    count = len(train) - 1
+    if count < _FEWEST:
+        return None
+    took_ns = train[-1].at_ns - train[0].at_ns
+    rate = round(8e9 * sum(one.size_bytes for one in train[1:]) / max(took_ns, _SHORTEST_NS))
+    if took_ns < _EVEN_FROM_NS:
+        return rate
+    overtaken = sum(after.number < before.number for before, after in itertools.pairwise(train))
+    ends = [train[round(count * third / 3)].at_ns for third in range(4)]
+    thirds_ns = [end - begin for begin, end in itertools.pairwise(ends)]
+    if overtaken > _OVERTAKEN or min(thirds_ns) < _EVEN * took_ns / 3:
+        return None
+    return rate

@@ -7,7 +7,8 @@ clocks are known (`telenano.timing.clock_line`), are the delays of the empty lin
 
 What a datagram took beyond its line was queueing or jitter. The least of that within a tenth of a second is a queue
 that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012): jitter comes and goes within it.
-Neither way can have more of a queue than the round trip, which no clock enters, is above its least.
+Neither way can have more of a queue than the round trip, which no clock enters, is above its least. A route that has
+become longer is no queue: the line is then sought anew above what exchanges take since (`jump`).
 """
 
 from collections import deque
@@ -63,7 +64,7 @@ class Line:
         self._span_ns = _FIRST_SPAN_NS
         self._now: Least | None = None
         self._now_ends_ns = 0
-        self._slope = self._there = self._back = 0.0
+        self._slope = self._expected_slope = self._there = self._back = 0.0
         self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
         self._most_back = 0.0
@@ -117,6 +118,22 @@ class Line:
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
+    def jump(self, at_ns: int, there_ns: int, back_ns: int) -> None:
+        """Begin again from a route that has become longer there and back by so much [ns]."""
+        if self._zero is None:
+            return
+        at = at_ns - self._zero[0]
+        f, b = round(self._there + self._slope * at) + there_ns, round(self._back - self._slope * at) + back_ns
+        self._spans, self._span_ns, self._now, self._now_ends_ns = [Least((at, f), (at, b), f + b)], _FIRST_SPAN_NS, None, 0
+        # The clocks run as they did.
+        self._expected_slope = self._slope
+        self._there, self._back, self._least_both = f - self._slope * at, b + self._slope * at, f + b
+        # So much of what stood was no queue.
+        self._lowest, self._before = (
+            (max(0.0, there - there_ns), max(0.0, back - back_ns)) for there, back in (self._lowest, self._before)
+        )
+        self._most_back = max(0.0, self._most_back - back_ns)
+
     def _keep(self, least: Least, at: int) -> None:
         self._now = least if self._now is None else self._now.and_least(least)
         if at < self._now_ends_ns:
@@ -138,7 +155,9 @@ class Line:
         """
         while True:
             line = ClockLine.through(
-                [span.there for span in self._spans], [(at, -delay) for _, (at, delay), _ in self._spans]
+                [span.there for span in self._spans],
+                [(at, -delay) for _, (at, delay), _ in self._spans],
+                self._expected_slope,
             )
             self._slope = line.drift
             half, middle = 0.5 * line.round_trip_ns, line.at(0)

@@ -100,6 +100,13 @@ class Outgoing:
         self.line.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
         self._delivery.record(report.heard_ns, report.expected, report.arrived)
 
+    def record_jump(self, there_ns: int, back_ns: int, heard_ns: int, now_ns: int) -> None:
+        """Record that the route each way has become longer, seen when something was heard [ns]: that is no queue."""
+        if there_ns or back_ns:
+            self.line.jump(heard_ns, there_ns, back_ns)
+        if there_ns:
+            self.control.forget_queue(now_ns)
+
     def update(self, now_ns: int, round_trip_ns: int) -> None:
         """Adapt the rate to the line, some twenty times a second."""
         elapsed_s = (now_ns - self._seen.now_ns) * 1e-9

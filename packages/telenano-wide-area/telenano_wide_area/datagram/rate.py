@@ -177,11 +177,6 @@ class RateControl:
         # The delay that sending less did not lower, until when that is believed [ns], and the share lost meanwhile.
         self._excused_ns, self._excused_until_ns, self._lost_anyway = 0, 0, 0.0
 
-    @property
-    def carried_while_full(self) -> int:
-        """What the line carries [bit/s] while it is full, else 0."""
-        return round(8.0 * self.carried_bytes_per_s) if self.mode == "full" else 0
-
     def update(self, now_ns: int, seen: Seen, least_bytes_per_s: float) -> None:
         """Take what is seen of the line now, some twenty times a second; never send less than the least."""
         elapsed_s = 0.0 if self._at_ns is None else min(1.0, max(0.0, (now_ns - self._at_ns) * 1e-9))
@@ -208,6 +203,15 @@ class RateControl:
                 self.mode = "full"
                 rate *= self._growth(now_ns, seen.variation_ns) ** elapsed_s
         self.bytes_per_s = min(self.most_bytes_per_s, max(rate, least_bytes_per_s))
+        if self.bytes_per_s >= self.most_bytes_per_s:
+            self.mode = "free"
+
+    def forget_queue(self, now_ns: int) -> None:
+        """Send again as before what was taken for a queue, and was a route that has become longer."""
+        tried = self._trial or self._last
+        if tried is not None and now_ns - tried.first_ns < _SOON_NS:
+            self.bytes_per_s = max(self.bytes_per_s, tried.before_bytes_per_s)
+        self._trial = self._last = self._full_at = None
         if self.bytes_per_s >= self.most_bytes_per_s:
             self.mode = "free"
 

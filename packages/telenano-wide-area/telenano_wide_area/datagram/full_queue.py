@@ -1,0 +1,110 @@
+"""What a line carries, by the rate at which datagrams leave a queue that this direction has filled by itself.
+
+While a queue stands, datagrams arrive at the rate of the line, however fast they are sent. So what is needed are two
+times one after the other, in which the delay grew or fell at rates that are well apart, because more was sent in the
+one than in the other, and in which as much arrived. A route that becomes longer or shorter does not do that: while the
+delay grows less arrives than is sent, and while it falls more does, in the same proportion. Neither does the traffic of
+others, which takes a share of the line that changes. The rate is measured by the receiver's clock, and the delays are
+compared with one another, so that no offset of the clocks matters.
+"""
+
+import itertools
+from collections import deque
+from typing import NamedTuple
+
+# Datagrams within this time are one point of the course [ns].
+_STEP_NS = 20_000_000
+# The course of this time is kept [ns].
+_KEPT_NS = 3_000_000_000
+# A part of it lasts at least for this time [ns], with this number of datagrams.
+_LEAST_NS = 120_000_000
+_FEWEST = 12
+# The delay is above the least of the course by at least this while a queue stands [ns].
+_STANDS_NS = 4_000_000
+# The slopes of both parts are apart by at least this.
+_APART = 0.12
+# The delay grows and falls by so many times what neighbours differ by in the median.
+_BEYOND = 8
+# What arrived in both parts is the same within this share of what a route would make of it, and of what is counted.
+_SAME = 0.3
+
+
+class Point(NamedTuple):
+    """The newest datagram of a step: when it arrived, its delay by two clocks [ns], bytes and datagrams up to it."""
+
+    at_ns: int
+    delay_ns: int
+    size_bytes: int
+    count: int
+
+
+class FullQueue:
+    """The course of the delay of a direction, and the rate at which a full queue was emptied."""
+
+    def __init__(self) -> None:
+        self._points: deque[Point] = deque()
+        self._bytes = self._count = 0
+
+    def forget(self) -> None:
+        """Forget the course: what comes next is not of the same line, or of another process."""
+        self._points.clear()
+
+    def record(self, size_bytes: int, delay_ns: int, now_ns: int) -> float | None:
+        """Record a datagram of a size with its headers; return what the line carries [bit/s], None if that is unknown.
+
+        Args:
+            size_bytes: Its size [bytes].
+            delay_ns: Its delay by two clocks [ns].
+            now_ns: When it arrived [ns].
+        """
+        self._bytes += size_bytes
+        self._count += 1
+        points = self._points
+        if points and now_ns < points[-1].at_ns:
+            points.clear()
+        if points and now_ns - points[-1].at_ns < _STEP_NS:
+            return None
+        points.append(Point(now_ns, delay_ns, self._bytes, self._count))
+        while now_ns - points[0].at_ns > _KEPT_NS:
+            points.popleft()
+        return self._measured()
+
+    def _measured(self) -> float | None:
+        """Return the rate of the two newest parts that show it."""
+        points = list(self._points)
+        floor_ns = min(point.delay_ns for point in points) + _STANDS_NS
+        end = len(points) - 1
+        begin = end
+        while begin and points[begin - 1].delay_ns >= floor_ns:
+            begin -= 1
+        if points[end].delay_ns < floor_ns or points[end].at_ns - points[begin].at_ns < 2 * _LEAST_NS:
+            return None
+        # The parts meet where the delay turns, which is the greatest of it, or the least.
+        inside = points[begin : end + 1]
+        apart = sorted(abs(after.delay_ns - before.delay_ns) for before, after in itertools.pairwise(inside))
+        varied_ns = _BEYOND * apart[len(apart) // 2]
+        for turn in {
+            max(range(len(inside)), key=lambda place: inside[place].delay_ns),
+            min(range(len(inside)), key=lambda place: inside[place].delay_ns),
+            len(inside) // 2,
+        }:
+            if (rate := _common(inside[0], inside[turn], inside[-1], varied_ns)) is not None:
+                return rate
+        return None
+
+
+def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> float | None:
+    """Return the rate of both parts [bit/s], None where they are too short, too alike in slope, or not of one rate."""
+    parts = ((first, turn), (turn, last))
+    if any(end.at_ns - begin.at_ns < _LEAST_NS or end.count - begin.count < _FEWEST for begin, end in parts):
+        return None
+    slopes = [(end.delay_ns - begin.delay_ns) / (end.at_ns - begin.at_ns) for begin, end in parts]
+    rates = [(end.size_bytes - begin.size_bytes) / (end.at_ns - begin.at_ns) for begin, end in parts]
+    apart = abs(slopes[0] - slopes[1])
+    changed_ns = sum(abs(end.delay_ns - begin.delay_ns) for begin, end in parts)
+    if apart < _APART or not all(rates) or changed_ns < varied_ns:
+        return None
+    counted = sum(1.0 / (end.count - begin.count) for begin, end in parts)
+    if abs(rates[0] / rates[1] - 1.0) > max(_SAME * apart, min(counted, 0.5 * apart)):
+        return None
+    return 8e9 * (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)
