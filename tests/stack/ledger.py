@@ -36,6 +36,9 @@ FAULTS = {
     "command is obeyed",
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
     "the recording is removed while it is written": "reported; the recording goes on in another file",
+    "all files that a rig was started with, and the folders that it writes to, are removed, and each node is killed or "
+    "aborted": "each comes back with what it was started with, and waits to be armed; the folders are made again, the "
+    "recording goes on",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "the disk for an image, a curve or a recording of a running rig is full": "the command ends with 1 and names the "
     "place; no image or curve is left half written, the tip is withdrawn, the rig goes on",
