@@ -2,7 +2,7 @@
 
     held = HeldFiles()
     held.keep(Path("/home/me/site.yaml"), content)      # read in place of the file
-    held.keep_spare(Path("/home/me/dots.npy"))          # read where the file is gone
+    held.keep_spare(Path("/home/me/dots.npy"), file)    # read where the file is gone
     start([..., "--held", str(held.table)], pass_fds=held.descriptors)
 
     receive(held_descriptor)                            # in the process that was started
@@ -52,13 +52,10 @@ class HeldFiles:
         self._entries[str(path)] = _Entry(descriptor, not is_spare)
         self._write_table()
 
-    def keep_spare(self, path: Path) -> None:
-        """Keep a regular file open, so that it can be read after it is gone from its path; OSError if it cannot be."""
-        from telenano.files.regular_files import open_regular
-
+    def keep_spare(self, path: Path, file: BinaryIO) -> None:
+        """Keep a file open as well, so that it can be read after it is gone from its path."""
         if str(path) not in self._entries:
-            with open_regular(path) as file:
-                self._entries[str(path)] = _Entry(os.dup(file.fileno()), is_fixed=False)
+            self._entries[str(path)] = _Entry(os.dup(file.fileno()), is_fixed=False)
             self._write_table()
 
     def close(self) -> None:

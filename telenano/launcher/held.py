@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from telenano.files.held_files import HeldFiles
-from telenano.files.regular_files import read_regular
+from telenano.files.regular_files import open_regular, read_regular
 from telenano.files.yaml_text import LARGEST_BYTES
 from telenano.launcher.plan import Plan
 from telenano.runtime.security.access_control import AccessControl
@@ -36,8 +36,8 @@ class HeldForNodes:
         self._held.keep(plan.scenario_file, plan.scenario_bytes)
         for path in _named_files(plan.loaded.document):
             # One that cannot be read is reported by the node that needs it.
-            with contextlib.suppress(OSError):
-                self._held.keep_spare(path)
+            with contextlib.suppress(OSError), open_regular(path) as file:
+                self._held.keep_spare(path, file)
         self.refresh()
 
     @property

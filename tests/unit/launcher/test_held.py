@@ -59,12 +59,10 @@ class Files:
         self.own = self.keyring.create("master")
         self.far = Keyring(folder / "keys-slave").create("slave").public.decode()
         self.keyring.allow("slave", self.far, ["data"])
-        plan = make_plan(
-            UpRequest(scenario=str(self.scenario), site_file=self.site, site="master", out=self.out), folder
-        )
-        self.plan = plan
+        request = UpRequest(scenario=str(self.scenario), site_file=self.site, site="master", out=self.out)
+        self.plan = make_plan(request, folder)
         self.access = AccessControl("master", self.keyring)
-        self.held = HeldForNodes(plan, self.access)
+        self.held = HeldForNodes(self.plan, self.access)
 
     def read(self) -> dict[str, Any]:
         """Return what a process reads that is started now."""
@@ -82,7 +80,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Files:
     return Files(tmp_path, monkeypatch)
 
 
-@pytest.mark.check("takes 10 s")
+@pytest.mark.check("takes 4 s")
 def test_a_node_reads_the_same_whatever_has_vanished(files: Files) -> None:
     files.plan.prepare_folder()
     before = files.read()
@@ -96,7 +94,7 @@ def test_a_node_reads_the_same_whatever_has_vanished(files: Files) -> None:
         assert files.read() == before, path
 
 
-@pytest.mark.check("takes 5 s")
+@pytest.mark.check("takes 3 s")
 def test_a_key_that_was_revoked_does_not_come_back_with_the_list_that_is_held(files: Files) -> None:
     assert files.read()["roles"] == ["data"]
     files.keyring.revoke("slave")
