@@ -5,6 +5,7 @@ import random
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import yaml
 
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import UpRequest, make_plan
+from telenano.link import profiles
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings.included import NETWORK_DIRECTORY, SCENARIO_DIRECTORY, SITE_DIRECTORY
@@ -24,6 +26,7 @@ import json, sys
 from pathlib import Path
 from telenano.files.held_files import receive
 from telenano.runtime.bus.address_book import AddressBook
+from telenano.link import profiles
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings.scenario import LoadedScenario
@@ -76,8 +79,12 @@ class Files:
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Files:
-    return Files(tmp_path, monkeypatch)
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Files]:
+    # Another test of this process may have asked for the names of the networks.
+    profiles._names.cache_clear()
+    yield Files(tmp_path, monkeypatch)
+    profiles._names.cache_clear()
+    profiles._read.cache_clear()
 
 
 @pytest.mark.check("takes 4 s")
