@@ -64,6 +64,15 @@ class HeldForNodes:
         self._held.close()
 
 
+def named_bytes(plan: Plan) -> int:
+    """Return the size of the files that the scenario names, which a node copies that finds them gone [bytes]."""
+    total = 0
+    for path in _named_files(plan.loaded.document):
+        with contextlib.suppress(OSError):
+            total += path.stat().st_size
+    return total
+
+
 def _named_files(document: Any) -> Iterator[Path]:
     """Yield the files that a scenario names, whatever the keys are, and those of the folders of the environment."""
     for text in _texts(document):

@@ -31,13 +31,17 @@ from telenano.runtime.bus.places import Place, Places
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.realtime import shallow_idle
+from telenano.runtime.loop.realtime import raise_file_limit, shallow_idle
 from telenano.runtime.wiring import beside as beside_process
+from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
 
+# A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
+# file and scenario.
+_OPEN_AT_START = 8
 Observer = Callable[[RigNode], None]
 # A recording of a minute has so much: its report takes seconds.
 _LONG_BYTES = 20_000_000
@@ -123,6 +127,9 @@ def run_rig(
         name: The lock of the name, which is made again where somebody removes it (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
+    nodes = (*plan.nodes, *beside)
+    raise_file_limit()
+    check_rig(plan.book, nodes, _OPEN_AT_START + len(held))
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(Participant.open(plan.launcher, plan.book, signals.descriptor))
@@ -130,15 +137,14 @@ def run_rig(
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         if name is not None:
             participant.network.places.add(name)
+        files_held = HeldForNodes(plan, participant.network.access_control)
+        stack.callback(files_held.close)
         plan.prepare_folder()
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
-        nodes = (*plan.nodes, *beside)
         modules = {node: inherited.module for node, inherited in beside.items()}
         files = plan.site_file, plan.scenario_file
-        files_held = HeldForNodes(plan, participant.network.access_control)
-        stack.callback(files_held.close)
         table = files_held.table
         commands = {node: node_command(node, *files, modules.get(node, ""), table) for node in nodes}
         clock = participant.clock

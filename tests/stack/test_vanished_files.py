@@ -19,6 +19,8 @@ from stack_rig import CONSTANT_PUSH, Rig, arm, mode
 
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
+from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.wiring.descriptors import needed_by
 from telenano.settings.included import NETWORK_DIRECTORY, SCENARIO_DIRECTORY, SITE_DIRECTORY
 
 RECORDER = "recorder@master"
@@ -120,6 +122,11 @@ def assert_sound(rig: Given) -> None:
 @pytest.mark.check("takes 15 s")
 def test_all_that_a_rig_was_started_with_vanishes_and_each_of_its_processes_comes_back(tmp_path: Path) -> None:
     for rig in begun(tmp_path):
+        book = AddressBook.load(rig.given / "site.yaml")
+        for node in NODES:
+            # What is looked at before the start is no less than what a node has open.
+            opened = len(list(Path(f"/proc/{rig.process_of(node)}/fd").iterdir()))
+            assert opened <= needed_by(book, node, 8).needed, node
         for name in ("given", "out"):
             gone(name)(rig)
         # All six start for twice as long, and are in the table of `make endurance`.

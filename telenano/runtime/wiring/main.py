@@ -172,7 +172,6 @@ def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> Non
     key = f"{kind.name}@{arguments.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
-    raise_file_limit()
     with Participant.open(key, book, signals.descriptor) as participant:
         values = {**vars(participant), "period_s": loaded.scenario.period_s}
         wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)

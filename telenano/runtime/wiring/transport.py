@@ -24,6 +24,7 @@ from telenano.runtime.security.peer_connections import PeerConnections
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.security.socket_monitor import RejectionCounter
 from telenano.runtime.security.zap_authenticator import ZapAuthenticator
+from telenano.runtime.wiring.descriptors import Descriptors, readers_of
 from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
@@ -149,8 +150,17 @@ class Transport:
         book: AddressBook,
         machine: str,
         keyring: Keyring | None = None,
+        owner: str = "this process",
     ) -> None:
         """Read the keys of a machine if the rig requires any.
+
+        Args:
+            context: The context of ZeroMQ.
+            clock: The clock of the process.
+            book: The addresses of the rig.
+            machine: The machine.
+            keyring: Its folder of keys; None for that of this user.
+            owner: Who has the sockets, as an error names it.
 
         Raises:
             ConfigError: The machine has no key, or one that other users can read, or other users can reach the folder
@@ -159,11 +169,13 @@ class Transport:
         if book.uses_runtime_directory:
             check_runtime_directory()
         self.machine = machine
+        self.owner = owner
         self.access_control = AccessControl(machine, keyring, requires_keys=book.requires_keys)
         self.has_pending = False
         self.context = context
         self.clock = clock
         self.book = book
+        self._needed_files = Descriptors(int(context.get(zmq.IO_THREADS)))
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
         self._peers: list[PeerConnections] = []
@@ -197,6 +209,8 @@ class Transport:
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
         self._prepare_folder()
+        self._needed_files.add_publisher(readers_of(self.book, key))
+        self._needed_files.check(self.owner)
         if network is None:
             publisher = ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
             self.places.add(publisher)
@@ -281,6 +295,9 @@ class Transport:
         endpoint = self.book.estop_endpoint(key)
         if endpoint is None:
             return None
+        # Those who send stops come for a moment, and one is enough.
+        self._needed_files.add_publisher(1)
+        self._needed_files.check(self.owner)
         inlet = EstopInlet(self.context, self.clock, key, endpoint)
         self.places.add(inlet)
         return inlet
@@ -314,6 +331,8 @@ class Transport:
         shared: bool = False,
         hears: bool = True,
     ) -> Subscriber:
+        self._needed_files.add_reader(len(plan))
+        self._needed_files.check(self.owner)
         endpoints = {node: self.book.connect_endpoint(node, self.machine) for node in plan}
         if shared:
             further = {node: fan_out_endpoint(endpoint) for node, endpoint in endpoints.items()}
