@@ -1,9 +1,12 @@
 """One end of a rig's network for a test that may end it: publishes as a node, reads another, and says what it received.
 
-python damaged_peer.py BOOK MACHINE KEYS NODES READS DURATION_S
+python damaged_peer.py BOOK MACHINE KEYS NODE READS HEARD
+
+It goes on until its standard input ends, and makes the file HEARD once it has received a message.
 """
 
 import json
+import select
 import sys
 import time
 from pathlib import Path
@@ -19,16 +22,16 @@ SOURCE_OF = {"delay_node@slave": "controller@master"}
 _TURN_S = 0.002
 
 
-def main(book_file: str, machine: str, keys: str, node: str, read: str, duration_s: str) -> None:
-    """Publish and read for a time [s], and print a line of JSON."""
+def main(book_file: str, machine: str, keys: str, node: str, read: str, heard: str) -> None:
+    """Publish and read until standard input ends, and print a line of JSON."""
     book, clock = AddressBook.load(Path(book_file)), SystemClock()
     context = open_context(serves_network=True)
     network = Transport(context, clock, book, machine, Keyring(Path(keys)))
     publisher = network.publisher(node)
     readers = network.subscribers({read: [TOPIC_OF[read]]})
     received = sent = 0
-    end_s, last_s, longest_s = time.monotonic() + float(duration_s), time.monotonic(), 0.0
-    while time.monotonic() < end_s:
+    last_s, longest_s = time.monotonic(), 0.0
+    while not select.select([sys.stdin], [], [], _TURN_S)[0]:
         publisher.send(TOPIC_OF[node], payload(TOPIC_OF[node], SOURCE_OF.get(node, node), sent))
         sent += 1
         network.process_events()
@@ -36,7 +39,7 @@ def main(book_file: str, machine: str, keys: str, node: str, read: str, duration
             received += len(messages)
             longest_s = max(longest_s, time.monotonic() - last_s)
             last_s = time.monotonic()
-        time.sleep(_TURN_S)
+            Path(heard).touch()
     rejected = [network.rejected, *(reader.rejected for reader in readers)]
     facts = {"sent": sent, "received": received, "longest_s": longest_s, "rejected": rejected}
     sys.stdout.write(json.dumps(facts) + "\n")

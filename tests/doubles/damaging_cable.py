@@ -21,7 +21,7 @@ _HANDSHAKE_BYTES = 700
 # What is altered later is altered within so many bytes more, which is a second of a stream.
 _STREAM_BYTES = 60_000
 # A connection lives for so long before it is cut, at most [s].
-_LONGEST_S = 1.5
+_LONGEST_S = 3.0
 _GREETING = bytes((0xFF, 0, 0, 0, 0, 0, 0, 0, 1, 0x7F, 3, 1))
 _MECHANISMS = (b"CURVE", b"NULL", b"PLAIN", b"GSSAPI", bytes(20))
 _COMMANDS = (
@@ -98,7 +98,7 @@ class DamagingCable:
             to_near.close()
             return
         self._open.append(to_far)
-        until_s = self._loop.time() + self._draw.uniform(0.0, _LONGEST_S) * self._draw.choice((0.1, 1.0))
+        until_s = self._loop.time() + self._draw.uniform(0.1, 1.0) * self._draw.choice((0.1, 1.0)) * _LONGEST_S
         ways = self._carry(near, to_far, until_s), self._carry(far, to_near, until_s)
         with contextlib.suppress(OSError, TimeoutError):
             await asyncio.gather(*ways)

@@ -102,6 +102,10 @@ FAULTS = {
     "started again the link holds nothing",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
+    "the launcher of a site that is a service is killed, and aborted": "its nodes end with their devices safe; started "
+    "again by its unit, it records into a new folder, and the tip waits to be armed",
+    "bytes of TCP between the sites are altered behind a right checksum": "no sample that was altered counts; what is "
+    "aborted is started again, and the tip waits to be armed",
     "the relay is killed and started again": "where the datagrams go through it: hand let go, tip holds, then "
     "withdraws; joined again without a restart of the sites, the tip waits to be armed",
     "a relay that drops, repeats, holds back, forges and floods": "genuine samples alone are obeyed, none after "

@@ -217,7 +217,7 @@ class Transport:
             return publisher
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
-            _set_network_options(socket, _READER_SILENCE_MS, network)
+            _set_network_options(socket, network)
             if self.context.get(zmq.IO_THREADS) > 1:
                 socket.set(zmq.AFFINITY, _SECOND_THREAD)
                 self._lowered = False
@@ -280,7 +280,8 @@ class Transport:
     def connect_beside(self, node: str, subscriber: Subscriber) -> None:
         """Connect a socket to a node that another socket is connected to as well, which alone reports what happens."""
         endpoint, machine = self.book.connect_endpoint(node, self.machine), self.book.machine_of(node)
-        _set_network_options(subscriber.socket, _LOOP_SILENCE_MS, endpoint)
+        _set_network_options(subscriber.socket, endpoint)
+        _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
         parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
         peers = PeerConnections(machine, *parts, is_reported=False)
         self._peers.append(peers)
@@ -345,7 +346,8 @@ class Transport:
             return reader
         subscriber = Subscriber(self.context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
         subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
-        _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
+        _set_network_options(subscriber.socket, *by_endpoint)
+        _set_heartbeats(subscriber.socket, silence_ms)
         machine = self.book.machine_of(next(iter(plan)))
         peers = PeerConnections(machine, endpoints, subscriber, self.clock, self.access_control, self._rejections)
         self._peers.append(peers)
@@ -373,11 +375,20 @@ class Transport:
         return events
 
 
-def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoints: str) -> None:
-    if any("[" in endpoint for endpoint in endpoints):
-        socket.set(zmq.IPV6, 1)
+def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:
+    """Have a reader give up a connection that is silent for a time [ms], and its publisher one without its pings.
+
+    Publishers send no pings of their own. Where bytes of a connection are altered and it is then reset, the next ping
+    of the side that accepted it ends the process: `Assertion failed: !_io_error (src/stream_engine_base.cpp:310)`.
+    """
     socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
     socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
+    socket.set(zmq.HEARTBEAT_TTL, _READER_SILENCE_MS)
+
+
+def _set_network_options(socket: "zmq.Socket[bytes]", *endpoints: str) -> None:
+    if any("[" in endpoint for endpoint in endpoints):
+        socket.set(zmq.IPV6, 1)
     socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
     socket.set(zmq.BACKLOG, _BACKLOG)
     socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)
