@@ -15,6 +15,8 @@ import time
 from pathlib import Path
 from string import Template
 
+_LOOK_S = 0.05
+
 
 def settings_of(unit: Path) -> dict[str, str]:
     """Return the settings of the section Service by name; one that is given several times has its last value."""
@@ -29,24 +31,28 @@ def main(unit: str, log: str, *further: str) -> None:
     variables = dict(part.partition("=")[::2] for part in shlex.split(settings["Environment"]))
     words = shlex.split(Template(settings["ExecStart"]).safe_substitute({**variables, **os.environ}))
     command = [sys.executable, "-P", "-m", "telenano", *words[1:], *further]
-    process: subprocess.Popen[bytes] | None = None
+    is_ended = False
 
     def end(number: int, frame: object) -> None:
-        if process is not None and process.poll() is None:
-            process.send_signal(signal.Signals[settings["KillSignal"]])
-            process.wait()
-        sys.exit(0)
+        nonlocal is_ended
+        is_ended = True
 
     signal.signal(signal.SIGTERM, end)
     with Path(log).open("a", encoding="utf-8", buffering=1) as lines:
-        while True:
+        while not is_ended:
             process = subprocess.Popen(command, stdout=lines, stderr=lines)
             lines.write(f"started {process.pid}\n")
+            while process.poll() is None and not is_ended:
+                time.sleep(_LOOK_S)
+            if is_ended:
+                process.send_signal(signal.Signals[settings["KillSignal"]])
             code = process.wait()
             lines.write(f"ended {process.pid} with {code}\n")
             if settings["Restart"] == "on-failure" and code == 0:
                 return
-            time.sleep(float(settings["RestartSec"]))
+            due_s = time.monotonic() + float(settings["RestartSec"])
+            while time.monotonic() < due_s and not is_ended:
+                time.sleep(_LOOK_S)
 
 
 if __name__ == "__main__":

@@ -115,7 +115,8 @@ def test_a_launcher_that_is_killed_or_aborted_is_started_again_and_arms_nothing(
         back_s = (time.time_ns() - begin_ns) / NS_PER_S
         again_ns = time.time_ns()
         rig.wait_until(
-            lambda since_ns=again_ns: bool(rig.master.recording().messages("teleop/backward@master", since_ns)), "the link"
+            lambda since_ns=again_ns: bool(rig.master.recording().messages("teleop/backward@master", since_ns)),
+            "the link",
         )
         time.sleep(3.0)
         assert set(modes(rig.slave)) <= {"retracted"}, "a rig that was started again moves without an arm"
