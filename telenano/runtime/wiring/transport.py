@@ -218,6 +218,8 @@ class Transport:
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, network)
+            # A reader without pings is given up by the kernel, where it acknowledges nothing for so long.
+            socket.set(zmq.TCP_MAXRT, _READER_SILENCE_MS)
             if self.context.get(zmq.IO_THREADS) > 1:
                 socket.set(zmq.AFFINITY, _SECOND_THREAD)
                 self._lowered = False
