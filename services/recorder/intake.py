@@ -13,7 +13,7 @@ from telenano.console.listener import Listener, Stream
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.disk import OWN_DISK, Disk
 from telenano.recording.info import END_NAME
-from telenano.recording.provenance import write_provenance
+from telenano.recording.provenance import configuration_files, write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
@@ -362,10 +362,14 @@ def begin_recording(
 
     A file that cannot be written is a fault that the intake reports, not an error: the rig continues.
     """
+    try:
+        files = configuration_files(site_file, scenario_file)
+    except RecordingError as error:
+        return Intake(None, str(error), selection=config.selection())
 
     def create_file(number: int) -> RecordingWriter:
         writer = RecordingWriter.create(key, config, number, disk)
-        write_provenance(writer, config, site_file, scenario_file, clock.now_ns(), facts)
+        write_provenance(writer, config, files, clock.now_ns(), facts)
         return writer
 
     rotation = FileRotation(config, create_file, disk)

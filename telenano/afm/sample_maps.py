@@ -10,6 +10,7 @@ from typing import Any
 
 from telenano.afm.part import Part, register_part
 from telenano.extend.maps import MapFormat, OverMap, Span
+from telenano.files.held_files import standing
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError
@@ -38,7 +39,7 @@ def _suffix(path: Path) -> str:
 def span_of(path: Path) -> Span | None:
     """Return where a map is; None where its file or its package is not on this machine."""
     reader, _ = _format_of(_suffix(path))
-    return None if reader is None else reader.span(path)
+    return None if reader is None else reader.span(standing(path))
 
 
 def over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
@@ -50,4 +51,4 @@ def over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts
     reader, problem = _format_of(_suffix(path))
     if reader is None:
         raise ConfigError(f"{path}: {problem}")
-    return reader.read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)
+    return reader.read(standing(path), rest_distance_m, stiffness_n_per_m, volts_per_m)

@@ -10,13 +10,15 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from telenano.files import held_files
+
 
 class NotRegularError(OSError):
     """What stands at a path is a pipe, socket or device, or a link where none counts; `strerror` says it in words."""
 
 
 def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
-    """Open a regular file for reading.
+    """Open a regular file for reading, or what the process that started this one holds in its place.
 
     Args:
         path: The path of the file.
@@ -27,6 +29,8 @@ def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
         IsADirectoryError: It is a folder.
         NotRegularError: It is a pipe, a socket or a device, or a link and none is followed.
     """
+    if (held := held_files.opened(path)) is not None:
+        return held
     # The check comes before opening, which a device may answer by an action.
     _require_regular(path, path.stat(follow_symlinks=follows_links).st_mode)
     # Other systems have no such flags; a file that appears between the two calls must not keep this process.

@@ -1,5 +1,6 @@
 """What `telenano up` is to run, checked as a whole before anything is started."""
 
+import contextlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -227,6 +228,11 @@ class Plan:
     def scenario_file(self) -> Path:
         return self.given if self.attach else self.out / "scenario.yaml"
 
+    @property
+    def scenario_bytes(self) -> bytes:
+        """What the nodes read as their scenario, with environment and flags merged."""
+        return yaml.safe_dump(self.loaded.document, sort_keys=False).encode()
+
     def existing_outputs(self) -> list[Path]:
         """Return the files of an earlier session in the folder; a restarted recorder leaves several recordings."""
         # a recorder that runs elsewhere may be writing to this very folder
@@ -246,9 +252,19 @@ class Plan:
             for old in self.existing_outputs() if self.overwrite else ():
                 old.unlink()
             if not self.attach:
-                self.scenario_file.write_text(yaml.safe_dump(self.loaded.document, sort_keys=False), encoding="utf-8")
+                self.scenario_file.write_bytes(self.scenario_bytes)
         except OSError as error:
             raise RigError(f"{self.out}: cannot be written: {error.strerror}") from error
+
+    def remake_folder(self) -> None:
+        """Make the folder and the scenario in it once more where somebody removed them; on a full disk they stay away.
+
+        What the nodes are started with again is held in memory, so that only a person needs these.
+        """
+        with contextlib.suppress(OSError):
+            self.out.mkdir(parents=True, exist_ok=True)
+            if not self.attach and not self.scenario_file.exists():
+                self.scenario_file.write_bytes(self.scenario_bytes)
 
 
 def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:

@@ -56,6 +56,13 @@ class Inherited(NamedTuple):
     module: str = ""
 
 
+class _Log(NamedTuple):
+    """The open log of a node, whose end can be read also when its file is gone; `fault`: why there is none."""
+
+    descriptor: int
+    fault: str = ""
+
+
 class Children(Protocol):
     """The child processes that a supervisor works with."""
 
@@ -93,11 +100,19 @@ class NodeProcesses:
         on_stopping: Callable[[str], None] = lambda node: None,
         inherited: Mapping[str, Inherited] | None = None,
         held: Sequence[int] = (),
+        before_start: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare empty logs for the nodes in `commands`, the command line of each by its key.
 
-        `stop_order` are keys; `on_stopping` is called with a key before its process is stopped; `inherited` is what
-        some of the nodes are given as well, and `held` the descriptors that each of them keeps open.
+        Args:
+            commands: The command line of each node, by its key.
+            stop_order: The keys in the order in which the nodes are stopped.
+            log_directory: The folder of their logs.
+            epoch_offset_ns: The epoch of all stamps.
+            on_stopping: Called with a key before its process is stopped.
+            inherited: What some of the nodes are given as well.
+            held: The descriptors that each of them keeps open.
+            before_start: Called before each start.
         """
         self._commands = commands
         self._stop_order = stop_order
@@ -106,6 +121,8 @@ class NodeProcesses:
         self._on_stopping = on_stopping
         self._inherited = inherited or {}
         self._held = tuple(held)
+        self._before_start = before_start
+        self._logs: dict[str, _Log] = {}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         log_directory.mkdir(parents=True, exist_ok=True)
         for node in commands:
@@ -116,18 +133,19 @@ class NodeProcesses:
 
     def start(self, node: str) -> int:
         inherited = self._inherited.get(node, Inherited())
-        with self.log_path(node).open("ab") as log:
-            process = children.start(
-                self._commands[node],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env={**self._environment, **inherited.environment},
-                pass_fds=(*inherited.descriptors, *self._held),
-                # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
-                start_new_session=True,
-                dies_with_parent=True,
-            )
+        self._before_start()
+        log = self._opened_log(node)
+        process = children.start(
+            self._commands[node],
+            stdin=subprocess.DEVNULL,
+            stdout=log.descriptor,
+            stderr=log.descriptor,
+            env={**self._environment, **inherited.environment},
+            pass_fds=(*inherited.descriptors, *self._held),
+            # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
+            start_new_session=True,
+            dies_with_parent=True,
+        )
         self._running[node] = process
         return process.pid
 
@@ -142,9 +160,12 @@ class NodeProcesses:
             self._running[node].kill()
 
     def log_tail(self, node: str) -> str:
-        with self.log_path(node).open("rb") as log:
-            log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL_BYTES))
-            lines = log.read().decode(errors="replace").splitlines()
+        if (log := self._logs.get(node)) is None:
+            return ""
+        if log.fault:
+            return log.fault
+        size = os.fstat(log.descriptor).st_size
+        lines = os.pread(log.descriptor, _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode(errors="replace").splitlines()
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
     def stop(self, observer: StopObserver = _NO_OBSERVER) -> None:
@@ -164,6 +185,22 @@ class NodeProcesses:
             if node not in senders:
                 self._terminate(node)
                 self._wait((node,), RECORDER_GRACE_S, observer)
+
+    def _opened_log(self, node: str) -> "_Log":
+        """Open the log of a node for another life of it, in a folder that is made again where somebody removed it.
+
+        A log that cannot be written is no reason to leave a node dead: it runs without one.
+        """
+        path, before = self.log_path(node), self._logs.pop(node, None)
+        if before is not None:
+            os.close(before.descriptor)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            log = _Log(os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666))
+        except OSError as error:
+            log = _Log(os.open(os.devnull, os.O_RDWR), f"its log {path} cannot be written: {error.strerror}")
+        self._logs[node] = log
+        return log
 
     def _terminate(self, node: str) -> None:
         self._on_stopping(node)
@@ -210,11 +247,22 @@ def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> d
     return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
 
 
-def node_command(node: str, site_file: Path, scenario_file: Path, module: str = "") -> list[str]:
-    """Return the command line that runs `node@site` as a child of this process, by a module of a package if given."""
+def node_command(
+    node: str, site_file: Path, scenario_file: Path, module: str = "", held: int | None = None
+) -> list[str]:
+    """Return the command line that runs a node as a child of this process.
+
+    Args:
+        node: The node as node@site.
+        site_file: The site file.
+        scenario_file: The scenario.
+        module: The module of a package, if it is one.
+        held: The descriptor by which the node finds what this process holds of these files and of others.
+    """
     name, _, site = node.partition("@")
+    given = [] if held is None else ["--held", str(held)]
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
-    return [sys.executable, "-m", module or module_of(name), *files, "--site", site, "--with-parent"]
+    return [sys.executable, "-m", module or module_of(name), *files, "--site", site, "--with-parent", *given]
 
 
 def _readable(line: str) -> str:

@@ -71,7 +71,8 @@ class RigNode(Node):
         self.interrupted = False
         # why recorders have stopped recording, by node
         self.recording_faults: dict[str, str] = {}
-        # nodes that have published their last message
+        # what recorders have told of files that were removed while they were written
+        self.removed_recordings: list[str] = []
         # the stamp of the last message of each publisher that has ended [ns]
         self.ended: dict[str, int] = {}
         self._recorder_states: dict[str, Scalar] = {}
@@ -187,6 +188,8 @@ class RigNode(Node):
         state = event.data.get("state", "")
         is_unchanged = self._recorder_states.get(event.src) == state and state != "draining"
         self._recorder_states[event.src] = state
+        if state == "removed":
+            self.removed_recordings.append(f"{event.src}: {event.text}")
         if state == "failed":
             self.recording_faults[event.src] = event.text
         if not is_unchanged and (event.level != "info" or state in ("draining", "disk_ok")):

@@ -1,16 +1,19 @@
 """`telenano up`: from a sound plan to a recording, a figure and a summary."""
 
 import contextlib
+import io
 import logging
+import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
 from telenano.launcher.external_recording import ExternalRecording, readable_here
+from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
@@ -28,13 +31,17 @@ from telenano.runtime.bus.places import Place, Places
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.realtime import shallow_idle
+from telenano.runtime.loop.realtime import raise_file_limit, shallow_idle
 from telenano.runtime.wiring import beside as beside_process
+from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
 
+# A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
+# file and scenario.
+_OPEN_AT_START = 8
 Observer = Callable[[RigNode], None]
 # A recording of a minute has so much: its report takes seconds.
 _LONG_BYTES = 20_000_000
@@ -120,6 +127,9 @@ def run_rig(
         name: The lock of the name, which is made again where somebody removes it (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
+    nodes = (*plan.nodes, *beside)
+    raise_file_limit()
+    check_rig(plan.book, nodes, _OPEN_AT_START + len(held))
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(Participant.open(plan.launcher, plan.book, signals.descriptor))
@@ -127,19 +137,29 @@ def run_rig(
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         if name is not None:
             participant.network.places.add(name)
+        files_held = HeldForNodes(plan, participant.network.access_control)
+        stack.callback(files_held.close)
         plan.prepare_folder()
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
-        nodes = (*plan.nodes, *beside)
         modules = {node: inherited.module for node, inherited in beside.items()}
         files = plan.site_file, plan.scenario_file
-        commands = {node: node_command(node, *files, modules.get(node, "")) for node in nodes}
+        table = files_held.table
+        commands = {node: node_command(node, *files, modules.get(node, ""), table) for node in nodes}
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         children = NodeProcesses(
-            commands, STOP_ORDER, log_directory, epoch_ns, lambda node: show(f"stopping {node}"), beside, held
+            commands,
+            STOP_ORDER,
+            log_directory,
+            epoch_ns,
+            lambda node: show(f"stopping {node}"),
+            beside,
+            (*held, *files_held.descriptors),
+            files_held.refresh,
         )
+        stack.callback(plan.remake_folder)
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
@@ -234,6 +254,7 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     ran = isinstance(rig, SessionNode) and rig.ran
     note = ""
     missing = [f"{node}: {fault}" for node, fault in rig.recording_faults.items()]
+    missing += rig.removed_recordings
     if isinstance(rig, SessionNode) and rig.recording is not None:
         recordings, note = _found(rig, rig.recording, plan) if ran else ((), "")
     else:
@@ -256,15 +277,55 @@ def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tu
     return (), f"{where}, which cannot be read from here: `{again}` there"
 
 
+class _OwnLog(io.TextIOBase):
+    """The launcher's own log, which is made again, with its folder, where somebody removes it."""
+
+    def __init__(self, path: Path) -> None:
+        """Begin an empty log; OSError where it cannot be written."""
+        self._path = path
+        self._file = path.open("w", encoding="utf-8")
+
+    def write(self, text: str) -> int:
+        """Append a text; what cannot be made again is left, and written where it was."""
+        with contextlib.suppress(OSError):
+            if not self._is_in_place():
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                again = self._path.open("a", encoding="utf-8")
+                self._file.close()
+                self._file = again
+        return self._file.write(text)
+
+    def flush(self) -> None:
+        """Hand what was written to the system."""
+        self._file.flush()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the file that it writes now."""
+        return self._file.fileno()
+
+    def close(self) -> None:
+        """Close the file."""
+        try:
+            super().close()
+        finally:
+            self._file.close()
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+        except FileNotFoundError:
+            return False
+
+
 @contextlib.contextmanager
-def own_log(path: Path) -> Iterator[IO[str]]:
+def own_log(path: Path) -> Iterator[None]:
     """Send the launcher's own log to a file while the block runs: the terminal belongs to the view."""
-    log = path.open("w", encoding="utf-8")
+    log = _OwnLog(path)
     try:
         with contextlib.redirect_stderr(log):
             configure_logging(as_json=True)
         try:
-            yield log
+            yield
         finally:
             # Later steps, such as the report, have no log: their result is printed.
             logging.getLogger().handlers.clear()
@@ -321,11 +382,13 @@ def report_of(
     try:
         with outcome.report_later(plan):
             return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
-    except RecordingError:
+    except RecordingError as error:
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:
             return None
-        raise
+        if not outcome.missing:
+            raise
+        raise RecordingError("; ".join((str(error), *outcome.missing))) from error
 
 
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:

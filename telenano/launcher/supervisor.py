@@ -7,7 +7,7 @@ from telenano.launcher.restart_policy import ProcessExit, RestartTracker, descri
 from telenano.launcher.watchdog import Finding, Watchdog
 from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from telenano.timing.clock import Clock
-from telenano.wire.messages import NodeHealth
+from telenano.wire.messages import NodeHealth, Scalar
 
 # level, sentence, and the facts of a session/event
 Report = Callable[..., None]
@@ -43,8 +43,9 @@ class Supervisor:
         self._watchdog = watchdog
 
     def launch(self, report: Report) -> None:
+        """Start all processes; OSError where one of the rig cannot be started."""
         for node in (*self.nodes, *self._beside):
-            self._start(node, report)
+            self._start(node, report, is_first=True)
 
     def handle_exits(self, report: Report) -> list[str]:
         """Collect the processes that ended, report what follows for each, and return their nodes."""
@@ -88,16 +89,19 @@ class Supervisor:
         """Stop all nodes while an observer looks on."""
         self._children.stop(observer or StopObserver())
 
-    def _start(self, node: str, report: Report) -> int | None:
-        """Start a process and return its id; None for one beside the rig that cannot be started, which is reported."""
+    def _start(self, node: str, report: Report, *, is_first: bool = False) -> int | None:
+        """Start a process and return its id; None where it cannot be started, which is reported and tried again.
+
+        A node that cannot be started at the first time is an error: there is no rig yet.
+        """
         self._tracker.record_start(node)
         try:
             process_id = self._children.start(node)
         except OSError as error:
-            if node not in self._beside:
+            if is_first and node not in self._beside:
                 raise
             ended = self._tracker.record_exit(node, EXIT_DIED)
-            report("warning", f"{node} cannot be started: {error}: {ended.verdict}", about_node=node)
+            self._note_exit(ended, f"{node} cannot be started: {error}: {ended.verdict}", report)
             return None
         if self._watchdog is not None:
             self._watchdog.record_start(node, process_id)
@@ -107,8 +111,11 @@ class Supervisor:
         tail = self._children.log_tail(ended.node) if ended.node in self._beside and ended.exit_code > 0 else ""
         last = f" ({tail.splitlines()[-1].strip()})" if tail else ""
         text = f"{ended.node} {_exit_text(ended)}{last}: {ended.verdict}"
-        level = "error" if ended.given_up else "warning"
-        report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
+        self._note_exit(ended, text, report, exit_code=ended.exit_code, life_s=ended.life_s)
+
+    def _note_exit(self, ended: ProcessExit, text: str, report: Report, **facts: Scalar) -> None:
+        """Report the end of a process, or a start that failed; the first one that is given up ends the rig."""
+        report("error" if ended.given_up else "warning", text, about_node=ended.node, **facts)
         if ended.given_up and not self.failure and ended.node not in self._beside:
             # The first failure is the cause; later ones are its consequences.
             self.bad_start = ended.exit_code == EXIT_BAD_START

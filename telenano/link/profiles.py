@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from telenano.files.held_files import listed
 from telenano.settings.config import Settings, read_yaml, validate
 from telenano.settings.included import NETWORK_DIRECTORY
 from telenano.wire.errors import ConfigError, known_names
@@ -80,7 +81,7 @@ class _Profiles(Mapping[str, Profile]):
 
 @cache
 def _names() -> tuple[str, ...]:
-    names = sorted(path.stem for folder in _folders() for path in folder.glob("*.yaml"))
+    names = sorted(path.stem for folder in _folders() for path in listed(folder, ".yaml"))
     return tuple(dict.fromkeys(("clean", *names)))
 
 
@@ -91,7 +92,7 @@ def _folders() -> list[Path]:
 
 @cache
 def _read(name: str) -> Profile:
-    path = next(path for folder in _folders() if (path := folder / f"{name}.yaml").is_file())
+    path = next(path for folder in _folders() for path in listed(folder, ".yaml") if path.stem == name)
     return validate(Profile, read_yaml(path), str(path))
 
 

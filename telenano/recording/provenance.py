@@ -7,6 +7,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 import zmq
 
@@ -41,31 +42,48 @@ def plugin_facts() -> dict[str, str]:
     }
 
 
-def write_provenance(
-    writer: RecordingWriter,
-    config: RecorderConfig,
-    site_file: Path,
-    scenario_file: Path | None,
-    now_ns: int,
-    further: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
-) -> None:
-    """Write site file, scenario (where one is known), versions, settings and `further` facts at the start of a file.
+class ConfigurationFile(NamedTuple):
+    """A file that a rig is configured by, with its content when the recording began."""
 
-    Raises RecordingError naming the file that cannot be read or written.
+    path: Path
+    content: bytes
+
+
+def configuration_files(site_file: Path, scenario_file: Path | None) -> dict[str, ConfigurationFile]:
+    """Return site file and scenario (where one is known) by their names, read once for all files of a recording.
+
+    What becomes of them while it is written, no later file depends on.
+
+    Raises:
+        RecordingError: One cannot be read; the message names it.
     """
     files = {}
     for name, path in (("site", site_file), ("scenario", scenario_file)):
-        if path is None:
-            continue
-        files[f"{name}_file"] = _shown(path)
-        try:
-            data = read_regular(path, LARGEST_BYTES)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-        writer.attach(f"{name}.yaml", "application/yaml", data, now_ns)
+        if path is not None:
+            try:
+                files[name] = ConfigurationFile(path, read_regular(path, LARGEST_BYTES))
+            except OSError as error:
+                raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    return files
+
+
+def write_provenance(
+    writer: RecordingWriter,
+    config: RecorderConfig,
+    files: Mapping[str, ConfigurationFile],
+    now_ns: int,
+    further: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
+) -> None:
+    """Write what the rig is configured by, versions, settings and `further` facts at the start of a file.
+
+    Raises RecordingError naming the file that cannot be written.
+    """
+    for name, file in files.items():
+        writer.attach(f"{name}.yaml", "application/yaml", file.content, now_ns)
+    shown = {f"{name}_file": _shown(file.path) for name, file in files.items()}
     settings = {f"recorder {key}": str(value) for key, value in config.model_dump(mode="json").items()}
     facts = {"format": FORMAT, "node": writer.node, "started_ns": str(now_ns)}
-    writer.add_metadata("recording", facts | files | settings)
+    writer.add_metadata("recording", facts | shown | settings)
     writer.add_metadata("versions", versions())
     if plugins := plugin_facts():
         writer.add_metadata("plugins", plugins)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from telenano.files.held_files import standing
 from telenano.serving.access import LOOPBACK, Access, tokens_given
 from telenano.serving.connections import Listener
 from telenano.serving.serve import Tls, bind, checked_tls
@@ -42,7 +43,7 @@ class ViewConfig(BaseModel):
 
     def tls(self) -> Tls | None:
         """Return the files of TLS; ConfigError where one is missing or the host needs them."""
-        files = [None if text is None else Path(text) for text in (self.certificate_file, self.key_file)]
+        files = [None if text is None else standing(Path(text)) for text in (self.certificate_file, self.key_file)]
         return checked_tls(self.host, *files)
 
     def access(self) -> Access:

@@ -4,12 +4,11 @@ import asyncio
 import contextlib
 import os
 import socket
-import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+from telenano.runtime.wiring.descriptors import descriptors_free
 from telenano.wire.errors import EndpointError
 
 # Connections beside the pages are strangers: the files of a page come over six at once, and a hello takes moments.
@@ -124,7 +123,7 @@ class Listener(socket.socket):
 
 def most_connections(least: int) -> int:
     """Return how many connections the descriptors of this process allow; EndpointError where they allow too few."""
-    free = _descriptors_free()
+    free = descriptors_free()
     if free is None:
         return MOST_CONNECTIONS
     most = min(MOST_CONNECTIONS, free - _FOR_THE_BUS - _FOR_STOPS - _CLOSING)
@@ -132,15 +131,3 @@ def most_connections(least: int) -> int:
         needed = least - most
         raise EndpointError(f"the view needs {needed} more open files than this process may have: raise `ulimit -n`")
     return most
-
-
-def _descriptors_free() -> int | None:
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    try:
-        taken = sum(1 for _ in Path("/dev/fd").iterdir())
-    except OSError:
-        return None
-    return resource.getrlimit(resource.RLIMIT_NOFILE)[0] - taken

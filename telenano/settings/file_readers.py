@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from telenano.files.held_files import standing
 from telenano.files.limited_child import Answer, Limits, read_in_child
 from telenano.files.regular_files import open_regular
 from telenano.settings import plugins
@@ -57,6 +58,7 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
         ConfigError: It is empty, no package that is installed reads it, or what its reader needs is missing.
         OSError, ValueError: As `read_in_child`.
     """
+    path = standing(path)
     open_regular(path).close()
     if path.stat().st_size == 0:
         raise ConfigError(f"{path}: is empty")

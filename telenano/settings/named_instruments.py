@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import Field
 
+from telenano.files.held_files import listed
 from telenano.settings.config import Settings, flatten, merge, read_yaml, validate
 from telenano.wire.errors import ConfigError, known_names
 
@@ -82,4 +83,4 @@ def on_instrument(document: Mapping[str, Any]) -> dict[str, Any]:
 def _files() -> dict[str, Path]:
     """Return the files by name, those of the project first."""
     folders = [Path(folder) for folder in (os.environ.get("TELENANO_INSTRUMENTS"), _FOLDER) if folder]
-    return {path.stem: path for folder in folders for path in sorted(folder.glob("*.yaml"))}
+    return {path.stem: path for folder in folders for path in listed(folder, ".yaml")}

@@ -6,7 +6,7 @@ from typing import Any
 import msgpack
 import msgspec
 
-from telenano.recording.provenance import write_provenance
+from telenano.recording.provenance import configuration_files, write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
 from telenano.recording.writer import RecordingWriter
@@ -28,7 +28,7 @@ def write_sample(folder: Path, **changes: dict[str, Any]) -> Path:
     """
     config = RecorderConfig(directory=folder)
     writer = RecordingWriter.create("recorder@master", config)
-    write_provenance(writer, config, DEFAULT_SITE_FILE, SCENARIO, _NS)
+    write_provenance(writer, config, configuration_files(DEFAULT_SITE_FILE, SCENARIO), _NS)
     for topic, row in TOPICS.items():
         message = msgspec.structs.replace(examples(row)["ordinary"], seq=0, t_ns=_NS)
         payload = msgpack.packb(msgpack.unpackb(encode(message)) | changes.get(topic, {}))

@@ -81,12 +81,13 @@ class Recorded:
     """What the recorder of one rig writes, whatever file it has in hand."""
 
     def __init__(self) -> None:
-        self._followed: dict[Path, Following] = {}
+        # A removed file and one that came after it have one name.
+        self._followed: dict[tuple[Path, int], Following] = {}
 
     def newest(self, folder: Path) -> Following:
         """Give the newest recording of a folder, as far as it is written now."""
         path = max(folder.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
-        return self._followed.setdefault(path, Following(path)).follow()
+        return self._followed.setdefault((path, path.stat().st_ino), Following(path)).follow()
 
 
 # the channels of a chunk are asked for one after the other, those of older ones hardly ever

@@ -36,6 +36,9 @@ FAULTS = {
     "command is obeyed",
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
     "the recording is removed while it is written": "reported; the recording goes on in another file",
+    "all files that a rig was started with, and the folders that it writes to, are removed, and each node is killed or "
+    "aborted": "each comes back with what it was started with, and waits to be armed; the folders are made again, the "
+    "recording goes on",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "the disk for an image, a curve or a recording of a running rig is full": "the command ends with 1 and names the "
     "place; no image or curve is left half written, the tip is withdrawn, the rig goes on",
@@ -99,6 +102,10 @@ FAULTS = {
     "started again the link holds nothing",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
+    "the launcher of a site that is a service is killed, and aborted": "its nodes end with their devices safe; started "
+    "again by its unit, it records into a new folder, and the tip waits to be armed",
+    "bytes of TCP between the sites are altered behind a right checksum": "no sample that was altered counts; what is "
+    "aborted is started again, and the tip waits to be armed",
     "the relay is killed and started again": "where the datagrams go through it: hand let go, tip holds, then "
     "withdraws; joined again without a restart of the sites, the tip waits to be armed",
     "a relay that drops, repeats, holds back, forges and floods": "genuine samples alone are obeyed, none after "

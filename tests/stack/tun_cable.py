@@ -22,7 +22,8 @@ delivered before one that was sent earlier. With `burst` losses come in runs of 
 
 With `tamper` it is the attacker on the line as well: of that share of the datagrams it delivers, by turns, a second
 copy, a changed one, a cut one, one that is too long, and one that begins with no known key, all from the sender's
-address; or it holds the genuine one back until others have overtaken it.
+address; or it holds the genuine one back until others have overtaken it. With `flip_tcp` it alters one bit of the data
+in that share of the packets of TCP, and makes the checksum right, as a bad middlebox may.
 """
 
 import argparse
@@ -47,7 +48,7 @@ from pathlib import Path
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _CLONE_NEWNET = 0x40000000
 DEVICE = "wan0"
-_UDP = 17
+_TCP, _UDP = 6, 17
 _PRIORITY = 70
 _NS = 1_000_000_000
 # handed over later than this after its time, a packet is late; held up for longer than this, the cable is
@@ -70,6 +71,7 @@ class Impairment:
     block_udp_back: bool = False
     cut: bool = False
     tamper: float = 0.0
+    flip_tcp: float = 0.0
     rate_bit_per_s: float = 0.0
     queue_bytes: int = 64_000
     fair: bool = False
@@ -186,6 +188,28 @@ def with_payload(packet: bytes, payload: bytes) -> bytes:
     return bytes(header) + ports + (8 + len(payload)).to_bytes(2, "big") + bytes(2) + payload
 
 
+def with_flipped_bit(packet: bytes, draw: random.Random) -> bytes:
+    """Return an IPv4 packet of TCP with one bit of its data altered and the checksum made right (RFC 1624)."""
+    head = (packet[0] & 0x0F) * 4
+    data = head + (packet[head + 12] >> 4) * 4
+    if len(packet) <= data:
+        return packet
+    changed, at = bytearray(packet), draw.randrange(data, len(packet))
+    word = at - (at - head) % 2
+
+    def value(of: bytes | bytearray) -> int:
+        return int.from_bytes(bytes(of[word : word + 2]).ljust(2, b"\0"), "big")
+
+    changed[at] ^= 1 << draw.randrange(8)
+    total = (
+        (~int.from_bytes(packet[head + 16 : head + 18], "big") & 0xFFFF) + (~value(packet) & 0xFFFF) + value(changed)
+    )
+    while total >> 16:
+        total = (total & 0xFFFF) + (total >> 16)
+    changed[head + 16 : head + 18] = (~total & 0xFFFF).to_bytes(2, "big")
+    return bytes(changed)
+
+
 def payload_of(packet: bytes) -> bytes:
     """Return the payload of an IPv4 packet of UDP."""
     return packet[(packet[0] & 0x0F) * 4 + 8 :]
@@ -212,6 +236,7 @@ class Cable:
         self._draws = (random.Random(f"{seed} there"), random.Random(f"{seed} back"))
         self._attacks = tuple(random.Random(f"{seed} attacks {place}") for place in range(2))
         self._jitter = tuple(random.Random(f"{seed} jitter {place}") for place in range(2))
+        self._flips = tuple(random.Random(f"{seed} flips {place}") for place in range(2))
         self._losing, self._latest_ns = [False, False], [0, 0]
         self._by_turns = tuple(itertools.cycle([*ATTACKS, REORDERED]) for _ in range(2))
         self._under_way: list[tuple[int, int, int, bytes]] = []
@@ -269,6 +294,9 @@ class Cable:
             counts.bytes_taken[place] += len(packet)
             # drawn for every packet, so that a change of one rule does not change the draws of the others
             lost = self._is_lost(place)
+            if self._flips[place].random() < rules.flip_tcp and packet[0] >> 4 == 4 and packet[9] == _TCP:
+                packet = with_flipped_bit(packet, self._flips[place])
+                counts.attacks[1 - place]["flipped"] = counts.attacks[1 - place].get("flipped", 0) + 1
             blocked = rules.block_udp_back if place else rules.block_udp_there
             if lost or rules.cut or (blocked and is_udp(packet)):
                 counts.dropped += 1

@@ -40,6 +40,7 @@ from telenano.launcher.fan_out import fan_out
 from telenano.launcher.page import inherited_by_page
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.launcher.rigs import own_rig
+from telenano.launcher.room import check_room
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from telenano.recording.multi_file import open_recordings
 from telenano.runtime.security.keyring import Keyring
@@ -130,6 +131,7 @@ def _run(
     """Run the session, in a folder where none is asked for, and make its report."""
     plan = make_plan(request, folder)
     _warn(request, plan)
+    check_room(plan)
     view = _open_view(live=not (headless or quiet or as_json), quiet=quiet or as_json)
     with (
         own_rig(plan, _tell) as own,

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
+from telenano.files.held_files import standing
 from telenano.wire.errors import ConfigError
 
 T = TypeVar("T")
@@ -42,6 +43,7 @@ def read_text(path: Path) -> str:
     Raises:
         ConfigError: It is not a file, too large, or not UTF-8 text; the message names the file.
     """
+    path = standing(path)
     try:
         # A device or a pipe would never end, and the link would stand still while it reads.
         if not path.is_file():

@@ -1,6 +1,8 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
-from telenano.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
+from pathlib import Path
+
+from telenano.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role, list_bytes
 from telenano.wire.errors import ConfigError
 
 
@@ -27,6 +29,13 @@ class AccessControl:
     def public_key(self) -> str:
         """The public key of this machine, empty in a rig without keys."""
         return "" if self.own is None else self.own.public.decode()
+
+    def held_files(self) -> dict[Path, bytes]:
+        """Return what a process of this machine needs of the folder of keys, as it is in force here, by path."""
+        if self.own is None:
+            return {}
+        pair = self.keyring.pair_bytes(self.machine, self.own)
+        return {self.keyring.secret_path(self.machine): pair, self.keyring.allowed_path: list_bytes(self._allowed.keys)}
 
     def reload(self) -> bool:
         """Read the list again if it has changed; ConfigError leaves the old one in force.

@@ -19,6 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
 from telenano.files.atomic_files import changed, locked, write_whole
+from telenano.files.held_files import listed
 from telenano.runtime.bus.address_book import MACHINE_PATTERN
 from telenano.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
 from telenano.settings.config import Settings, parse_yaml, validate
@@ -137,13 +138,13 @@ class Keyring:
 
     def names(self) -> list[str]:
         try:
-            return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in self.folder.glob("*" + _SECRET_SUFFIX))
+            return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in listed(self.folder, _SECRET_SUFFIX))
         except OSError as error:
             raise ConfigError(f"{self.folder}: cannot be read: {error.strerror}") from error
 
     def own(self, name: str) -> KeyPair:
         """Return the key pair of a machine; ConfigError also when other users can read its file."""
-        path = self.folder / f"{name}{_SECRET_SUFFIX}"
+        path = self.secret_path(name)
         hint, again = (f"`telenano keys new {name}{option}` creates one" for option in ("", " --replace"))
         try:
             data = read_secret(path)
@@ -155,6 +156,10 @@ class Keyring:
         if not _is_key_pair(public, secret):
             raise ConfigError(f"{path}: contains no valid key pair: {again}")
         return KeyPair(public, secret, expiry_in(data, path))
+
+    def secret_path(self, name: str) -> Path:
+        """Return the file with both halves of the key pair of a machine."""
+        return self.folder / f"{name}{_SECRET_SUFFIX}"
 
     def own_in_force(self, name: str) -> KeyPair:
         """Return the key pair of a machine as `own` does; ConfigError also when it has expired."""
@@ -180,24 +185,26 @@ class Keyring:
     def create(self, name: str, *, replace: bool = False, expires: date | None = None) -> KeyPair:
         """Create a key pair; ConfigError when there is one already, unless `replace`."""
         _check_name(name)
-        path = self.folder / f"{name}{_SECRET_SUFFIX}"
+        path = self.secret_path(name)
         pair = KeyPair(*zmq.curve_keypair())
         # on a command line, a key that begins with a dash would be taken for an option
         while pair.public.startswith(b"-"):
             pair = KeyPair(*zmq.curve_keypair())
-        public, secret = (
-            f'    {half}-key = "{key.decode()}"\n' for half, key in (("public", pair.public), ("secret", pair.secret))
-        )
-        public += f'    expires = "{expires}"\n' if expires is not None else ""
+        pair = pair._replace(expires=expires)
         with self._folder_for_writing(), locked(self.allowed_path):
             if not replace and path.exists():
                 raise ConfigError(
                     f"{path} already exists: --replace creates a new key, which the other machines must allow"
                 )
-            write_whole(path, (_CERTIFICATE.format(kind="secret", name=name) + public + secret).encode())
+            write_whole(path, self.pair_bytes(name, pair))
             public_path = path.with_suffix(_PUBLIC_SUFFIX)
-            write_whole(public_path, (_CERTIFICATE.format(kind="public", name=name) + public).encode())
+            write_whole(public_path, _certificate("public", name, pair))
         return self.own(name)
+
+    @staticmethod
+    def pair_bytes(name: str, pair: KeyPair) -> bytes:
+        """Return the content of the file with both halves of a key pair."""
+        return _certificate("secret", name, pair) + f'    secret-key = "{pair.secret.decode()}"\n'.encode()
 
     def misplaced(self, name: str) -> str:
         """Return why the secret of a machine and the name of its file do not belong together; empty where they may."""
@@ -279,9 +286,7 @@ class Keyring:
         """Change the list, whose newest entries the step gets: another command may have added one meanwhile."""
 
         def changed_bytes(before: bytes | None) -> bytes:
-            keys = sorted(step(AllowList() if before is None else self._parsed(before)), key=lambda key: key.name)
-            document = {"keys": [key.model_dump(mode="json", exclude_none=True) for key in keys]}
-            return yaml.safe_dump(document, sort_keys=False, width=120).encode()
+            return list_bytes(step(AllowList() if before is None else self._parsed(before)))
 
         # The folder is whole at every moment, because a running node may read it.
         with self._folder_for_writing():
@@ -302,6 +307,13 @@ class Keyring:
             raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from error
         finally:
             os.umask(before)
+
+
+def list_bytes(keys: Sequence[AllowedKey]) -> bytes:
+    """Return the content of a list of allowed keys."""
+    ordered = sorted(keys, key=lambda key: key.name)
+    document = {"keys": [key.model_dump(mode="json", exclude_none=True) for key in ordered]}
+    return yaml.safe_dump(document, sort_keys=False, width=120).encode()
 
 
 def this_machine(keyring: Keyring) -> str:
@@ -340,6 +352,12 @@ def key_text(raw: bytes) -> str:
     """Return a key of 32 bytes as Z85 text."""
     encoded: bytes = z85.encode(raw)
     return encoded.decode("ascii")
+
+
+def _certificate(kind: str, name: str, pair: KeyPair) -> bytes:
+    expires = "" if pair.expires is None else f'    expires = "{pair.expires}"\n'
+    text = _CERTIFICATE.format(kind=kind, name=name) + f'    public-key = "{pair.public.decode()}"\n' + expires
+    return text.encode()
 
 
 def _check_name(name: str) -> None:

@@ -1,5 +1,6 @@
 """The connecting side: connections to the nodes of other machines, their state, and what may be sent over them."""
 
+import errno
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -166,15 +167,23 @@ class PeerConnections:
         for peer in self.connections if due else ():
             if peer.lost:
                 peer.lost = False
-                self.subscriber.socket.disconnect(peer.endpoint)
+                self._let_go(peer.endpoint)
         for peer in due:
             peer.reconnect_ns = None
             self.subscriber.socket.connect(peer.endpoint)
 
     def _schedule_reconnect(self, peer: PeerConnection) -> None:
         if peer.reconnect_ns is None or peer.lost:
-            self.subscriber.socket.disconnect(peer.endpoint)
+            self._let_go(peer.endpoint)
         peer.lost, peer.reconnect_ns = False, self._clock.monotonic_ns() + _RECONNECT_NS
+
+    def _let_go(self, endpoint: str) -> None:
+        """Disconnect from an endpoint, which libzmq may have done itself after a broken protocol."""
+        try:
+            self.subscriber.socket.disconnect(endpoint)
+        except zmq.ZMQError as error:
+            if error.errno != errno.ENOENT:
+                raise
 
     def _connect(self, server_key: bytes | None) -> None:
         own = self._access_control.own
@@ -191,7 +200,7 @@ class PeerConnections:
         self._active = False
         for peer in self.connections:
             if peer.reconnect_ns is None or peer.lost:
-                self.subscriber.socket.disconnect(peer.endpoint)
+                self._let_go(peer.endpoint)
             peer.lost, peer.reconnect_ns = False, None
             self._record_down(peer, f"was closed: the key of {self.machine} that it used is no longer allowed")
 

@@ -4,6 +4,7 @@ import contextlib
 import os
 from pathlib import Path
 
+from telenano.files.held_files import is_held
 from telenano.files.regular_files import NotRegularError, open_regular
 from telenano.runtime.bus.local_endpoint import (
     MOST_RIG_LETTERS,
@@ -53,7 +54,9 @@ def read_trusted(path: Path) -> bytes:
 def _read(path: Path, forbidden: int, what: str) -> bytes:
     data, status = read_regular(path)
     _check(path, status, forbidden, what, "600")
-    check_folder_of_files(path.parent)
+    # Its folder may be gone with it where the process that started this one holds it.
+    if not is_held(path):
+        check_folder_of_files(path.parent)
     return data
 
 

@@ -12,6 +12,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
+from telenano.files import held_files
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.runtime.loop.log import StructuredLog, configure_logging
@@ -91,6 +92,7 @@ class NodeArguments(argparse.Namespace):
     set: list[str]
     rig: str | None
     with_parent: bool
+    held: int | None
 
 
 class _Parser(argparse.ArgumentParser):
@@ -111,7 +113,12 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     about = f"rig of several on this machine; default: {RIG_VARIABLE}, else the first one, {FIRST_RIG}"
     parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
-    return parser.parse_args(arguments, namespace=NodeArguments())
+    # What a launcher holds for its nodes is a descriptor, which nobody types.
+    parser.add_argument("--held", type=int, help=argparse.SUPPRESS)
+    read = parser.parse_args(arguments, namespace=NodeArguments())
+    if read.held is not None:
+        held_files.receive(read.held)
+    return read
 
 
 def beside_the_loop() -> None:
@@ -165,7 +172,6 @@ def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> Non
     key = f"{kind.name}@{arguments.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
-    raise_file_limit()
     with Participant.open(key, book, signals.descriptor) as participant:
         values = {**vars(participant), "period_s": loaded.scenario.period_s}
         wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)

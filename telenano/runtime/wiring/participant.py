@@ -23,7 +23,7 @@ from telenano.runtime.loop.log import RateLimitedLog, StructuredLog
 from telenano.runtime.loop.machine import OWN_MACHINE, Machine
 from telenano.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
-from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
+from telenano.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling, raise_file_limit
 from telenano.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from telenano.runtime.wiring.link_transports import LinkEnds, LinkSide, link_transport
 from telenano.runtime.wiring.transport import Transport, open_context
@@ -209,11 +209,14 @@ class Participant:
             EndpointError: The node is not in the book.
             ConfigError: Its machine lacks a key that the rig needs.
         """
+        raise_file_limit()
         clock = SystemClock()
         machine = _machine_of(book, key) if publisher else this_machine(Keyring())
         with contextlib.ExitStack() as resources:
             context = resources.enter_context(open_context(serves_network=publisher and book.spans_machines))
-            network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
+            network = resources.enter_context(
+                contextlib.closing(Transport(context, clock, book, machine, owner=key if publisher else "this command"))
+            )
             yield Participant(
                 key=key,
                 book=book,

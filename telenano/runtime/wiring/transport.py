@@ -24,6 +24,7 @@ from telenano.runtime.security.peer_connections import PeerConnections
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.security.socket_monitor import RejectionCounter
 from telenano.runtime.security.zap_authenticator import ZapAuthenticator
+from telenano.runtime.wiring.descriptors import Descriptors, readers_of
 from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
@@ -149,8 +150,17 @@ class Transport:
         book: AddressBook,
         machine: str,
         keyring: Keyring | None = None,
+        owner: str = "this process",
     ) -> None:
         """Read the keys of a machine if the rig requires any.
+
+        Args:
+            context: The context of ZeroMQ.
+            clock: The clock of the process.
+            book: The addresses of the rig.
+            machine: The machine.
+            keyring: Its folder of keys; None for that of this user.
+            owner: Who has the sockets, as an error names it.
 
         Raises:
             ConfigError: The machine has no key, or one that other users can read, or other users can reach the folder
@@ -159,11 +169,13 @@ class Transport:
         if book.uses_runtime_directory:
             check_runtime_directory()
         self.machine = machine
+        self.owner = owner
         self.access_control = AccessControl(machine, keyring, requires_keys=book.requires_keys)
         self.has_pending = False
         self.context = context
         self.clock = clock
         self.book = book
+        self._needed_files = Descriptors(int(context.get(zmq.IO_THREADS)))
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
         self._peers: list[PeerConnections] = []
@@ -197,13 +209,17 @@ class Transport:
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
         self._prepare_folder()
+        self._needed_files.add_publisher(readers_of(self.book, key))
+        self._needed_files.check(self.owner)
         if network is None:
             publisher = ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
             self.places.add(publisher)
             return publisher
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
-            _set_network_options(socket, _READER_SILENCE_MS, network)
+            _set_network_options(socket, network)
+            # A reader without pings is given up by the kernel, where it acknowledges nothing for so long.
+            socket.set(zmq.TCP_MAXRT, _READER_SILENCE_MS)
             if self.context.get(zmq.IO_THREADS) > 1:
                 socket.set(zmq.AFFINITY, _SECOND_THREAD)
                 self._lowered = False
@@ -266,7 +282,8 @@ class Transport:
     def connect_beside(self, node: str, subscriber: Subscriber) -> None:
         """Connect a socket to a node that another socket is connected to as well, which alone reports what happens."""
         endpoint, machine = self.book.connect_endpoint(node, self.machine), self.book.machine_of(node)
-        _set_network_options(subscriber.socket, _LOOP_SILENCE_MS, endpoint)
+        _set_network_options(subscriber.socket, endpoint)
+        _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
         parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
         peers = PeerConnections(machine, *parts, is_reported=False)
         self._peers.append(peers)
@@ -281,6 +298,9 @@ class Transport:
         endpoint = self.book.estop_endpoint(key)
         if endpoint is None:
             return None
+        # Those who send stops come for a moment, and one is enough.
+        self._needed_files.add_publisher(1)
+        self._needed_files.check(self.owner)
         inlet = EstopInlet(self.context, self.clock, key, endpoint)
         self.places.add(inlet)
         return inlet
@@ -314,6 +334,8 @@ class Transport:
         shared: bool = False,
         hears: bool = True,
     ) -> Subscriber:
+        self._needed_files.add_reader(len(plan))
+        self._needed_files.check(self.owner)
         endpoints = {node: self.book.connect_endpoint(node, self.machine) for node in plan}
         if shared:
             further = {node: fan_out_endpoint(endpoint) for node, endpoint in endpoints.items()}
@@ -326,7 +348,8 @@ class Transport:
             return reader
         subscriber = Subscriber(self.context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
         subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
-        _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
+        _set_network_options(subscriber.socket, *by_endpoint)
+        _set_heartbeats(subscriber.socket, silence_ms)
         machine = self.book.machine_of(next(iter(plan)))
         peers = PeerConnections(machine, endpoints, subscriber, self.clock, self.access_control, self._rejections)
         self._peers.append(peers)
@@ -354,11 +377,20 @@ class Transport:
         return events
 
 
-def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoints: str) -> None:
-    if any("[" in endpoint for endpoint in endpoints):
-        socket.set(zmq.IPV6, 1)
+def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:
+    """Have a reader give up a connection that is silent for a time [ms], and its publisher one without its pings.
+
+    Publishers send no pings of their own. Where bytes of a connection are altered and it is then reset, the next ping
+    of the side that accepted it ends the process: `Assertion failed: !_io_error (src/stream_engine_base.cpp:310)`.
+    """
     socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
     socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
+    socket.set(zmq.HEARTBEAT_TTL, _READER_SILENCE_MS)
+
+
+def _set_network_options(socket: "zmq.Socket[bytes]", *endpoints: str) -> None:
+    if any("[" in endpoint for endpoint in endpoints):
+        socket.set(zmq.IPV6, 1)
     socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
     socket.set(zmq.BACKLOG, _BACKLOG)
     socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)

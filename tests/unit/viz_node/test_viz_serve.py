@@ -227,10 +227,10 @@ def test_there_are_no_more_connections_than_there_may_be(address: str, connectio
 
 
 def test_too_few_open_files_are_reported_before_the_page_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "_descriptors_free", lambda: 150)
+    monkeypatch.setattr(limits, "descriptors_free", lambda: 150)
     with pytest.raises(EndpointError, match=r"needs 18 more open files .* raise `ulimit -n`"):
         limits.most_connections(24)
-    monkeypatch.setattr(limits, "_descriptors_free", lambda: 180)
+    monkeypatch.setattr(limits, "descriptors_free", lambda: 180)
     assert limits.most_connections(24) == 36
 
 

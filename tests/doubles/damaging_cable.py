@@ -1,0 +1,164 @@
+"""A cable of TCP that alters, cuts, delays, repeats and floods what passes it, in handshakes and in streams, by a seed.
+
+    with DamagingCable({port: target_port}, seed=1) as cable: ...
+
+It stands between two ends of ZeroMQ on this machine: who connects to one of its ports is connected to the target. What
+it alters arrives behind a right checksum, as from a machine on the path. `cable.done` counts what it did.
+"""
+
+import asyncio
+import contextlib
+import random
+import socket
+import struct
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from types import TracebackType
+
+# Greeting, handshake and the first messages of a connection are within these bytes of a direction.
+_HANDSHAKE_BYTES = 700
+# What is altered later is altered within so many bytes more, which is a second of a stream.
+_STREAM_BYTES = 60_000
+# A connection lives for so long before it is cut, at most [s].
+_LONGEST_S = 3.0
+_GREETING = bytes((0xFF, 0, 0, 0, 0, 0, 0, 0, 1, 0x7F, 3, 1))
+_MECHANISMS = (b"CURVE", b"NULL", b"PLAIN", b"GSSAPI", bytes(20))
+_COMMANDS = (
+    b"\x05HELLO",
+    b"\x07WELCOME",
+    b"\x08INITIATE",
+    b"\x05READY",
+    b"\x05ERROR",
+    b"\x07MESSAGE",
+    b"\x04PING",
+    b"",
+)
+
+
+class DamagingCable:
+    """Carries the connections to some ports, and damages them, while the block runs."""
+
+    def __init__(self, targets: Mapping[int, int], seed: int, *, early: float = 0.2, flood_per_s: float = 20.0) -> None:
+        """Stand before ports (the targets) at other ports.
+
+        Args:
+            targets: The port of the target by the port to which others connect.
+            seed: What is drawn.
+            early: Share of the directions that are altered in their handshake.
+            flood_per_s: Connections of its own with garbage to each target [1/s].
+        """
+        self.done: Counter[str] = Counter()
+        self._targets, self._draw = dict(targets), random.Random(seed)
+        self._early, self._flood_per_s = early, flood_per_s
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._floods: list[asyncio.Task[None]] = []
+        self._open: list[asyncio.StreamWriter] = []
+
+    def __enter__(self) -> "DamagingCable":
+        self._thread.start()
+        asyncio.run_coroutine_threadsafe(self._begin(), self._loop).result(10.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(10.0)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _begin(self) -> None:
+        self._servers = [
+            await asyncio.start_server(lambda near, out, port=target: self._join(near, out, port), "127.0.0.1", port)
+            for port, target in self._targets.items()
+        ]
+        if self._flood_per_s:
+            self._floods = [self._loop.create_task(self._flood(target)) for target in self._targets.values()]
+
+    async def _end(self) -> None:
+        for server in self._servers:
+            server.close()
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        for writer in self._open:
+            writer.transport.abort()
+        # What was aborted is closed in the next round.
+        await asyncio.sleep(0.05)
+
+    async def _join(self, near: asyncio.StreamReader, to_near: asyncio.StreamWriter, target: int) -> None:
+        self.done["connections"] += 1
+        self._open.append(to_near)
+        try:
+            far, to_far = await asyncio.open_connection("127.0.0.1", target)
+        except OSError:
+            to_near.close()
+            return
+        self._open.append(to_far)
+        until_s = self._loop.time() + self._draw.uniform(0.1, 1.0) * self._draw.choice((0.1, 1.0)) * _LONGEST_S
+        ways = self._carry(near, to_far, until_s), self._carry(far, to_near, until_s)
+        with contextlib.suppress(OSError, TimeoutError):
+            await asyncio.gather(*ways)
+        for writer in (to_near, to_far):
+            if self._draw.random() < 0.5:
+                # It ends by a reset, with what waits unsent.
+                end = writer.get_extra_info("socket")
+                with contextlib.suppress(OSError):
+                    end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                self.done["resets"] += 1
+            writer.close()
+
+    async def _carry(self, source: asyncio.StreamReader, target: asyncio.StreamWriter, until_s: float) -> None:
+        draw, passed = self._draw, 0
+        next_at = draw.randrange(_HANDSHAKE_BYTES if draw.random() < self._early else _STREAM_BYTES)
+        while (left_s := until_s - self._loop.time()) > 0:
+            piece = await asyncio.wait_for(source.read(draw.choice((7, 64, 4096))), left_s)
+            if not piece:
+                return
+            if passed <= next_at < passed + len(piece):
+                piece = self._altered(
+                    piece, next_at - passed, "handshakes" if next_at < _HANDSHAKE_BYTES else "streams"
+                )
+                next_at += draw.randrange(_STREAM_BYTES)
+            passed += len(piece)
+            if draw.random() < 0.01:
+                self.done["delays"] += 1
+                await asyncio.sleep(draw.uniform(0.0, 0.3))
+            target.write(piece)
+            await target.drain()
+
+    def _altered(self, piece: bytes, at: int, where: str) -> bytes:
+        draw = self._draw
+        kind = draw.choice(("flips", "flips", "flips", "cuts", "repeats", "insertions"))
+        self.done[f"{kind} in {where}"] += 1
+        if kind == "flips":
+            return piece[:at] + bytes((piece[at] ^ 1 << draw.randrange(8),)) + piece[at + 1 :]
+        if kind == "cuts":
+            return piece[:at]
+        if kind == "repeats":
+            return piece[:at] + piece
+        return piece[:at] + draw.randbytes(draw.choice((1, 9, 300))) + piece[at:]
+
+    async def _flood(self, target: int) -> None:
+        """Connect to a target over and over, and send what begins as a peer of ZeroMQ and goes on as none."""
+        draw = self._draw
+        while True:
+            await asyncio.sleep(draw.expovariate(self._flood_per_s))
+            with contextlib.suppress(OSError):
+                _, writer = await asyncio.open_connection("127.0.0.1", target)
+                self._open.append(writer)
+                self.done["floods"] += 1
+                greeting = (
+                    _GREETING + draw.choice(_MECHANISMS).ljust(20, b"\0") + bytes((draw.randrange(2),)) + bytes(31)
+                )
+                name = draw.choice(_COMMANDS)
+                body = name + draw.randbytes(draw.choice((0, 10, 194, 250)))
+                frame = bytes((draw.choice((4, 0, 1, 2, 6, 255)), min(255, len(body)))) + body
+                text = draw.choice((greeting, greeting[: draw.randrange(64)], b"GET / HTTP/1.1\r\n\r\n", b""))
+                writer.write(text + draw.choice((frame, frame * 50, b"")))
+                await asyncio.sleep(draw.uniform(0.0, 0.05))
+                if draw.random() < 0.7:
+                    writer.close()
