@@ -82,7 +82,7 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	@$(PYTHON) services/viz_node/build_page.py >/dev/null 2>&1 & \
 	  $(MAKE) --no-print-directory $(VENV)/.rig; failed=$$?; wait; exit $$failed
 	-@$(MAKE) --no-print-directory page
-	$(BIN)/telenano up --scenario fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
+	$(BIN)/telenano up fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what

@@ -2,7 +2,7 @@
 
     python benchmarks/dynamic_node.py [--rounds N] [--duration S] [--steps N ...] [--json]
 
-Both are `telenano up --scenario fig12` with its cantilever of 40 N/m and 150 kHz pressed into contact, taken in turns:
+Both are `telenano up fig12` with its cantilever of 40 N/m and 150 kHz pressed into contact, taken in turns:
 quasi-static, then dynamic with each number of steps a period, in every second round the other way round. Of the
 instrument a missed deadline is a step that comes 2 ms or more after the one before it, as `afm/state` has it, while the
 tip follows the hand; of all other nodes it is what they report (a period late or more) between their first and last

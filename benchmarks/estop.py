@@ -2,7 +2,7 @@
 
     python benchmarks/estop.py [--rounds N] [--command "session estop"] [--json]
 
-A rig runs (`telenano up --scenario fig12`). In each round the devices are armed and the command is started as a process
+A rig runs (`telenano up fig12`). In each round the devices are armed and the command is started as a process
 of its own; the clock runs from before its start to the `t_ns` of the first afm/state that is in emergency stop, and on
 until the command has ended. The baseline is `python -c pass`, from before its start to its end, in the same round.
 Half of the rounds are on the machine as it is, the other half beside one busy process for each processor.

@@ -6,7 +6,7 @@ The floors (`chains.py`): five processes pass bytes of the very sizes of our mes
 (hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, doing nothing else:
 over connected Unix-domain sockets, `plain` as any program would run and `placed` under the scheduling that the rig's
 nodes ask for; and placed over `zeromq`, with a subscriber that drains everything in the recorder's place. The rig:
-`telenano up --scenario fig12`, the age of the loop as its own recording has it, the processor time and memory of each
+`telenano up fig12`, the age of the loop as its own recording has it, the processor time and memory of each
 process as the kernel has it, and the time to the first tick of the hand. A last run of each round with `hop_trace` in
 its nodes tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
 """

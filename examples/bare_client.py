@@ -1,6 +1,6 @@
 """Read a running rig without the library, by a socket and msgpack alone, as a program in any language may do.
 
-Run it: telenano up --scenario examples/pressing.yaml --headless --out out/pressing, and in a second terminal
+Run it: telenano up examples/pressing.yaml --headless --out out/pressing, and in a second terminal
         python examples/bare_client.py [FOLDER [SECONDS]]     takes: 10 s   needs: pip install pyzmq msgpack matplotlib
 You see: the force at the tip twice a second, then its picture. proto/SPEC.md describes the wire; nothing here imports
 telenano. A reader that only looks connects to .fan, so that the node does not notice how many readers there are.

@@ -1,6 +1,6 @@
 """Plot a running rig while it runs, and keep the last picture.
 
-Run it: telenano up --scenario examples/pressing.yaml --headless --out out/pressing, and in a second terminal
+Run it: telenano up examples/pressing.yaml --headless --out out/pressing, and in a second terminal
         python examples/live_plot.py [FOLDER [SECONDS]]     takes: 10 s     needs: pip install 'telenano[viz]'
 You see: the last ten seconds of the hand and the tip in a window; without a display only the last picture. The tip
 presses with 1/1.05 of the hand's force. A node publishes hundreds of messages a second: read them often, draw seldom.

@@ -15,14 +15,14 @@ from telenano.wire.errors import ConfigError
 # What a package can bring.
 Kind = Literal["law", "device", "instrument", "operator", "sample", "program", "task", "command", "check"]
 _TRY_IT: dict[Kind, str] = {
-    "law": "telenano law check $name\ntelenano up --scenario fig12 --set controller.law=$name",
-    "operator": "telenano up --scenario fig12 --set 'haptic_node.operator={kind: $name}'",
-    "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
-    "program": "telenano up --scenario image\ntelenano session set --target afm_node program=$name $name.radius_m=3e-8",
+    "law": "telenano law check $name\ntelenano up fig12 --set controller.law=$name",
+    "operator": "telenano up fig12 --set 'haptic_node.operator={kind: $name}'",
+    "sample": "telenano up fig12 --set afm_node.environment=$name",
+    "program": "telenano up image\ntelenano session set --target afm_node program=$name $name.radius_m=3e-8",
     "task": "telenano experiment new\n# and in its YAML, under tasks: {name: $name}",
-    "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
-    "instrument": "telenano up --scenario fig12 --set afm_node.driver=$name",
-    "command": "telenano up --scenario fig12 --headless &\ntelenano $dashed --duration 2",
+    "device": "telenano up fig12 --set haptic_node.driver=$name",
+    "instrument": "telenano up fig12 --set afm_node.driver=$name",
+    "command": "telenano up fig12 --headless &\ntelenano $dashed --duration 2",
     "check": "telenano doctor",
 }
 # An instrument is a device of the AFM's node.

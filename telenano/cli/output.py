@@ -217,9 +217,9 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     figures = [path for path in sorted(folder.glob("*")) if path.suffix in (".png", ".pdf", ".svg")]
     reason = f" ({summary['reason']})" if summary["verdict"] != "stable" and summary.get("reason") else ""
     if summary["scenario"] == "touch":
-        further = f"`{own_command()} up --scenario fig12 --round-trip-ms 60` shows what delay does"
+        further = f"`{own_command()} up fig12 --round-trip-ms 60` shows what delay does"
     else:
-        further = f"`{own_command()} up --scenario touch` lets you press"
+        further = f"`{own_command()} up touch` lets you press"
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{_held(summary)}",
         f"picture: {_as_typed(figures[0]) if figures else 'none'}; all numbers: {_as_typed(folder / 'summary.json')}",

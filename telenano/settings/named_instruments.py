@@ -1,6 +1,6 @@
 """Named instruments: keys of a scenario that say what disturbs an AFM, each with its source.
 
-    scenario: fig12             telenano up --scenario fig12 --instrument real
+    scenario: fig12             telenano up fig12 --instrument real
     instrument: real            telenano.simulate("fig12", instrument="real")
 
 An instrument is a file of `telenano/settings/instruments`, and its name is that of the file. The keys of a scenario

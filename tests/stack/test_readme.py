@@ -17,8 +17,8 @@ RUN_HERE = {
     "make demo": None,
     "make test": None,
     ". .venv/bin/activate": None,
-    "telenano up --scenario touch": "--set viz_node.port=0",
-    "telenano up --scenario fig12 --round-trip-ms 60 --out out/late": "--no-view",
+    "telenano up touch": "--set viz_node.port=0",
+    "telenano up fig12 --round-trip-ms 60 --out out/late": "--no-view",
     "python -c": "",
 }
 

@@ -88,7 +88,7 @@ def new(
         with atomic_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
     quoted = shlex.quote(str(path))
-    text = f"{path}; next: telenano scenario check {quoted} && telenano up --scenario {quoted}"
+    text = f"{path}; next: telenano scenario check {quoted} && telenano up {quoted}"
     print_answer({"file": str(path)}, text, as_json=as_json)
 
 

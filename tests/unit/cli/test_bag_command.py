@@ -146,7 +146,7 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
     assert lines[-3:] == [
         "fig12 with wave then passivity, 40 ms by the link: limit cycle",
         f"picture: {tmp_path / 'fig12.png'}; all numbers: {tmp_path / 'summary.json'}",
-        "next: `bin/telenano view s.mcap` shows it again, `bin/telenano up --scenario touch` lets you press",
+        "next: `bin/telenano view s.mcap` shows it again, `bin/telenano up touch` lets you press",
     ]
 
 

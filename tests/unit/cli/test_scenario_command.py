@@ -211,7 +211,7 @@ def test_the_shell_completes_commands_options_and_values() -> None:
     for words, expected in (
         ("telenano sce", "scenario"),
         ("telenano up --sweep a --rou", "--round-trip-ms"),
-        ("telenano up --scenario fi", "fig12"),
+        ("telenano up fi", "fig12"),
         ("telenano topic echo teleop/forward@", "teleop/forward@slave"),
     ):
         environment = {**os.environ, "PYTHONPATH": str(root), "_TELENANO_COMPLETE": "complete_bash"}
