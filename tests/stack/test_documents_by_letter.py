@@ -139,7 +139,7 @@ def test_the_emulated_devices_by_the_letter(rig: Rig, tmp_path: Path) -> None:
                 done = run([sys.executable, "-m", "telenano", *words, *more], tmp_path, environment)
                 assert done.returncode in (0, 3), (words, done.stderr)
                 ran.append(" ".join(words[:2]))
-    assert sorted(ran) == ["device monitor", "device probe", "device probe", "up --scenario"]
+    assert sorted(ran) == ["device monitor", "device probe", "device probe", "up fig12"]
 
 
 @pytest.mark.skipif(bool(missing_for_view()), reason=missing_for_view() or "the page is there")
@@ -247,7 +247,7 @@ def test_a_law_of_ones_own_is_made_installed_and_run_by_the_letter(rig: Rig, tmp
         text = line.text.partition("#")[0]
         key = " ".join(text.split()[1:3])
         printed[key] = bench.type(text, "--duration 2.5 --json" if "telenano up" in text else "")
-    assert json.loads(printed["up --scenario"])["law"] == ["my_law"]
+    assert json.loads(printed["up fig12"])["law"] == ["my_law"]
     assert "telenano-my-law" in printed["law list"]
     assert (tmp_path / "out" / "my_law" / "stability.html").exists()
 
