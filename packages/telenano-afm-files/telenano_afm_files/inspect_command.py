@@ -22,7 +22,7 @@ _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _BEGIN = 4096
 _PING = re.compile(r"\b(?:icmp_)?seq[= ]\d| : \[\d+\], (?:\d+ bytes|timed out)|\bTTL=\d+\s*$", re.MULTILINE)
 _DELAY = re.compile(r"(?i)sent|send|received|recv|delay|latency|rtt|ping")
-_SPECTRAL = re.compile(r"(?i)db|[munp]?v[ _]?(?:rms|pk|pp|peak)?(?:\^2|²|\*\*2|/√|/sqrt|/rt)")
+_SPECTRAL = re.compile(r"(?i)db|[munp]?v[ _]?(?:rms|pk|pp|peak)|[munp]?v(?:\^2|²|\*\*2|/√|/sqrt|/rt)")
 _DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 
