@@ -322,8 +322,9 @@ def _runs_of(rows: Sequence[str]) -> list[_Run]:
     after = ""
     for place, row in enumerate(rows[:_LONGEST_HEAD]):
         separator = _separator_of(row)
-        if separator is None and runs and runs[-1].end == place and row.strip() and _is_empty(row, runs[-1].separator):
-            separator = runs[-1].separator
+        if separator is None and runs and runs[-1].end == place and row.strip():
+            last = runs[-1].separator
+            separator = last if _is_empty(row, last) or _is_damaged(rows, place, last) else None
         if separator is None:
             after = "blank" if not row.strip() else after if after == "blank" else _break_of(row, after)
             continue
@@ -340,6 +341,14 @@ def _runs_of(rows: Sequence[str]) -> list[_Run]:
 def _is_empty(row: str, separator: str) -> bool:
     """Return whether each cell of a row says that its number is missing."""
     return all(as_number(cell) is not None for cell in split(row, separator))
+
+
+def _is_damaged(rows: Sequence[str], place: int, separator: str) -> bool:
+    """Return whether a row between two of numbers has as many cells, and numbers too: it is damaged, and no title."""
+    if place + 1 >= len(rows) or _separator_of(rows[place + 1]) != separator:
+        return False
+    before, here, behind = (split(rows[near], separator) for near in (place - 1, place, place + 1))
+    return len(before) == len(here) == len(behind) and any(as_number(cell) is not None for cell in here)
 
 
 def _break_of(row: str, before: str) -> str:

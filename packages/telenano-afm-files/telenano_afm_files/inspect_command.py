@@ -22,6 +22,7 @@ _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _BEGIN = 4096
 _PING = re.compile(r"\b(?:icmp_)?seq[= ]\d| : \[\d+\], (?:\d+ bytes|timed out)|\bTTL=\d+\s*$", re.MULTILINE)
 _DELAY = re.compile(r"(?i)sent|send|received|recv|delay|latency|rtt|ping")
+_SPECTRAL = re.compile(r"(?i)db|[munp]?v[ _]?(?:rms|pk|pp|peak)|[munp]?v(?:\^2|²|\*\*2|/√|/sqrt|/rt)")
 _DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
 
@@ -102,7 +103,8 @@ def _column(column: Column) -> str:
     known = column.known
     unit = column.unit or "no unit"
     if column.unit:
-        unit += f" (times {known.factor:.6g} in SI)" if known else " (NOT KNOWN: it will be refused)"
+        of_spectrum = " (of a spectrum)" if _SPECTRAL.match(column.unit) else " (NOT KNOWN: it will be refused)"
+        unit += f" (times {known.factor:.6g} in SI)" if known else of_spectrum
     if column.bad:
         return f"{column.title or 'without a name'}: texts, such as {column.bad[1][:20]!r} in line {column.bad[0]}"
     sound = column.values[np.isfinite(column.values)]
@@ -128,7 +130,9 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
         ]
         return "a force curve, as --set says", takes, _curve(path, options)
     in_head = table.units_in_head(*_DENSITIES)
-    if (kinds["Hz"] and any(kinds[name] for name in _DENSITIES)) or in_head:
+    # decibels, peaks and the power of lines as well: the command takes them or says what it lacks
+    is_spectral = any(kinds[name] for name in _DENSITIES) or any(_SPECTRAL.match(one.unit) for one in columns)
+    if (kinds["Hz"] and is_spectral) or in_head:
         return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {_quoted(path)}"], {}
     if kinds["m"] and (kinds["N"] or kinds["V"] or len(kinds["m"]) > 1) and len(table.lines) > 1:
         takes = [f"telenano curve --overlay {_quoted(path)}", f"telenano sample import {_quoted(path)} --out map.npz"]

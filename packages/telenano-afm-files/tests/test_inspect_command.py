@@ -87,3 +87,21 @@ def test_an_empty_file_is_called_empty_whatever_takes_it(ending: str, tmp_path: 
     for read in (inspection, lambda one: import_map(one, Wanted({}))):
         with pytest.raises(ConfigError, match="is empty"):
             read(path)
+
+
+@pytest.mark.parametrize("unit", ["dBV/√Hz", "V^2", "Vpk/√Hz", "Vrms", "dB re 1 V^2/Hz", "V^2/Hz"])
+def test_a_spectrum_of_any_normalisation_is_one(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.txt"
+    path.write_text(f"f [Hz]\tlevel [{unit}]\n" + "".join(f"{n}\t{n}.5\n" for n in range(1, 40)), encoding="utf-8")
+    found = inspected(path)
+    assert found["taken_for"] == "a thermal spectrum"
+    assert "refused" not in str(found["columns"])
+
+
+def test_what_was_assumed_of_a_curve_is_printed(tmp_path: Path) -> None:
+    path = tmp_path / "c.txt"
+    ways = [*range(200, -60, -1), *[-60] * 80, *range(-60, 200)]
+    rows = "".join(f"{z}\t{max(-z, 0) * 0.1:.3f}\t{0.01 * (z % 7):.3f}\n" for z in ways)
+    path.write_text(f"z [nm]\tDeflection [V]\tFriction [V]\n{rows}", encoding="utf-8")
+    assumed = " ".join(inspected(path)["would_give"]["assumed"])
+    assert "'Deflection [V]' over 'z [nm]'" in assumed and "(the height rests)" in assumed

@@ -90,6 +90,13 @@ def test_numbers_before_a_blank_line_leave_the_titles_above_them() -> None:
     assert (len(table.lines), table.notes) == (200, ((100, "# segment: retract"),))
 
 
+def test_a_damaged_row_near_the_begin_is_no_end_of_a_head() -> None:
+    table = TextTable.parse(f"a [s]\tb [s]\n1.5\t2.5\n2.5\tx3.5\n{ROWS}".encode(), "t")
+    assert len(table.lines) == 102
+    with pytest.raises(ConfigError, match=r"line 3: 'x3\.5' is no number"):
+        table.in_si(table.columns[1], ("s",))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
