@@ -27,6 +27,7 @@ from telenano.runtime.bus.local_endpoint import (
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from telenano.wire.errors import ConfigError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, RECORDER
+from telenano.wire.printable import one_line
 
 
 class EstopRequest(NamedTuple):
@@ -72,7 +73,7 @@ def run_estop(request: EstopRequest) -> int:
     try:
         answers = _stop(request)
     except TelenanoError as error:
-        sys.stderr.write(f"telenano: {error}\n")
+        sys.stderr.write(f"telenano: {one_line(str(error))}\n")
         if request.as_json:
             _print(json.dumps({"error": str(error)}))
         return EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
@@ -88,7 +89,7 @@ def run_estop(request: EstopRequest) -> int:
 def _print(line: str) -> None:
     """Print a line; a stop continues, and has its exit code, where that is not possible."""
     try:
-        sys.stdout.write(line + "\n")
+        sys.stdout.write(one_line(line) + "\n")
         sys.stdout.flush()
     except OSError as error:
         with contextlib.suppress(OSError):

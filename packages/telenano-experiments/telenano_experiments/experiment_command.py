@@ -21,7 +21,7 @@ from telenano.cli import (
 )
 from telenano.files import atomic_file
 from telenano.settings import read_yaml
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, one_line
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment
@@ -206,7 +206,7 @@ def erase(
     with report_errors(as_json):
         from telenano_experiments.people import erase as erased
 
-        if not yes and not typer.confirm(f"Erase everything of {pseudonym} in {folder}?"):
+        if not yes and not typer.confirm(one_line(f"Erase everything of {pseudonym} in {folder}?")):
             raise ConfigError("nothing was erased")
         gone = erased(folder, pseudonym)
     text = f"erased: {gone.files} files and {gone.records} records"
