@@ -38,10 +38,10 @@ def test_an_error_of_several_lines_has_each_as_an_argument() -> None:
 
 
 def test_what_is_said_of_an_error_is_one_line_whatever_it_is() -> None:
-    class Mute(Exception):
+    class MuteError(Exception):
         def __str__(self) -> str:
             raise self
 
-    group = BaseExceptionGroup("g\n", [ValueError("a`\n"), BaseExceptionGroup("h", [Mute()])])
+    group = BaseExceptionGroup("g\n", [ValueError("a`\n"), BaseExceptionGroup("h", [MuteError()])])
     assert described(group).count("\n") == 0
     assert "ValueError: a\\x60\\n" in described(group) and "whose text cannot be made" in described(group)
