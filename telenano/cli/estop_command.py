@@ -139,9 +139,20 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
         thread.start()
     for thread in threads:
         thread.join()
+    _tell_which(sorted(rigs))
     if faults:
         raise RigError("; ".join(faults))
     return answers
+
+
+def _tell_which(rigs: Sequence[str]) -> None:
+    """Say which rigs were meant, where a person has named none and there is not only that of this folder."""
+    text = f"no rig was named, and the stop went to each one of this user that was found: {', '.join(rigs)}"
+    with contextlib.suppress(OSError):
+        sys.stderr.write(
+            one_line(f"telenano: {text}; --rig or {RUNTIME_DIRECTORY_VARIABLE} names those that are meant")
+        )
+        sys.stderr.write("\n")
 
 
 def _rigs_of(seen: Look) -> tuple[list[str], dict[str, list[Holder]]]:
