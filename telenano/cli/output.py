@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,7 +23,7 @@ from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
-from telenano.wire.printable import one_line, printable
+from telenano.wire.printable import one_line, printable, quoted
 
 _PIPE_COLUMNS = 160
 # Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
@@ -216,7 +215,7 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{_held(summary)}",
         f"picture: {_as_typed(figures[0]) if figures else 'none'}; all numbers: {_as_typed(folder / 'summary.json')}",
-        f"next: `{own_command()} view {shlex.quote(recording)}` shows it again, {further}",
+        f"next: `{own_command()} view {quoted(recording)}` shows it again, {further}",
     )
 
 

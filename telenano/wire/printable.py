@@ -7,9 +7,12 @@ character, which a file name or a message may have, cannot be written at all.
     printable(text)     # what is written to a terminal: each such character is its number
     one_line(text)      # a sentence: no part of it begins a line of its own
     shown(name)         # the text of a stranger inside a sentence: no quotation mark of ours ends or begins in it
+    quoted(path)        # a path within a command that a person pastes
 """
 
+import os
 import re
+import shlex
 
 # C0 but tabulator and line feed, DEL and C1; marks of direction; what separates lines besides a line feed; surrogates
 _ORDERS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -37,6 +40,12 @@ def shown(text: object, most: int = _LONGEST) -> str:
     whole = str(text)
     part = _MARKS.sub(_number, whole[:most])
     return part if len(whole) <= most else f"{part}... ({len(whole)} characters)"
+
+
+def quoted(path: str | os.PathLike[str]) -> str:
+    """Return a path as it is pasted into a command: quoted, and never read as an option."""
+    text = os.fspath(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def _number(found: "re.Match[str]") -> str:

@@ -85,11 +85,13 @@ def test_a_wrong_value_is_refused_by_its_option_before_work_begins(every: int) -
     assert len(refused_before) < MOST_REFUSED_BEFORE * len(cases), refused_before
 
 
-def test_a_command_that_is_printed_can_be_pasted(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["scenario", "new", "mine", "--out", "no; such.yaml"])
-    shown = result.output.partition("next: ")[2]
-    assert shlex.split(shown.replace(" && ", " ")) == [
-        *("telenano", "scenario", "check", "no; such.yaml"),
-        *("telenano", "up", "--scenario", "no; such.yaml"),
-    ]
-    assert CliRunner().invoke(app, ["scenario", "check", "no; such.yaml"]).exit_code == 0
+@pytest.mark.parametrize(
+    "name", ["no; such.yaml", "-x y.yaml", "it's.yaml", "$(id) `id`.yaml", "a  b\t.yaml", "--out.yaml"]
+)
+def test_a_command_that_is_printed_can_be_pasted(name: str) -> None:
+    result = CliRunner().invoke(app, ["scenario", "new", "mine", f"--out={name}"])
+    shown = shlex.split(result.output.partition("next: ")[2].replace(" && ", " "))
+    file = shown[3]
+    assert shown == ["telenano", "scenario", "check", file, "telenano", "up", "--scenario", file]
+    assert Path(file) == Path(name)
+    assert CliRunner().invoke(app, shown[1:4]).exit_code == 0
