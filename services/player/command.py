@@ -11,7 +11,7 @@ from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.cli.output import print_answer, report_errors
+from telenano.cli.output import print_answer, report_errors, say
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, TelenanoError
 
@@ -107,4 +107,4 @@ def replay(
 
 
 def _warn(text: str) -> None:
-    typer.echo(f"telenano: warning: {text}", err=True)
+    say(f"warning: {text}")

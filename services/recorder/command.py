@@ -11,7 +11,7 @@ from services.recorder.node import RecorderNode
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
+from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors, say
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
@@ -76,7 +76,7 @@ def record(
         )
         if reason and not as_json:
             # A rig may be started after its recorder.
-            typer.echo(f"telenano: {reason} yet; waiting for one", err=True)
+            say(f"{reason} yet; waiting for one")
         with RawKeyboard() as keys:
             done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))
         if not done.fault and not done.messages and not reason:

@@ -20,7 +20,7 @@ from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import SiteFileOption, refuse_unused
-from telenano.cli.output import report_errors
+from telenano.cli.output import report_errors, say
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.multi_file import RecordingSource, open_recordings, recordings_of
 from telenano.runtime.bus.address_book import AddressBook
@@ -163,7 +163,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
             # The operator has to be able to stop the rig, whatever the error was.
             end = restarts.record_exit(PAGE, EXIT_DIED)
             text = f"the view has ended: {described(error)}; {end.verdict}"
-            typer.echo(f"telenano: {text}", err=True)
+            say(text)
             time.sleep(end.restart_in_s or 0.0)
 
 

@@ -4,13 +4,13 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from telenano.files.printable import printable
 from telenano.recording.multi_file import RecordingSource
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.plugins import installed
 from telenano.settings.scenario import named_in
 from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.extras import how_to_add_package
+from telenano.wire.printable import printable
 
 _DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
 # Name and version of a package together; the longest names of an index have some 90 letters.

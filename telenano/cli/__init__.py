@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from telenano.cli.output import print_rows as print_rows
     from telenano.cli.output import report_errors as report_errors
     from telenano.cli.output import results_in as results_in
+    from telenano.cli.output import say as say
     from telenano.cli.progress_bar import progress as progress
 else:
     __getattr__, __dir__ = face(__name__)

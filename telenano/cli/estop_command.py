@@ -27,6 +27,7 @@ from telenano.runtime.bus.local_endpoint import (
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from telenano.wire.errors import ConfigError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, RECORDER
+from telenano.wire.printable import one_line
 
 
 class EstopRequest(NamedTuple):
@@ -72,7 +73,7 @@ def run_estop(request: EstopRequest) -> int:
     try:
         answers = _stop(request)
     except TelenanoError as error:
-        sys.stderr.write(f"telenano: {error}\n")
+        sys.stderr.write(f"telenano: {one_line(str(error))}\n")
         if request.as_json:
             _print(json.dumps({"error": str(error)}))
         return EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
@@ -88,7 +89,7 @@ def run_estop(request: EstopRequest) -> int:
 def _print(line: str) -> None:
     """Print a line; a stop continues, and has its exit code, where that is not possible."""
     try:
-        sys.stdout.write(line + "\n")
+        sys.stdout.write(one_line(line) + "\n")
         sys.stdout.flush()
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -138,9 +139,20 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
         thread.start()
     for thread in threads:
         thread.join()
+    _tell_which(sorted(rigs))
     if faults:
         raise RigError("; ".join(faults))
     return answers
+
+
+def _tell_which(rigs: Sequence[str]) -> None:
+    """Say which rigs were meant, where a person has named none and there is not only that of this folder."""
+    text = f"no rig was named, and the stop went to each one of this user that was found: {', '.join(rigs)}"
+    with contextlib.suppress(OSError):
+        sys.stderr.write(
+            one_line(f"telenano: {text}; --rig or {RUNTIME_DIRECTORY_VARIABLE} names those that are meant")
+        )
+        sys.stderr.write("\n")
 
 
 def _rigs_of(seen: Look) -> tuple[list[str], dict[str, list[Holder]]]:

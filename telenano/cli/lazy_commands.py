@@ -5,19 +5,19 @@ import gc
 import importlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from telenano.cli.path_options import check_paths
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.signals import interrupts
-from telenano.wire.errors import ConfigError, probably_meant
+from telenano.wire.errors import ConfigError, TelenanoError, probably_meant
 from telenano.wire.nodes import module_of
 
 # what the wheel installs at the top level
@@ -182,8 +182,7 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
-        if parameter.type_descriptor.annotation is Path:
-            parameter.consume_value = partial(_path_value, parameter.consume_value, parameter)
+    check_paths(command)
     if any(parameter.name == "site_file" for parameter in command.params):
         # What names the address book of a rig names the rig.
         command.params.append(_rig_option())
@@ -194,15 +193,6 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child, (*path, name))
     return command
-
-
-def _path_value(consume: Callable[..., Any], parameter: Any, *args: Any) -> Any:
-    """Return the text of a path with its source; ConfigError for an empty one, which `Path` takes for `.`."""
-    value, source = consume(*args)
-    if "" in (value if isinstance(value, list | tuple) else [value]):
-        name = parameter.opts[0] if parameter.param_type_name == "option" else parameter.metavar or parameter.name
-        raise ConfigError(f"{name}: is empty, as an unset variable is; write . for the current folder")
-    return value, source
 
 
 def _choose_rig(name: str | None) -> None:
@@ -303,11 +293,12 @@ class LazyRoot(OpenGroup):
         as_json = "--json" in (sys.argv[1:] if words is None else words)
         try:
             code = super().main(*args, **{**extra, "standalone_mode": False})
-        # A group of exceptions is an `Exception` only where all that are in it are.
-        except (Exception, BaseExceptionGroup) as error:
-            if not standalone or interrupts.received():
+        # The command of a package may raise anything, of which not all is an `Exception`; SystemExit is a code.
+        except BaseException as error:
+            if not standalone or interrupts.received() or isinstance(error, SystemExit | interrupts.Interrupted):
                 raise
-            code = _report(error, as_json=as_json)
+            own = error.__cause__ if isinstance(error, interrupts.Ended) else None
+            code = _report(own or error, as_json=as_json)
         if not standalone:
             return code
         sys.exit(code if isinstance(code, int) else 0)
@@ -372,8 +363,8 @@ def _report(error: Any, *, as_json: bool) -> int:
             error.show()
             return code
         text = usage_text(error)
-    elif isinstance(error, ConfigError):
-        code, text = EXIT_BAD_CONFIGURATION, str(error)
+    elif isinstance(error, TelenanoError):
+        code, text = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED, str(error)
     elif isinstance(error, typer.Abort):
         text = "the input ended before the question was answered"
     elif isinstance(error, OSError):

@@ -145,7 +145,7 @@ def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str]
         for fault in error.errors(include_url=False, include_context=False):
             option = option_of.get(str(fault["loc"][0])) if fault["loc"] else None
             lines.append(fault["msg"] if option is None else _fault(option, fault["input"], flags or {}))
-        raise ConfigError("\n".join(lines)) from error
+        raise ConfigError(*lines) from error
 
 
 def _option(name: str, field: FieldInfo, units: Mapping[str, Unit]) -> ModelOption:

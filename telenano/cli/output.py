@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,11 +19,11 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_IN
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
-from telenano.files.printable import printable
 from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
+from telenano.wire.printable import one_line, printable, quoted
 
 _PIPE_COLUMNS = 160
 # Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
@@ -47,7 +46,7 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         code = (
             EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
         )
-        fail(str(error), interrupts.exit_code() or code, as_json=as_json)
+        fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json)
     except BrokenPipeError:
         raise  # its reader has what it wanted, which `telenano.cli.app` says by the code 0
     except OSError as error:
@@ -56,24 +55,29 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         # The notes say of each result that was begun whether there is anything of it.
         fail(
             "; ".join([interrupted, *getattr(error, "__notes__", ())]),
-            interrupts.exit_code() or EXIT_INTERRUPTED,
+            code=interrupts.exit_code() or EXIT_INTERRUPTED,
             as_json=as_json,
         )
 
 
-def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:
-    """Print an error on stderr, with `facts` as JSON on stdout if asked, and exit."""
-    print_error(text, as_json=as_json, **facts)
+def say(*lines: str) -> None:
+    """Print on stderr what a person is told besides the result: each text is one line, whatever names are in it."""
+    typer.echo("telenano: " + "\n".join(map(one_line, lines)), err=True)
+
+
+def fail(*lines: str, code: int = EXIT_FAILED, as_json: bool, **facts: Any) -> NoReturn:
+    """Print an error on stderr, with `facts` as JSON on stdout if asked, and exit; each text is one line of it."""
+    print_error(*lines, as_json=as_json, **facts)
     raise typer.Exit(code)
 
 
-def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
-    """Print an error on stderr, with `facts` as JSON on stdout if asked."""
+def print_error(*lines: str, as_json: bool, **facts: Any) -> None:
+    """Print an error on stderr, with `facts` as JSON on stdout if asked; each text is one line of it."""
     with contextlib.suppress(OSError):
-        typer.echo(f"telenano: {text}", err=True)
+        say(*lines)
     try:
         if as_json:
-            print_json({"error": text, **facts})
+            print_json({"error": "\n".join(lines), **facts})
         sys.stdout.flush()
     except OSError:
         # Output that was printed before could not be written either, nor could Python when it ends: it goes nowhere.
@@ -193,14 +197,14 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
         for line in closing_lines(summary, Path(title)):
             typer.echo(line)
     if text := clock_warning(summary):
-        typer.echo(f"telenano: warning: {text}", err=True)
+        say(f"warning: {text}")
     if interrupted := in_words([Interruption(**one) for one in summary.get("interruptions", ())]):
-        typer.echo(f"telenano: warning: this session is not its law alone: {interrupted}", err=True)
+        say(f"warning: this session is not its law alone: {interrupted}")
     missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))
     if missed > (0.005 if interrupted else 0.05) * rate_hz * summary.get("duration_s", 0.0):
-        typer.echo(f"telenano: warning: {missed} deadlines were missed at {rate_hz:.0f} Hz: {NO_ROOM}", err=True)
+        say(f"warning: {missed} deadlines were missed at {rate_hz:.0f} Hz: {NO_ROOM}")
     for text in summary["recording"].get("odd", ()):
-        typer.echo(f"telenano: warning: {text}", err=True)
+        say(f"warning: {text}")
     if missing := summary["recording"]["missing"]:
         fail_incomplete(missing)
 
@@ -223,7 +227,7 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{reason}{_held(summary)}",
         f"picture: {_as_typed(figures[0]) if figures else 'none'}; all numbers: {_as_typed(folder / 'summary.json')}",
-        f"next: `{own_command()} view {shlex.quote(recording)}` shows it again, {further}",
+        f"next: `{own_command()} view {quoted(recording)}` shows it again, {further}",
     )
 
 
@@ -278,7 +282,7 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:
     """Print on stderr what a recording lacks, and exit."""
-    typer.echo(f"telenano: the recording is not whole: {'; '.join(missing)}", err=True)
+    say(f"the recording is not whole: {'; '.join(missing)}")
     raise typer.Exit(EXIT_INCOMPLETE)
 
 

@@ -6,9 +6,10 @@ import time
 from collections.abc import Iterator
 from typing import Protocol
 
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from telenano.cli.output import say
 
 # A log that is read later needs no more than this, and a shorter command needs none [s].
 LINE_EVERY_S = 10.0
@@ -60,7 +61,7 @@ def _lines(what: str, whole: float | None, *, counted: bool) -> Show:
         if now_s - last_s < LINE_EVERY_S or shown == last:
             return
         last_s, last = now_s, shown
-        typer.echo(f"telenano: {shown[1]}: {_amount(done, whole, counted=counted)}", err=True)
+        say(f"{shown[1]}: {_amount(done, whole, counted=counted)}")
 
     return show
 

@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from telenano.files.printable import printable
+from telenano.wire.printable import one_line
 
 # A value other than zero in these columns is a loss.
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")
@@ -91,7 +91,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> T
     """Draw rows that have the same keys."""
     # Cells are plain text, because the units in brackets would be taken for markup.
     table = Table(
-        *(Column(Text(printable(name))) for name in rows[0]), title=None if title is None else Text(printable(title))
+        *(Column(Text(one_line(name))) for name in rows[0]), title=None if title is None else Text(one_line(title))
     )
     for column, value in zip(table.columns, rows[0].values(), strict=True):
         column.justify = "left" if isinstance(value, str) else "right"
@@ -102,17 +102,19 @@ def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> T
 
 
 def _values_table(values: Mapping[str, Any], title: str) -> Table:
-    table = Table("quantity", "value", title=Text(printable(title)))
+    table = Table("quantity", "value", title=Text(one_line(title)))
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
         # Each sentence is on a line of its own.
         text = (
-            Text(printable("\n".join(value))) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
+            Text("\n".join(map(one_line, map(str, value))))
+            if value and key.rpartition(".")[2] in _SENTENCES
+            else _value_text(value)
         )
         if value and key.rpartition(".")[2] in _ALARMING:
             text.stylize("red")
-        table.add_row(Text(printable(key)), text)
+        table.add_row(Text(one_line(key)), text)
     return table
 
 
@@ -137,6 +139,6 @@ def _value_text(value: Any) -> Text:
 def _plain(value: Any) -> str:
     if isinstance(value, Mapping):
         # A fact of a hold has a text for a person.
-        return printable(str(value.get("text") or counts_text(value)))
+        return one_line(str(value.get("text") or counts_text(value)))
     # 0.0 is added because it makes 0 of -0
-    return f"{value + 0.0:.6g}" if isinstance(value, float) else printable(str(value))
+    return f"{value + 0.0:.6g}" if isinstance(value, float) else one_line(str(value))

@@ -1,4 +1,4 @@
-"""Standard output and errors of the command line: what is printed on them is text (`untrusted.printable`)."""
+"""Standard output and errors of the command line: what is printed on them is text (`telenano.wire.printable`)."""
 
 import codecs
 import sys
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, TextIO
 
-from telenano.files.printable import printable
+from telenano.wire.printable import printable
 
 STREAMS = {"stdout": "standard output", "stderr": "standard error"}
 
@@ -61,6 +61,7 @@ def install() -> None:
         stream = getattr(sys, name)
         # A process without a terminal or a pipe has no such stream.
         if stream is not None and not isinstance(stream, PrintableStream):
-            if codecs.lookup(stream.encoding or "utf-8").name == "ascii":
+            # An encoding that has not every character writes the number of one that it has not.
+            if codecs.lookup(stream.encoding or "utf-8").name != "utf-8" and hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="backslashreplace")
             setattr(sys, name, PrintableStream(stream, title))

@@ -54,8 +54,9 @@ def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         OSError: The file cannot be written.
     """
     if replace and path.is_symlink():
-        path = path.resolve()
+        path = Path(os.path.realpath(path))
     if replace and path.exists() and not path.is_file() and not path.is_dir():
+        _require_reader(path)
         yield path
         return
     with _temporary(path, path, replace=replace) as part:
@@ -65,6 +66,16 @@ def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             part.replace(path)
         else:
             _name_once(part, path)
+
+
+def _require_reader(path: Path) -> None:
+    """Raise OSError for a pipe that nobody reads, whose writer would wait for a reader for ever."""
+    if path.is_fifo():
+        try:
+            os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
+        except OSError as error:
+            text = "it is a pipe that nobody reads" if error.errno == errno.ENXIO else os.strerror(error.errno or 0)
+            raise OSError(error.errno, text, str(path)) from error
 
 
 def changed(

@@ -31,6 +31,8 @@ def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
     """
     if (held := held_files.opened(path)) is not None:
         return held
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "its name has a character that no file can have", str(path))
     # The check comes before opening, which a device may answer by an action.
     _require_regular(path, path.stat(follow_symlinks=follows_links).st_mode)
     # Other systems have no such flags; a file that appears between the two calls must not keep this process.
@@ -86,7 +88,7 @@ def is_own_path(path: Path) -> bool:
     user = os.getuid()
     # Who owns a link, or the folder with it, decides what stands there: both ways are looked at.
     links = [path.absolute()] if path.is_symlink() else []
-    for folder in {*links, *path.absolute().parents, *path.resolve().parents}:
+    for folder in {*links, *path.absolute().parents, *Path(os.path.realpath(path)).parents}:
         status = folder.lstat()
         others = 0o002 if status.st_gid == user else 0o022
         is_open = status.st_mode & others and not status.st_mode & stat.S_ISVTX and not stat.S_ISLNK(status.st_mode)

@@ -1,6 +1,7 @@
 """What `telenano up` is to run, checked as a whole before anything is started."""
 
 import contextlib
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -287,7 +288,9 @@ def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:
 def make_plan(request: UpRequest, default_out: Path) -> Plan:
     """Read and check everything that a rig needs; ConfigError names the file and key at fault."""
     request.check()
-    site_file = (request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)).resolve()
+    named = request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)
+    # `Path.resolve` raises another error for links that lead to one another.
+    site_file = Path(os.path.realpath(named)) if named.exists() else named.absolute()
     book = AddressBook.load(site_file)
     own = own_nodes(book, request)
     check_book(book, site_file, request)
@@ -298,7 +301,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         loaded = effective_scenario(scenario_path, request, out)
         check_sections(loaded, elsewhere)
     except ConfigError as error:
-        raise ConfigError(with_meant(str(error))) from error
+        raise ConfigError(*map(with_meant, error.lines)) from error
     _check_files(loaded, elsewhere)
     if not request.attach and request.site != "slave":
         _check_delay(loaded)

@@ -4,7 +4,6 @@ import contextlib
 import io
 import logging
 import os
-import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -38,6 +37,7 @@ from telenano.runtime.wiring.link_transports import LineCheck, fetching_transpor
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
+from telenano.wire.printable import quoted
 
 # A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
 # file and scenario.
@@ -76,7 +76,7 @@ class Outcome:
         except KeyboardInterrupt as error:
             if not (self.ran and self.recordings):
                 raise
-            again = f"telenano report {shlex.join(map(str, self.recordings))} --out {shlex.quote(str(plan.out))}"
+            again = f"telenano report {' '.join(map(quoted, self.recordings))} --out {quoted(plan.out)}"
             raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 
@@ -272,7 +272,7 @@ def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tu
     if readable_here(recording.path, session.start_id) and all(path.is_file() for path in files):
         return files, ""
     named = " ".join(recording.files)
-    again = f"telenano report {shlex.join(recording.files)} --out {shlex.quote(str(plan.out))}"
+    again = f"telenano report {' '.join(map(quoted, recording.files))} --out {quoted(plan.out)}"
     where = f"{recording.recorder} recorded the session to {named}"
     return (), f"{where}, which cannot be read from here: `{again}` there"
 
@@ -346,7 +346,7 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     if not session.has_far:
         text = "the slave's site did not record the session: what it sends fast is missing"
         return replace(outcome, missing=(*outcome.missing, text))
-    command = shlex.join(["telenano", "bag", "fetch", str(plan.out), "--site-file", str(plan.site_file)])
+    command = f"telenano bag fetch {quoted(plan.out)} --site-file {quoted(plan.site_file)}"
     again = f"`{command}` continues"
     try:
         whole = transport.fetch(plan.book, session, plan.fetch_kbit_per_s, show)
@@ -369,13 +369,13 @@ def report_of(
     recordings = outcome.recordings
     if not outcome.ran or not recordings:
         return None
-    names = shlex.join(map(str, recordings))
+    names = " ".join(map(quoted, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
     # Who has pressed Ctrl-C waits for the terminal.
     is_long = outcome.interrupted or sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
     if is_long:
         again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
-        show(f"that takes some time; {again} leaves it to `telenano report {names} --out {shlex.quote(str(plan.out))}`")
+        show(f"that takes some time; {again} leaves it to `telenano report {names} --out {quoted(plan.out)}`")
     # matplotlib takes a second to import, which a running rig should not pay
     from telenano.analysis.report import write_report
 

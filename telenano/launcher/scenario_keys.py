@@ -134,12 +134,8 @@ def filled(loaded: LoadedScenario) -> dict[str, Any]:
     return merge(loaded.scenario.model_dump(mode="json"), sections)
 
 
-def with_meant(text: str) -> str:
-    """Return an error with the keys that were probably meant by those that it calls unknown, in all sections."""
-    return "\n".join(map(_with_meant, text.split("\n")))
-
-
-def _with_meant(line: str) -> str:
+def with_meant(line: str) -> str:
+    """Return a line of an error with the key that was probably meant by one that it calls unknown, in all sections."""
     unknown = _UNKNOWN.search(line)
     if unknown is None:
         return line

@@ -6,7 +6,6 @@ inherits the others from its direction, so relations between keys are checked on
 """
 
 from collections.abc import Iterator, Mapping
-from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
@@ -16,6 +15,7 @@ from telenano.link.profiles import PROFILES, refusal_of
 from telenano.settings.config import Settings, flatten, merge, nested, validate
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_KEYS
+from telenano.wire.patterns import fault_of_pattern, matches
 
 Setting = float | int | str | bool
 # a dotted key, and what is wrong with its value
@@ -358,6 +358,9 @@ class DirectionSettings(Impairment):
         inherited = list(self.problems())
         for key, text in inherited:
             yield tuple(key.split(".")), text
+        for key, pattern in [*(("topics", key) for key in self.topics), *(("reliable", key) for key in self.reliable)]:
+            if fault := fault_of_pattern(pattern):
+                yield (key,), fault
         for pattern, override in self.topics.items():
             if pattern.count(".") or pattern != pattern.strip():
                 yield ("topics",), f"{pattern!r} is not a topic pattern: no dots, no spaces around it"
@@ -371,10 +374,10 @@ class DirectionSettings(Impairment):
         """Return the key in `topics` that rules this topic, or the empty string for the direction's own settings."""
         if topic in self.topics:
             return topic
-        return next((pattern for pattern in self.topics if fnmatchcase(topic, pattern)), "")
+        return next((pattern for pattern in self.topics if matches(topic, pattern)), "")
 
     def is_reliable(self, topic: str) -> bool:
-        return any(fnmatchcase(topic, pattern) for pattern in self.reliable)
+        return any(matches(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:
         """Return the complete settings of one key in `topics` (empty: of the direction)."""

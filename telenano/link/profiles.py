@@ -8,7 +8,6 @@ uplink: the operator sits at the end of an access line, the instrument near the 
 """
 
 import os
-import shlex
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -20,6 +19,7 @@ from telenano.files.held_files import listed
 from telenano.settings.config import Settings, read_yaml, validate
 from telenano.settings.included import NETWORK_DIRECTORY
 from telenano.wire.errors import ConfigError, known_names
+from telenano.wire.printable import quoted
 
 Milliseconds = Annotated[float, Field(ge=0.0)]
 
@@ -113,5 +113,5 @@ def refusal_of(name: str) -> str:
         return f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}"
     if path.suffix == ".yaml":
         return f"{name} is a file: set TELENANO_NETWORKS={path.parent} and name it as {path.stem}"
-    made = f"`telenano link fit {shlex.quote(name)} --out out/line` makes one of a log or table of delays"
+    made = f"`telenano link fit {quoted(name)} --out out/line` makes one of a log or table of delays"
     return f"{name} is no network: {made}; then set TELENANO_NETWORKS=out/line and name it as profile"

@@ -3,12 +3,13 @@
 import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Protocol
 
-from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.errors import ConfigError, RecordingError, known_names
 from telenano.wire.nodes import name_of
+from telenano.wire.patterns import fault_of_pattern, matches
+from telenano.wire.printable import shown
 
 Matcher = Callable[[str], bool]
 
@@ -24,15 +25,17 @@ def matcher(pattern: str) -> Matcher:
     """Return the predicate of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
 
     Raises:
-        ConfigError: A pattern is not a regular expression; the message names it.
+        ConfigError: A pattern is not a regular expression, or too long; the message names it.
     """
+    if fault := fault_of_pattern(pattern):
+        raise ConfigError(fault)
     if len(pattern) > 1 and pattern.startswith("/") and pattern.endswith("/"):
         try:
             expression = re.compile(pattern[1:-1])
         except re.error as error:
             raise ConfigError(f"pattern {pattern}: is not a regular expression: {error}") from error
         return lambda name: expression.search(name) is not None
-    return lambda name: fnmatchcase(name, pattern)
+    return lambda name: matches(name, pattern)
 
 
 def node_matcher(pattern: str) -> Matcher:
@@ -52,12 +55,18 @@ class Selection:
     topics: tuple[Matcher, ...] = ()
     exclude: tuple[Matcher, ...] = ()
     nodes: tuple[Matcher, ...] = ()
+    # The first pattern of a topic as it was written, for the error where no channel is selected.
+    asked: str = ""
 
     @classmethod
     def of(cls, topics: Iterable[str] = (), exclude: Iterable[str] = (), nodes: Iterable[str] = ()) -> "Selection":
         """Read patterns; ConfigError names one that is wrong."""
+        names = tuple(topics)
         return cls(
-            tuple(map(matcher, topics)), tuple(map(matcher, exclude)), tuple(node_matcher(node) for node in nodes)
+            tuple(map(matcher, names)),
+            tuple(map(matcher, exclude)),
+            tuple(node_matcher(node) for node in nodes),
+            names[0] if names else "",
         )
 
     def __call__(self, channel: _Named) -> bool:
@@ -75,8 +84,9 @@ class Selection:
         """Raise RecordingError naming the channels of a recording if there are patterns and they select none."""
         if self == ALL or any(map(self, channels)):
             return
-        shown = ", ".join(sorted({channel.channel_topic for channel in channels})) or "none"
-        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {shown}")
+        names = sorted({shown(channel.channel_topic) for channel in channels})
+        asked = shown(self.asked) or "that was asked for"
+        raise RecordingError(f"{source}: has no channel {asked}: {known_names(self.asked, names or ['none'])}")
 
 
 ALL = Selection()

@@ -17,7 +17,7 @@ from telenano.recording.rewrite import CopyResult, CopyWriter
 from telenano.recording.sender_time import SenderClock, SenderOrder
 from telenano.settings import plugins
 from telenano.settings.known_packages import where_it_is
-from telenano.wire.errors import ConfigError, ExistsError, RecordingError, TelenanoError, described, probably_meant
+from telenano.wire.errors import ConfigError, ExistsError, PackageError, RecordingError, probably_meant
 from telenano.wire.schema import json_schema
 
 # The formats of this module; packages add others, each a function of a recording, a target and a selection.
@@ -117,14 +117,12 @@ def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]
 def _written_by_package(write: Any, recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:
     package = plugins.installed("exports")[kind].package
     try:
-        if isinstance(done := write(recording, target, selection), CopyResult):
-            return done
-        fault = f"the package {package} returned {type(done).__name__}, and must return a CopyResult"
-    except (TelenanoError, OSError):
-        raise
-    # The code of a package may raise anything.
-    except Exception as error:  # noqa: BLE001
-        fault = plugins.fault_of_package(error) or f"the package {package} failed: {described(error)}"
+        with plugins.code_of(package, OSError):
+            if isinstance(done := write(recording, target, selection), CopyResult):
+                return done
+            fault = f"the package {package} returned {type(done).__name__}, and must return a CopyResult"
+    except PackageError as error:
+        fault = str(error)
     raise RecordingError(f"{target}: is not exported as {kind}: {fault}; choose another format")
 
 

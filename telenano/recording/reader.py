@@ -158,11 +158,11 @@ class Recording(RecordedFields):
         """Yield messages in the order in which they were received.
 
         Args:
-            topics: Names of channels such as `teleop/forward@slave`; None for all.
+            topics: Names of channels such as `teleop/forward@slave`, or the name of one; None for all.
             start_ns: The first time of reception that is yielded [ns]; None for no bound.
             end_ns: The first time of reception that is yielded no more [ns]; None for no bound.
         """
-        names = None if topics is None else frozenset(topics)
+        names = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         return self.select(lambda channel: names is None or channel.channel_topic in names, start_ns, end_ns)
 
     def select(

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 from telenano.wire.errors import ConfigError
+from telenano.wire.patterns import fault_of_pattern, matches
 
 
 class Tolerances:
@@ -28,6 +28,8 @@ class Tolerances:
                 limits[field] = float(value)
             except ValueError as error:
                 raise ConfigError(f"tolerance {text}: is not of the form FIELD=VALUE") from error
+            if fault := fault_of_pattern(field):
+                raise ConfigError(f"tolerance: {fault}")
             if not (field and math.isfinite(limits[field]) and limits[field] >= 0.0):
                 raise ConfigError(f"tolerance {text}: a finite value of 0 or more, in the unit of the field, is needed")
         return cls(limits)
@@ -43,7 +45,7 @@ class Tolerances:
     def of(self, field: str) -> float:
         """Return the tolerance of a field; that of a vector applies to its components."""
         stem = field.partition(".")[0]
-        limits = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
+        limits = [limit for name, limit in self._limits.items() if matches(field, name) or name == stem]
         return max(limits, default=0.0)
 
     def first_difference(

@@ -14,10 +14,10 @@ import msgspec
 
 from telenano.console.lease import MOST_LETTERS
 from telenano.files.atomic_files import changed
-from telenano.files.printable import printable
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory, read_secret
 from telenano.wire.errors import ConfigError
+from telenano.wire.printable import printable
 
 ROLES = ("observer", "pupil", "operator", "teacher")
 _MOST_PEOPLE = 1000

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from telenano.settings.included import find_scenario as find_scenario
     from telenano.settings.named_instruments import instrument_named as instrument_named
     from telenano.settings.option import Option as Option
+    from telenano.settings.plugins import code_of as code_of
     from telenano.settings.plugins import fault_of_package as fault_of_package
+    from telenano.settings.plugins import installed as installed
     from telenano.settings.plugins import load as load
     from telenano.settings.scenario import LoadedScenario as LoadedScenario
     from telenano.settings.scenario import Scenario as Scenario

@@ -193,7 +193,7 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
             # Values that JSON does not know are refused without the name of their key, and with the whole document.
             if error.errors()[0]["type"] == "json_invalid" and (undecodable := _undecodable(data)):
                 raise ConfigError(f"{origin}: {undecodable}") from error
-            raise ConfigError(_describe(error, origin, model, section)) from error
+            raise ConfigError(*_described(error, origin, model, section)) from error
         raise ConfigError(f"{origin}: {error}") from error
 
 
@@ -255,7 +255,7 @@ def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> 
     tree[path[-1]] = value
 
 
-def _describe(error: ValidationError, origin: str, model: type[BaseModel], section: str) -> str:
+def _described(error: ValidationError, origin: str, model: type[BaseModel], section: str) -> list[str]:
     lines = []
     faults = error.errors(include_url=False, include_context=False)
     for fault in faults[:_MOST_FAULTS]:
@@ -270,7 +270,7 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
         lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
     if len(faults) > _MOST_FAULTS:
         lines.append(f"{origin}: and {len(faults) - _MOST_FAULTS} more")
-    return "\n".join(lines)
+    return lines
 
 
 def _unit(fault: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ find_scenario("fig12")                     # .../telenano/settings/scenarios/fig
 site_file_named(Path("two_sites"))         # .../telenano/settings/sites/two_sites.yaml
 """
 
+import os
 from pathlib import Path
 
 from telenano.settings.plugins import scenario_files
@@ -33,6 +34,8 @@ def known_scenarios() -> list[str]:
 
 def find_scenario(name: str) -> Path:
     """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
+    if not name or "\0" in name:
+        raise ConfigError("the name of the scenario is empty" if not name else f"{name}: can be no name of a file")
     own = SCENARIO_DIRECTORY / f"{name}.yaml"
     if "/" not in name and own.is_file():
         return own
@@ -45,7 +48,8 @@ def find_scenario(name: str) -> Path:
             f"{name}: is the name of a recording, not of a scenario: `telenano view` shows it, `telenano report` makes"
             " its figure, `telenano replay` sends it into a rig"
         )
-    if path.suffix in (".yaml", ".yml") or path.exists():
+    # `Path.exists` raises for a name that is too long.
+    if path.suffix in (".yaml", ".yml") or os.path.exists(path):  # noqa: PTH110
         return path
     from telenano.settings.known_packages import where_it_is
 
@@ -57,7 +61,7 @@ def find_scenario(name: str) -> Path:
 
 def site_file_named(path: Path | None) -> Path | None:
     """Return the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
-    if path is None or path.suffix or path.exists():
+    if path is None or path.suffix or os.path.exists(path):  # noqa: PTH110
         return path
     packaged = SITE_DIRECTORY / f"{path}.yaml"
     return packaged if packaged.is_file() else path

@@ -16,14 +16,15 @@ import importlib.util
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points, version
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar, overload
 
-from telenano.wire.errors import described
+from telenano.signals import interrupts
+from telenano.wire.errors import PackageError, TelenanoError, described
 
 # What scenarios and experiments name, and so what a run depends on.
 SCENARIO_KINDS = (
@@ -163,8 +164,7 @@ def known_problems() -> list[str]:
 
 def _tried(row: Plugin, check: Callable[[str, Any], T | None], loaded: dict[str, T]) -> str:
     try:
-        # What a package prints at its import is no part of what a command prints.
-        with contextlib.redirect_stdout(sys.stderr):
+        with shielded():
             value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
     # The code of a package may raise anything, of which not all is an `Exception`.
     except BaseException as error:  # noqa: BLE001
@@ -172,6 +172,72 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], loaded: dict[str,
     if value is not None:
         loaded[row.name] = value
     return ""
+
+
+class _Shield:
+    """A text stream that others may close: it stays open."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def close(self) -> None:
+        """Close nothing: what a command prints afterwards is not the package's to end."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextlib.contextmanager
+def shielded() -> Iterator[None]:
+    """Run code of a package whose output is none of what a command prints.
+
+    What it prints goes to standard error, and both streams are as they were afterwards, whatever it closes or replaces.
+    """
+    copies = {}
+    for number in (1, 2):
+        # A process may have been started without it.
+        with contextlib.suppress(OSError):
+            copies[number] = os.dup(number)
+    stream: Any = None if sys.stderr is None else _Shield(sys.stderr)
+    try:
+        with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
+            yield
+    finally:
+        for number, copy in copies.items():
+            try:
+                os.fstat(number)
+            except OSError:
+                os.dup2(copy, number)
+            os.close(copy)
+
+
+@contextlib.contextmanager
+def code_of(package: str, *passed: type[BaseException]) -> Iterator[None]:
+    """Call code of an installed package; whatever that raises is a sentence with its name.
+
+    Args:
+        package: The name of the package.
+        passed: What it may raise as it is, besides a TelenanoError.
+
+    Raises:
+        PackageError: It has raised something else, or would end the program.
+    """
+    with shielded():
+        try:
+            yield
+        # The code of a package may raise anything, of which not all is an `Exception`.
+        except BaseException as error:
+            if isinstance(error, (TelenanoError, *passed)) or _is_of_person(error):
+                raise
+            text = fault_of_package(error) or f"the package {package} failed: {described(error)}"
+            raise PackageError(text) from error
+
+
+def _is_of_person(error: BaseException) -> bool:
+    """Return whether an error is a signal at this process, and none that a package has raised itself."""
+    if isinstance(error, interrupts.Interrupted | interrupts.Ended):
+        return True
+    return isinstance(error, KeyboardInterrupt) and not interrupts.is_handled()
 
 
 def fault_of_import(error: BaseException) -> str:

@@ -122,6 +122,11 @@ def handle() -> None:
             signal.signal(number, _receive)
 
 
+def is_handled() -> bool:
+    """Return whether an interruption of this process has a class of its own, `Interrupted`."""
+    return _handler_of(_SIGINT) is _receive
+
+
 def restore() -> None:
     """Let both signals end the process at once: it has nothing left to do."""
     if hasattr(signal, "setitimer"):

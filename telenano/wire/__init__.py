@@ -50,6 +50,9 @@ if TYPE_CHECKING:
     from telenano.wire.network_messages import RecordingPiece as RecordingPiece
     from telenano.wire.nodes import LINK as LINK
     from telenano.wire.nodes import VIEW as VIEW
+    from telenano.wire.printable import one_line as one_line
+    from telenano.wire.printable import quoted as quoted
+    from telenano.wire.printable import shown as shown
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
+from telenano.wire.printable import shown
+
 
 def known_names(name: str, choices: Iterable[str]) -> str:
     """Return the names that there are, for an error, after the one that was probably meant: `known are a, b`."""
@@ -20,17 +22,31 @@ def probably_meant(name: str, choices: Iterable[str]) -> str:
 
 
 class TelenanoError(Exception):
-    """Base of every error that the project raises on purpose."""
+    """Base of every error that the project raises on purpose; of a text of several lines each is an argument."""
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Return the text as it is printed: each is one line, whatever the names in it are."""
+        return tuple(map(str, self.args))
 
 
 def described(error: BaseException) -> str:
-    """Return class and text of an error, of which the text may be a stranger's: the class alone where it has none."""
+    """Return class and text of an error, of which the text may be a stranger's: the class alone where it has none.
+
+    A group of errors has the text of each as well, which its own does not say.
+    """
+    name = shown(type(error).__name__)
     try:
-        text = str(error)
+        text = shown(error)
+        inner = [described(each) for each in error.exceptions] if isinstance(error, BaseExceptionGroup) else []
     # The code of a stranger makes this text, and may raise anything.
     except BaseException:  # noqa: BLE001
-        return f"{type(error).__name__}, whose text cannot be made"
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+        return f"{name}, whose text cannot be made"
+    whole = f"{name}: {text}" if text else name
+    return shown(f"{whole}: {'; '.join(inner)}", 3 * len(whole) + 1000) if inner else whole
 
 
 def cause(error: BaseException) -> str:
@@ -52,6 +68,10 @@ class EndpointError(TelenanoError):
 
 class RefusedError(TelenanoError):
     """A session/control command was refused by a node; the text goes into the session/event."""
+
+
+class PackageError(TelenanoError):
+    """The code of an installed package failed; the text names the package and the place in it."""
 
 
 class RecordingError(TelenanoError):

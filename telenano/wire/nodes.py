@@ -1,7 +1,8 @@
 """The table of nodes: which processes take part in the bus, at which site, and what part each has in a rig."""
 
-from fnmatch import fnmatchcase
 from typing import Literal, NamedTuple
+
+from telenano.wire.patterns import matches
 
 Site = Literal["master", "slave"]
 
@@ -122,7 +123,7 @@ def is_estop(node: str) -> bool:
 
 def is_meant(node: str, target: str) -> bool:
     """Return whether a target means a node (node@site): by its full name, its name at every site, or a pattern."""
-    return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
+    return matches(node, target) or matches(name_of(node), target)
 
 
 def is_pattern(target: str) -> bool:

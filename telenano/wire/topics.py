@@ -7,7 +7,6 @@ docs/extending.md); a process takes one into the table when a command, a recordi
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import msgspec
@@ -18,6 +17,7 @@ from telenano.wire.faults import Fault, faults_of
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import NODES, name_of, site_of
+from telenano.wire.patterns import matches
 from telenano.wire.schema import json_schema
 
 Delivery = Literal["latest", "lossless"]
@@ -48,7 +48,7 @@ class Topic:
 
     def is_published_by(self, node: str) -> bool:
         """Return whether a node (node@site) may publish it."""
-        return any(fnmatchcase(node, pattern) or name_of(node) == pattern for pattern in self.publishers)
+        return any(matches(node, pattern) or name_of(node) == pattern for pattern in self.publishers)
 
 
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
@@ -171,7 +171,7 @@ def _overlap(name: str) -> str:
 
 
 def _is_of_table(publisher: str, publishers: set[str]) -> bool:
-    return any(fnmatchcase(name, publisher) for name in publishers) and publisher != "*"
+    return any(matches(name, publisher) for name in publishers) and publisher != "*"
 
 
 def _faults_of_fields(model: type[m.Message]) -> Iterator[str]:

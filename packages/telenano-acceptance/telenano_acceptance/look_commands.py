@@ -1,8 +1,7 @@
 """`telenano device probe` and `monitor`: who a device is and what it says, undriven."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +13,8 @@ from telenano.cli import JsonOption, print_answer, report_errors
 from telenano.devices import driver_of
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.hand import HapticConfig, LimitsConfig
-from telenano.settings import DeviceDriver, fault_of_package, flag_overrides, validate
-from telenano.wire import ConfigError, TelenanoError, known_names
+from telenano.settings import DeviceDriver, code_of, flag_overrides, installed, validate
+from telenano.wire import ConfigError, known_names
 from telenano_acceptance.instrument.instruments import config_of
 
 _PERIOD_S = 1e-3
@@ -103,8 +102,9 @@ def monitor(
                 "give --calibration for an instrument, with --port for a handle, or --device for a driver of a package"
             )
         if device is not None:
-            with _errors_of_package():
-                facts = _watch(*_opened_of_package(_driver_of_package(device), settings or []), duration)
+            driver_of_package = _driver_of_package(device)
+            with code_of(installed("devices")[device].package):
+                facts = _watch(*_opened_of_package(driver_of_package, settings or []), duration)
         elif port is not None:
             facts = _watch(*_opened_handle(port, baud, calibration or Path()), duration)
         else:
@@ -158,7 +158,7 @@ def _probe_instrument(calibration: Path) -> dict[str, Any]:
 def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
     """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
     driver = _driver_of_package(name)
-    with _errors_of_package():
+    with code_of(installed("devices")[name].package):
         if takes_force(driver):
             return _probe_impedance(driver, settings)
         return _probe_package(driver, settings)
@@ -216,18 +216,6 @@ def _probe_package(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
         return {**declared, **read, **state}
     finally:
         device.close()
-
-
-@contextmanager
-def _errors_of_package() -> Iterator[None]:
-    """Turn what the code of a package raises into a sentence that names the package and the place in it."""
-    try:
-        yield
-    except TelenanoError:
-        raise
-    # its code may raise anything
-    except Exception as error:
-        raise TelenanoError(fault_of_package(error) or f"{type(error).__name__}: {error}") from error
 
 
 def _driver_of_package(name: str) -> DeviceDriver:

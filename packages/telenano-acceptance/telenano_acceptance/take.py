@@ -13,6 +13,7 @@ from typing import IO, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from telenano.files import open_regular
 from telenano.wire import ConfigError
 
 PERIOD_S = 1e-3
@@ -162,7 +163,7 @@ def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
         ConfigError: The file cannot be read, or is no take of such a kind.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return take_of(file, *kinds)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: is no take of `telenano device accept`: {error}") from error

@@ -13,7 +13,7 @@ import typer
 from telenano.cli import JsonOption, print_document, report_errors
 from telenano.files import Column, TextTable, as_number, decoded, read_in_child, read_regular, unit_of
 from telenano.settings import FileReader, flag_overrides
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, quoted
 from telenano_afm_files.text_curves import NOTHING, TableOptions, curves_of, table_options_of
 
 _LARGEST_BYTES = 256_000_000
@@ -171,7 +171,7 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
 
 def _quoted(path: Path) -> str:
     """Return a path as a command line has it."""
-    return shlex.quote(str(path))
+    return quoted(path)
 
 
 def _of(columns: tuple[Column, ...], unit: str) -> list[Column]:

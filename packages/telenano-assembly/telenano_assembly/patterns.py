@@ -3,8 +3,12 @@
 import math
 from pathlib import Path
 
+from telenano.files import read_regular
 from telenano.wire import ConfigError
 from telenano_assembly.plan import Point
+
+# A line of a file of places has some thirty letters.
+_LARGEST_BYTES = 1 << 20
 
 NAMES = ("line", "square", "ring", "letters:TEXT")
 # A character is five rows of three places, the uppermost first: an octal digit each, whose highest bit is on the left.
@@ -42,7 +46,7 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
     if name.partition(":")[0] == "letters" and not Path(name).is_file():
         return _spelled(name.partition(":")[2] or "T", spacing_m)
     try:
-        lines = Path(name).read_text(encoding="utf-8").splitlines()
+        lines = read_regular(Path(name), _LARGEST_BYTES).decode().splitlines()
     except UnicodeDecodeError as error:
         raise ConfigError(f"--pattern {name}: is no text; a line is x and y in m, such as 1e-6 0") from error
     except OSError as error:

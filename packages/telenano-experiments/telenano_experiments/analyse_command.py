@@ -14,6 +14,7 @@ from telenano.cli import (
     print_rows,
     report_errors,
     results_in,
+    say,
 )
 
 FOLDER = "analysis"
@@ -100,10 +101,10 @@ def _print(document: dict[str, Any], page: Path) -> None:
             print_rows(shown, title=part)
     for row in document["models"]:
         for remark in row["remarks"]:
-            typer.echo(f"telenano: {row['task']}, {row['measure']}: {remark}", err=True)
+            say(f"{row['task']}, {row['measure']}: {remark}")
     for row in document["thresholds"]:
         if row["note"]:
-            typer.echo(f"telenano: {row['task']}, {row['participant']}: {row['factor']}: {row['note']}", err=True)
+            say(f"{row['task']}, {row['participant']}: {row['factor']}: {row['note']}")
     typer.echo(document["methods"])
     typer.echo(f"page: {page}")
 

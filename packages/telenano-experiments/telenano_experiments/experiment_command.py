@@ -1,7 +1,6 @@
 """`telenano experiment`: trials of people or simulated operators over conditions, from plan to publication."""
 
 import contextlib
-import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -21,7 +20,7 @@ from telenano.cli import (
 )
 from telenano.files import atomic_file
 from telenano.settings import read_yaml
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, one_line, quoted
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment
@@ -58,7 +57,7 @@ BaudOption = Annotated[int, typer.Option("--baud", min=50, metavar="N", help="Ra
 
 def _again(folder: Path) -> str:
     """Return the command that continues an experiment."""
-    return shlex.join(["telenano", "experiment", "resume", str(folder)])
+    return f"telenano experiment resume {quoted(folder)}"
 
 
 @app.command()
@@ -83,7 +82,7 @@ def new(
             _load(part)
     print_answer(
         {"file": str(path)},
-        f"{path}; next: {shlex.join(['telenano', 'experiment', 'check', str(path)])}",
+        f"{path}; next: telenano experiment check {quoted(path)}",
         as_json=as_json,
     )
 
@@ -206,7 +205,7 @@ def erase(
     with report_errors(as_json):
         from telenano_experiments.people import erase as erased
 
-        if not yes and not typer.confirm(f"Erase everything of {pseudonym} in {folder}?"):
+        if not yes and not typer.confirm(one_line(f"Erase everything of {pseudonym} in {folder}?")):
             raise ConfigError("nothing was erased")
         gone = erased(folder, pseudonym)
     text = f"erased: {gone.files} files and {gone.records} records"

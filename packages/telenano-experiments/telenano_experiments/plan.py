@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,7 +80,7 @@ class Plan:
         name = self.experiment.scenario
         beside = self.path.parent / name
         path = beside if beside.is_file() else find_scenario(name)
-        return anchored(read_yaml(path), path.resolve().parent)
+        return anchored(read_yaml(path), Path(os.path.realpath(path)).parent)
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import DurationOption, SiteFileOption, report_errors
+from telenano.cli import DurationOption, SiteFileOption, report_errors, say
 from telenano.console import hand_on, live_rig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_lsl.bridge import DEFAULT_NAME, LslBridge, lsl_streams
@@ -33,4 +33,4 @@ def lsl(
             hand_on(bridge, live, duration)
             if bridge.elsewhere:
                 nodes = ", ".join(sorted(bridge.elsewhere))
-                typer.echo(f"telenano: not published: {nodes}, on another machine; start a bridge there", err=True)
+                say(f"not published: {nodes}, on another machine; start a bridge there")

@@ -16,6 +16,7 @@ from telenano.cli import (
     refuse_unused,
     report_errors,
     results_in,
+    say,
     validated,
     with_options,
 )
@@ -123,7 +124,7 @@ def curve(
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
     if finish.exit_code:
-        typer.echo(f"telenano: interrupted; {out} is complete", err=True)
+        say(f"interrupted; {out} is complete")
         raise typer.Exit(finish.exit_code)
 
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-import typer
-
-from telenano.settings import fault_of_package, load
+from telenano.cli import say
+from telenano.settings import code_of, installed, load
+from telenano.wire import TelenanoError
 from telenano_microscopy.image_files import Image, ImageFacts
 
 
@@ -36,11 +36,12 @@ def write_images(
         path = out / f"scan.{name}"
         # An image that cannot be taken again is not lost by the code of a package.
         try:
-            write(path, images, facts)
+            with code_of(installed("images")[name].package):
+                write(path, images, facts)
             files.append(path.name)
-        except Exception as error:  # noqa: BLE001
+        except TelenanoError as error:
             path.unlink(missing_ok=True)
-            formats.problems[name] = fault_of_package(error) or str(error)
+            formats.problems[name] = str(error)
     for name, problem in formats.problems.items():
-        typer.echo(f"telenano: scan.{name} was not written: {problem}", err=True)
+        say(f"scan.{name} was not written: {problem}")
     return files

@@ -15,6 +15,7 @@ from telenano.cli import (
     refuse_unused,
     report_errors,
     results_in,
+    say,
     validated,
     with_options,
 )
@@ -158,7 +159,7 @@ def _scan_live(
 def _say_if_interrupted(code: int, partial: str) -> bool:
     """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
     if code:
-        typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
+        say(f"interrupted: {partial or 'all lines'} are kept")
     return bool(code)
 
 

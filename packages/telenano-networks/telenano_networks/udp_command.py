@@ -1,7 +1,6 @@
 """`telenano link udp`: the link between two programs that speak UDP, without any privilege."""
 
 import contextlib
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +17,7 @@ from telenano.cli import (
     report_errors,
 )
 from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import quoted
 
 if TYPE_CHECKING:
     from telenano.recording import RecordingWriter
@@ -105,7 +105,7 @@ def udp(
     else:
         print_rows(_rows(document))
         if keeper is not None:
-            typer.echo(f"{keeper.path} is recorded: `telenano link report {shlex.quote(str(keeper.path))}` shows it")
+            typer.echo(f"{keeper.path} is recorded: `telenano link report {quoted(keeper.path)}` shows it")
     if keeper is not None and keeper.fault:
         fail_incomplete([keeper.fault])
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import DurationOption, SiteFileOption, report_errors
+from telenano.cli import DurationOption, SiteFileOption, report_errors, say
 from telenano.console import LiveRecording, hand_on, live_rig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano_ros2.bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
@@ -37,5 +37,5 @@ def ros2(
         live = open_parts.enter_context(live_rig(site_file, rate_hz=rate))
         typer.echo(f"publishing to the router at {router}, domain {domain}")
         if not is_connected():
-            typer.echo(f"telenano: no router answers at {router} yet; the bridge keeps trying", err=True)
+            say(f"no router answers at {router} yet; the bridge keeps trying")
         hand_on(bridge, live, duration)

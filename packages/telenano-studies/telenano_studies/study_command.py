@@ -25,6 +25,7 @@ from telenano.cli import (
     with_options,
 )
 from telenano.link import profile_named
+from telenano.runtime import AddressBook
 from telenano_studies.gallery_command import gallery_command
 from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Question
@@ -228,6 +229,8 @@ def validate(
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:
             scenario_of(cell)
+        if site_file is not None:
+            AddressBook.load(site_file)
         with results_in(out, at_once=True):
             agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [asdict(agreement) for agreement in agreements]

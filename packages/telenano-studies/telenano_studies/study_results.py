@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from telenano.cli import print_json, print_rows, progress, results_in
+from telenano.cli import print_json, print_rows, progress, results_in, say
 from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
 from telenano_studies.page import Page, text, write_tables
 
@@ -36,7 +36,7 @@ def sweep_in(
 def warn_of(*doubts: str) -> None:
     """Print what makes the result of a study doubtful."""
     for doubt in doubts:
-        typer.echo(f"telenano: warning: {doubt}", err=True)
+        say(f"warning: {doubt}")
 
 
 def command_line() -> str:

@@ -15,7 +15,7 @@ from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
 from telenano.recording.channel_filter import Selection
-from telenano.wire.errors import RecordingError, known_names
+from telenano.wire.errors import RecordingError
 
 if TYPE_CHECKING:
     from telenano.recording.info import RecordingInfo
@@ -111,9 +111,6 @@ def cat(
 
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
-        if topics and not any(map(chosen, recording.channels)):
-            names = known_names(topics[0], {channel.channel_topic: None for channel in recording.channels})
-            raise RecordingError(f"{files[0]}: has no channel {topics[0]}, {names}")
         chosen.demand_some_of(files[0], recording.channels)
         for message in islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count):
             print_json(line(message))

@@ -29,12 +29,13 @@ from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
     KINDS,
     all_installed,
+    code_of,
     installed,
     known_problems,
     load,
     scenario_files,
 )
-from telenano.wire.errors import ConfigError, EndpointError
+from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
 from telenano.wire.extras import extra_of, how_to_install
 
 if TYPE_CHECKING:
@@ -176,11 +177,20 @@ def checks_of_packages() -> list[Finding]:
     """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
     findings: list[Finding] = []
     for name, check in load("checks").found.items():
+        package = installed("checks")[name].package
         try:
-            findings += [Finding(*finding) for finding in check()]
-        except Exception as error:  # noqa: BLE001 - the code of a package may raise anything
-            findings.append(Finding(name, "warning", f"check of {installed('checks')[name].package} failed: {error!r}"))
+            with code_of(package):
+                findings += [_checked(*finding) for finding in check()]
+        except TelenanoError as error:
+            findings.append(Finding(name, "warning", str(error)))
     return findings
+
+
+def _checked(name: str, status: str, found: str, advice: str = "") -> Finding:
+    """Return a finding that a package has made; ValueError for a status that there is not."""
+    if status not in _STYLES:
+        raise ValueError(f"a finding is {', '.join(_STYLES)}, and not {status!r}")
+    return Finding(str(name), status, str(found), str(advice))  # type: ignore[arg-type]
 
 
 def _installed(name: str) -> str | None:

@@ -8,7 +8,7 @@ import typer
 from telenano.cli.completion import law_name
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import print_document, print_json, print_rows, report_errors
+from telenano.cli.output import print_document, print_json, print_rows, report_errors, say
 
 app = command_group()
 _OWN = "telenano"
@@ -31,7 +31,7 @@ def list_laws(as_json: JsonOption = False) -> None:
         return
     print_rows(rows)
     for text in problems.values():
-        typer.echo(f"telenano: {text}", err=True)
+        say(text)
 
 
 @app.command()

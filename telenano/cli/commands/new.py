@@ -1,6 +1,5 @@
 """`telenano new`: a package that extends telenano, ready to install."""
 
-import shlex
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, get_args
@@ -11,6 +10,7 @@ from telenano.cli.new_package import Kind, new_package
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors
 from telenano.wire.errors import ConfigError
+from telenano.wire.printable import quoted
 
 
 def new(
@@ -40,5 +40,5 @@ def new(
     # Where the backend is installed already, as in a checkout, pip need not fetch it into an environment of its own.
     ready = all(find_spec(name) is not None for name in ("hatchling", "editables"))
     option = "--no-build-isolation " if ready else ""
-    quoted = shlex.quote(str(folder))
-    typer.echo(f"next: pip install {option}-e {quoted} && pytest {quoted}")
+    given = quoted(folder)
+    typer.echo(f"next: pip install {option}-e {given} && pytest {given}")

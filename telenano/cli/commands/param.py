@@ -90,7 +90,7 @@ def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:
     try:
         return document if key is None else value_at(document, key)
     except ConfigError as error:
-        raise ConfigError(with_meant(str(error))) from error
+        raise ConfigError(*map(with_meant, error.lines)) from error
 
 
 def _yaml(value: Any) -> str:

@@ -1,7 +1,6 @@
 """`telenano scenario`: the experiments that are known, and files of your own."""
 
 import json
-import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +14,7 @@ from telenano.files.atomic_files import atomic_file
 from telenano.settings.config import read_yaml
 from telenano.settings.included import find_scenario, scenarios
 from telenano.wire.errors import ConfigError
+from telenano.wire.printable import quoted
 
 app = command_group()
 
@@ -87,8 +87,8 @@ def new(
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         with atomic_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
-    quoted = shlex.quote(str(path))
-    text = f"{path}; next: telenano scenario check {quoted} && telenano up {quoted}"
+    given = quoted(path)
+    text = f"{path}; next: telenano scenario check {given} && telenano up {given}"
     print_answer({"file": str(path)}, text, as_json=as_json)
 
 

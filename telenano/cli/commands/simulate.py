@@ -24,7 +24,7 @@ from telenano.cli.options import (
     refuse_unused,
     table_formats,
 )
-from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors
+from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors, say
 from telenano.cli.sweep import SEED, points_of, run_sweep, without_sweep
 from telenano.launcher.plan import Plan
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder
@@ -86,7 +86,7 @@ def simulate(
                 outcome, summary, plan = _run(request, folder, options, view, report=not no_report, as_json=as_json)
     if outcome.failure:
         code = EXIT_BAD_CONFIGURATION if outcome.bad_start else EXIT_FAILED
-        fail(outcome.failure, code, as_json=as_json, summary=summary)
+        fail(*outcome.failure.split("\n"), code=code, as_json=as_json, summary=summary)
     if summary is not None:
         print_summary(summary, str(plan.out), tables=False, as_json=as_json)
     elif not outcome.recordings:
@@ -101,7 +101,7 @@ def _run(
     plan = plan_of(request, folder)
     for text in (*known_problems(), plan.warning, plan.stiffness_warning):
         if text:
-            typer.echo(f"telenano: warning: {text}", err=True)
+            say(f"warning: {text}")
     outcome = run_plan(plan, request, view.observe, view.show)
     if not report:
         return outcome, None, plan

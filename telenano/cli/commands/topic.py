@@ -18,7 +18,7 @@ from telenano.cli.options import (
     TopicArgument,
     command_group,
 )
-from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors, say
 from telenano.launcher.scenario_keys import value_at
 from telenano.recording.json_values import json_fields, json_value
 from telenano.recording.quantities import quantity
@@ -156,4 +156,4 @@ def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observe
 
 def _say_silence(observer: Observer, topic: str) -> None:
     if observer.silent:
-        typer.echo(f"telenano: nothing was received on {topic} within {_SILENCE_S:g} s: {RIG_HINT}", err=True)
+        say(f"nothing was received on {topic} within {_SILENCE_S:g} s: {RIG_HINT}")

@@ -34,6 +34,7 @@ from telenano.cli.output import (
     print_document,
     print_summary,
     report_errors,
+    say,
 )
 from telenano.cli.sweep import SEED
 from telenano.launcher.fan_out import fan_out
@@ -166,7 +167,7 @@ def _warn(request: UpRequest, plan: Plan) -> None:
 
 
 def _tell(text: str) -> None:
-    typer.echo(f"telenano: {text}", err=True)
+    say(text)
 
 
 def _clock_text(plan: Plan) -> str:
@@ -211,7 +212,7 @@ def _restore_default_signals() -> None:
 def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:
     if outcome.failure:
         code = EXIT_BAD_CONFIGURATION if outcome.bad_start else EXIT_FAILED
-        fail(outcome.failure, code, as_json=as_json, summary=summary)
+        fail(*outcome.failure.split("\n"), code=code, as_json=as_json, summary=summary)
     if plan.site == "slave":
         _print_slave(outcome, plan, as_json=as_json)
     elif summary is not None:

@@ -6,8 +6,8 @@ import sys
 import time
 from typing import Any
 
-from telenano.files.printable import printable
 from telenano.timing.clock import Clock
+from telenano.wire.printable import printable
 
 # A library may log this number of records at once.
 _LIBRARY_BURST = 20.0

@@ -15,6 +15,7 @@ from telenano.runtime.bus.local_endpoint import (
     runtime_directory,
 )
 from telenano.wire.errors import ConfigError
+from telenano.wire.printable import quoted
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022
@@ -67,10 +68,12 @@ def check_folder_of_files(folder: Path) -> None:
 
 def _check(path: Path, status: os.stat_result, forbidden: int, what: str, right: str) -> None:
     if status.st_uid not in (os.geteuid(), _ROOT):
-        raise ConfigError(f"{path}: belongs to user {status.st_uid}, who can change it: chown {os.geteuid()} {path}")
+        raise ConfigError(
+            f"{path}: belongs to user {status.st_uid}, who can change it: chown {os.geteuid()} {quoted(path)}"
+        )
     if status.st_mode & forbidden:
         mode = status.st_mode & 0o777
-        raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {path}")
+        raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {quoted(path)}")
 
 
 def check_private_folder(folder: Path, remedy: str) -> None:
@@ -92,7 +95,7 @@ def check_private_folder(folder: Path, remedy: str) -> None:
         raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
     if status.st_mode & _ANY_ACCESS:
         mode = status.st_mode & 0o777
-        raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {folder}")
+        raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {quoted(folder)}")
 
 
 def check_runtime_directory(*, make: bool = False) -> None:

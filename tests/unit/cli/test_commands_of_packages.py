@@ -183,7 +183,8 @@ def test_checks_of_packages_are_findings_and_one_that_fails_is_one_too(make: Any
     found = {finding.name: finding for finding in checks_of_packages()}
     assert found["cable"].level == "ok" and found["cable"].advice == ""
     assert found["broken"].level == "warning"
-    assert found["broken"].found == "check of checker failed: ZeroDivisionError('division by zero')"
+    said = "the package checker 1.2 failed (checker.all, line 5, in broken): ZeroDivisionError: division by zero"
+    assert found["broken"].found == said
     assert any("bad of the package checker" in text for text in plugins.known_problems())
 
 

@@ -189,7 +189,7 @@ def test_the_doctor_names_every_faulty_entry(told: dict[str, Any], kind: str) ->
     for fault in TARGETS:
         name = f"table_{fault}" if kind == "commands" else fault
         assert f"{name} of the package hollow 1.2 cannot be used: {SAID[fault]}" in found
-    assert "check of hollow failed: RuntimeError('no licence')" in found
+    assert "the package hollow 1.2 failed (hollow.failing, line 6, in call): RuntimeError: no licence" in found
 
 
 @pytest.mark.parametrize("fault", [*TARGETS, "failing"])

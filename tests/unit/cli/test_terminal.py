@@ -10,8 +10,8 @@ from rich.console import Console
 
 from telenano.cli import output, terminal
 from telenano.cli.tables import rows_table, summary_tables
-from telenano.files.printable import printable
 from telenano.testing import install_package, run_apart
+from telenano.wire.printable import printable
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction

@@ -143,8 +143,10 @@ def two_rigs(tmp_path: Path, run: Callable[..., Device], monkeypatch: pytest.Mon
 
 def test_whoever_names_no_rig_stops_all_of_them(two_rigs: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
     assert run_estop(EstopRequest(as_json=True)) == 0
-    answers = json.loads(capsys.readouterr().out)["answers"]
+    printed = capsys.readouterr()
+    answers = json.loads(printed.out)["answers"]
     assert sorted(answers) == sorted(f"{rig}/{node}" for rig in ("main", "lab") for node in (HAND, TIP))
+    assert "no rig was named, and the stop went to each one of this user that was found: lab, main;" in printed.err
     assert all(device.taken for device in two_rigs)
 
 

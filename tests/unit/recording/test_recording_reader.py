@@ -64,6 +64,8 @@ def test_topics_and_times_select(make_file: MakeFile) -> None:
     assert [message.seq for message in found] == [5, 6, 7, 8]
     assert list(recording.messages(["teleop/forward"])) == []
     assert list(recording.messages([])) == []
+    # one name is not the letters of it
+    assert list(recording.messages("teleop/forward@slave", start, end)) == found
 
 
 def test_the_account_of_a_recording(config: RecorderConfig) -> None:

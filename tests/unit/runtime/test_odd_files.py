@@ -1,14 +1,13 @@
 """What else may stand in the place of a file that a process opens while it runs: nothing of it may keep the process."""
 
 import os
-import socket
-import stat
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from odd_places import PLACES
 from stopped_devices import HAND, MS, TIP, World
 
 from telenano.console.lease import Lease
@@ -25,29 +24,6 @@ from telenano.wire.errors import TelenanoError
 
 # far beyond what it takes: only a call that waits for somebody else takes longer
 PATIENCE_S = 20.0
-
-
-def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as bound:
-        bound.bind(str(path))
-
-
-def _device(path: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can make a device")
-    # that of /dev/zero, which has no end
-    os.mknod(path, 0o600 | stat.S_IFCHR, os.makedev(1, 5))
-
-
-KINDS: dict[str, Callable[[Path], Any]] = {
-    "pipe": os.mkfifo,
-    "socket": _socket,
-    "folder": Path.mkdir,
-    "link to what has no end": lambda path: path.symlink_to("/dev/zero"),
-    "link to nothing": lambda path: path.symlink_to("/nonexistent/file"),
-    "device": _device,
-    "file too large": lambda path: path.write_bytes(bytes(1 << 20)),
-}
 
 
 def _lock_of(path: Path) -> None:
@@ -87,7 +63,7 @@ def in_time(call: Callable[[], Any]) -> Any:
     return found[0]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PLACES)
 @pytest.mark.parametrize("what", OPENED)
 def test_nothing_that_stands_in_the_place_of_a_file_keeps_its_reader(
     what: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -95,18 +71,18 @@ def test_nothing_that_stands_in_the_place_of_a_file_keeps_its_reader(
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
     tmp_path.chmod(0o700)
     name, read = OPENED[what]
-    KINDS[kind](tmp_path / name)
+    PLACES[kind](tmp_path / name)
     found = in_time(lambda: read(tmp_path / name))
     assert found is None or isinstance(found, OSError | TelenanoError | Lease | bytes | int | str)
     if isinstance(found, int):
         os.close(found)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "file too large"])
+@pytest.mark.parametrize("kind", [kind for kind in PLACES if kind != "file too large"])
 def test_a_device_goes_on_beside_what_is_no_stop_and_says_so_once(kind: str, tmp_path: Path) -> None:
     here = World(tmp_path)
     path = here.devices[TIP].kept
-    KINDS[kind](path)
+    PLACES[kind](path)
     in_time(lambda: here.run(2000 * MS))
     told = [event for event in here.heard if str(path) in event.text]
     assert len(told) == 1

@@ -89,7 +89,7 @@ class RigProcess:
                 self._show(line)
         self._lines_shown = len(lines)
         if self._process.poll() is not None:
-            raise RigError("the rig has ended:\n" + "\n".join(lines[-_LAST_LINES:]))
+            raise RigError("the rig has ended:", *lines[-_LAST_LINES:])
 
     def end(self) -> None:
         """End the rig in order: its devices are made safe first."""
@@ -113,7 +113,7 @@ class RigProcess:
                 if rig.about.get("process") == self._process.pid:
                     return rig.name
             time.sleep(_LOOK_S)
-        raise RigError("the rig did not come up:\n" + "\n".join(self._lines()[-_LAST_LINES:]))
+        raise RigError("the rig did not come up:", *self._lines()[-_LAST_LINES:])
 
     def _lines(self) -> list[str]:
         return self._log.read_text(encoding="utf-8", errors="replace").splitlines()

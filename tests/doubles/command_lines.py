@@ -1,0 +1,65 @@
+"""Every command of the project and its packages as typer has it, what it needs beside an option, and how it ends.
+
+for words, command in commands():
+    end = ended([*words, *needed(words, command), "--site-file", "nosuch.yaml"], most_s=2.0)
+"""
+
+from collections.abc import Collection, Iterator
+from typing import Any
+
+import typer
+
+from telenano.cli.root import app
+from telenano.settings import DEMO_RECORDING
+
+# What a command is given beside the option that is tried, where it needs more than recordings and folders.
+WORDS = {
+    "up": "--scenario fig12",
+    "session": "mark",
+    "topic echo": "afm/state",
+    "topic hz": "afm/state",
+    "link set": "delay_s=0.01",
+    "link profile": "5g",
+    "link udp": "127.0.0.1:5000 127.0.0.1:5001",
+    "record": "--out out",
+    "scenario check": "fig12",
+    "scenario new": "fig12",
+    "law balance": "wave",
+    "law by-line": "--scenario fig12",
+    "new": "law my_law",
+    "keys allow": "other KEY --role data",
+    "bag export": f"{DEMO_RECORDING} --out out/made --to mcap-json",
+    "bag rerun": f"{DEMO_RECORDING} --node controller@master",
+    "device probe": "simulated_impedance",
+    "device trial": "haply",
+    "push": "--from 0,0 --to 100,0",
+    "study stability": "--environment spring --law wave --out out/made",
+}
+
+
+def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the words of each command and the command."""
+
+    def below(group: Any, words: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+        context = typer.Context(group)
+        for name in group.list_commands(context):
+            _, command, _ = group.resolve_command(context, [name])
+            if hasattr(command, "commands"):
+                yield from below(command, (*words, name))
+            else:
+                yield (*words, name), command
+
+    yield from below(typer.main.get_command(app), ())
+
+
+def needed(words: tuple[str, ...], command: Any, left_out: Collection[str] = ()) -> list[str]:
+    """Return what a command must have besides the parameters that are left out."""
+    if given := WORDS.get(" ".join(words)):
+        return given.split()
+    found = []
+    for parameter in command.params:
+        if parameter.required and parameter.name not in left_out:
+            is_option = parameter.param_type_name == "option"
+            value = "out/made" if parameter.name == "out" else "1" if is_option else str(DEMO_RECORDING)
+            found += [parameter.opts[0], value] if is_option else [value]
+    return found
