@@ -10,8 +10,8 @@ that a line that is cut or full is left alone.
 
 import msgspec
 
-from telenano.timing.clock import NEVER_NS
-
+# No time: a question is never due by itself [ns].
+NEVER_NS = 2**62
 # A question each [ns], within a series.
 _APART_NS = 10_000_000
 # A series lasts for this time at most, and the next one begins this long after it [ns].

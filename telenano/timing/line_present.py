@@ -92,9 +92,9 @@ class Changed(NamedTuple):
 class Way(msgspec.Struct, array_like=True):
     """The present of one way: the least that a message takes, with what the clocks are apart in it [ns].
 
-    least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so, by
-    that clock; jumped_ns: by how much it became longer last, from one message to the next as a route does; 0 where it
-    did so by and by; newest: when those of the last second were sent, and what they took.
+    least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so,
+    by that clock; jumped_ns: by how much it became longer last, from one message to the next as a route does; 0 where
+    it did so by and by; newest: when those of the last second were sent, and what they took.
     """
 
     least_ns: int
@@ -231,8 +231,8 @@ class LinePresent(msgspec.Struct, array_like=True):
 
     def copy(self) -> "LinePresent":
         """Return a copy that does not change with this one."""
-        ways = (None if way is None else way.copy() for way in (self.there, self.back))
-        return LinePresent(*ways, self.since_ns, self.told_ns, list(self.both_ns), self.jumped_ns)
+        there, back = (None if way is None else way.copy() for way in (self.there, self.back))
+        return LinePresent(there, back, self.since_ns, self.told_ns, list(self.both_ns), self.jumped_ns)
 
     @property
     def is_in_doubt(self) -> bool:

@@ -461,7 +461,7 @@ class LinkDelay(Message):
     hand_t_ns: Annotated[Count, about("t_ns of the first haptic/state that it applies to, on its own clock [ns]")]
     delay_ns: Annotated[Count, about("Delay applied on purpose, rounded down to whole milliseconds [ns]")]
     transit_ns: Annotated[
-        Count, about("Least time that a message was measured to take between two machines besides [ns]; 0 on one")
+        Count, about("Least time that a message takes between two machines besides, at present [ns]; 0 on one machine")
     ]
     clock_ahead_ns: Annotated[
         Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where no difference is resolved")

@@ -49,9 +49,7 @@ def _fills(line: LineOf) -> bool:
 
 def _queue_right(line: LineOf, one: Seen) -> bool:
     slack = 5.0 + 2.0 * (_scale_ms(line.there) + _scale_ms(line.back))
-    return all(
-        said is None or least - slack <= said <= 1.1 * most + slack for said, least, most in one.queues_ms
-    )
+    return all(said is None or least - slack <= said <= 1.1 * most + slack for said, least, most in one.queues_ms)
 
 
 def _capacity(line: LineOf, seen: list[Seen], way: int) -> str:

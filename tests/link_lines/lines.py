@@ -351,7 +351,7 @@ class _Run:
         true_ns = self.there.base_ns(self.now) + self.back.base_ns(self.now)
         ends = self.pair.master.end, self.pair.slave.end
         queues = []
-        for way, end, back in ((self.there, ends[0], ends[1]), (self.back, ends[1], ends[0])):
+        for way, end in ((self.there, ends[0]), (self.back, ends[1])):
             said = end.outgoing.line.there_ns
             lag_ns = way.base_ns(self.now) + (self.back if way is self.there else self.there).base_ns(self.now)
             waits = [wait for sent, wait in way.waits if self.now - lag_ns - 400 * MS <= sent]

@@ -1,4 +1,4 @@
-"""What is said of lines whose truth is known, by kind of line: `python tests/link_lines/lines_confusion.py --seeds 0:400`.
+"""What is said of lines whose truth is known, by kind: `python tests/link_lines/lines_confusion.py --seeds 0:400`.
 
 It prints how many round trips, queues and capacities are right, wrong or not known, and for how long the hand is off.
 """
@@ -69,6 +69,12 @@ def figures(lines: Iterable[list[Verdict]]) -> Figures:
     )
 
 
+def write(text: str) -> None:
+    """Write a line of the table."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
 def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -84,20 +90,24 @@ def main() -> int:
         whole = verdicts[0]
         bad = not whole.round_trip or not whole.queue or (whole.off_ms or 0) > OFF_MS
         if options.bad and (bad or any(way.capacity == "wrong" for way in verdicts)):
-            print(seed, line.kind, [way.capacity for way in verdicts], whole)
-    print(f"{'kind':18} {'lines':>5} {'round trip':>10} {'queue':>6} {'capacity wrong':>14} {'null':>5} {'off [ms]':>9}")
+            write(f"{seed} {line.kind} {[way.capacity for way in verdicts]} {whole}")
+    write(
+        f"{'kind':18} {'lines':>5} {'round trip':>10} {'queue':>6} {'capacity wrong':>14} {'null':>5} {'off [ms]':>9}"
+    )
     for kind, lines in sorted(found.items()):
         own, ways = figures(lines), [way for line in lines for way in line]
         off = max((line[0].off_ms or 0 for line in lines), default=0)
-        print(
+        write(
             f"{kind:18} {len(lines):5} {own.round_trip_wrong.count:10} {own.queue_wrong.count:6} {own.wrong.count:14}"
             f" {sum(way.capacity == 'null' for way in ways):5} {off:9}"
         )
     whole = figures(line for lines in found.values() for line in lines)
     inside = [line[0].in_interval for lines in found.values() for line in lines if line[0].off_ms is not None]
-    print(f"capacity wrong: {whole.wrong}; none of those that a queue limits: {whole.null_of_limited}")
-    print(f"round trip wrong: {whole.round_trip_wrong}; queue wrong: {whole.queue_wrong}; hand off too long: {whole.late}")
-    print(f"the round trip in its interval, after steps: {100 * sum(inside) / max(1, len(inside)):.1f} %")
+    write(f"capacity wrong: {whole.wrong}; none of those that a queue limits: {whole.null_of_limited}")
+    write(
+        f"round trip wrong: {whole.round_trip_wrong}; queue wrong: {whole.queue_wrong}; hand off too long: {whole.late}"
+    )
+    write(f"the round trip in its interval, after steps: {100 * sum(inside) / max(1, len(inside)):.1f} %")
     return 0
 
 

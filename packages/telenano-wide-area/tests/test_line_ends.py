@@ -13,11 +13,11 @@ from telenano_wide_area.datagram import end
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.body import (
     ASKING_TRAIN,
-    CARRIES,
     DICTIONARY,
     REPORT,
     SAMPLE,
     SHORT_REPORT,
+    TRAIN,
     mark,
     packed,
     parse,
@@ -59,7 +59,6 @@ def test_a_sample_is_deflated_to_a_third_and_comes_back_as_it_was() -> None:
         parse(REPORTED).report,
         [(b"teleop/forward", FORWARD)],
         [ASKING_TRAIN],
-        0,
         0,
     )
     # both ends need the very same bytes: another dictionary would be another wire format
@@ -199,7 +198,9 @@ def test_a_train_that_came_in_another_order_or_in_bursts_measures_nothing(spread
     courses = {
         "reordered": sorted((round(delay * MS), place) for place, delay in enumerate(delays_ms)),
         # The delay becomes longer while it is under way.
-        "stepped": [(place * MS // 10 + round(spread_ms * MS) * (place > 20), place) for place in range(TRAIN_DATAGRAMS)],
+        "stepped": [
+            (place * MS // 10 + round(spread_ms * MS) * (place > 20), place) for place in range(TRAIN_DATAGRAMS)
+        ],
     }
     for course in courses.values():
         incoming = Incoming("slave")

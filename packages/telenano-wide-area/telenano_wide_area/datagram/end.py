@@ -60,6 +60,8 @@ _BEHIND_NS = 2_000_000_000
 # After this time without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent,
 # to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
+# After a silence of this length a process may be behind, whose delay is no route's, for as long as _BEHIND_NS.
+_SILENCE_NS = 300_000_000
 # Datagrams are blocked if none arrives and the other end says over TCP that it has sent this number of since the
 # newest.
 _BLOCKED = 5
@@ -151,6 +153,7 @@ class DatagramEnd:
         # The newest datagram that arrived: its own time of sending, and when it came.
         self._heard = (0, 0)
         self._turned_ns, self._behind_until_ns = now, 0
+        self._silent_until_ns = now - _BEHIND_NS
         self._sent_ns = now
         # When the other end was last known, by either way, to have received further datagrams from here, and when by
         # one of its own.
@@ -319,6 +322,8 @@ class DatagramEnd:
         report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
         is_behind = monotonic_ns < self._behind_until_ns or monotonic_ns - self._turned_ns > _STOOD_STILL_NS
+        if self._reception.silence_ns(monotonic_ns) > _SILENCE_NS:
+            self._silent_until_ns = monotonic_ns
         self._reception.record(monotonic_ns)
         if opener is not self._agreement.opener:
             return
@@ -339,7 +344,8 @@ class DatagramEnd:
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
             self.outgoing.record_heard(report, now_ns)
-            if self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns):
+            is_longer = self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            if is_longer and monotonic_ns - self._silent_until_ns > _BEHIND_NS:
                 self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:

@@ -35,7 +35,7 @@ class Point(NamedTuple):
     at_ns: int
     delay_ns: int
     size_bytes: int
-    count: int
+    datagrams: int
 
 
 class FullQueue:
@@ -96,7 +96,7 @@ class FullQueue:
 def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> float | None:
     """Return the rate of both parts [bit/s], None where they are too short, too alike in slope, or not of one rate."""
     parts = ((first, turn), (turn, last))
-    if any(end.at_ns - begin.at_ns < _LEAST_NS or end.count - begin.count < _FEWEST for begin, end in parts):
+    if any(end.at_ns - begin.at_ns < _LEAST_NS or end.datagrams - begin.datagrams < _FEWEST for begin, end in parts):
         return None
     slopes = [(end.delay_ns - begin.delay_ns) / (end.at_ns - begin.at_ns) for begin, end in parts]
     rates = [(end.size_bytes - begin.size_bytes) / (end.at_ns - begin.at_ns) for begin, end in parts]
@@ -104,7 +104,7 @@ def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> float | N
     changed_ns = sum(abs(end.delay_ns - begin.delay_ns) for begin, end in parts)
     if apart < _APART or not all(rates) or changed_ns < varied_ns:
         return None
-    counted = sum(1.0 / (end.count - begin.count) for begin, end in parts)
+    counted = sum(1.0 / (end.datagrams - begin.datagrams) for begin, end in parts)
     if abs(rates[0] / rates[1] - 1.0) > max(_SAME * apart, min(counted, 0.5 * apart)):
         return None
     return 8e9 * (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)

@@ -93,7 +93,7 @@ class Incoming:
             self._train.append(Arrived(now_ns, number, size))
 
     def measure(self, now_ns: int) -> None:
-        """Look at what was carried: where that is more than was measured, the line carries more, and how much is open."""
+        """Look at what was carried: where that is more than was measured, it is open how much more the line carries."""
         if self._train and now_ns - self._train[-1].at_ns > _PAUSE_NS:
             self._end_train(now_ns)
         if self._span is None:

@@ -64,6 +64,8 @@ class Line:
         self._span_ns = _FIRST_SPAN_NS
         self._now: Least | None = None
         self._now_ends_ns = 0
+        # What was kept of the route before it became longer.
+        self._shorter: tuple[list[Least], int] | None = None
         self._slope = self._expected_slope = self._there = self._back = 0.0
         self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
@@ -107,12 +109,22 @@ class Line:
         if self._zero is None:
             self._zero = (received_ns, there, back)
         at, f, b = (x - zero for x, zero in zip((received_ns, there, back), self._zero, strict=True))
-        if at < 0 or f + b < self._least_both - STEP_NS:
+        if at < 0:
+            # This process was given another clock.
+            self.forget()
+            return
+        f_above, b_above = f - self._slope * at, b + self._slope * at
+        falls = max(self._there - f_above, self._back - b_above) > STEP_NS
+        if self._shorter and (falls or f + b < self._least_both - STEP_NS):
+            # The route is as short again as it was, or always was.
+            self._spans, self._span_ns = self._shorter
+            self._shorter, self._now, self._now_ends_ns = None, None, 0
+            self._fit()
+        elif f + b < self._least_both - STEP_NS:
             # No round trip is that much shorter than the shortest: this process was given another clock.
             self.forget()
             return
         self._keep(Least((at, f), (at, b), f + b), at)
-        f_above, b_above = f - self._slope * at, b + self._slope * at
         self._there, self._back = min(self._there, f_above), min(self._back, b_above)
         self._least_both = min(self._least_both, f + b)
         most = f + b - self._least_both
@@ -124,7 +136,12 @@ class Line:
             return
         at = at_ns - self._zero[0]
         f, b = round(self._there + self._slope * at) + there_ns, round(self._back - self._slope * at) + back_ns
-        self._spans, self._span_ns, self._now, self._now_ends_ns = [Least((at, f), (at, b), f + b)], _FIRST_SPAN_NS, None, 0
+        self._spans, self._span_ns, self._now, self._now_ends_ns = (
+            [Least((at, f), (at, b), f + b)],
+            _FIRST_SPAN_NS,
+            None,
+            0,
+        )
         # The clocks run as they did.
         self._expected_slope = self._slope
         self._there, self._back, self._least_both = f - self._slope * at, b + self._slope * at, f + b
@@ -163,7 +180,14 @@ class Line:
             half, middle = 0.5 * line.round_trip_ns, line.at(0)
             self._there, self._back = half + middle, half - middle
             self._least_both = min(span.both_ns for span in self._spans)
-            if self._least_both - line.round_trip_ns <= STEP_NS or len(self._spans) < _FEWEST_SPANS:
+            if self._least_both - line.round_trip_ns <= STEP_NS:
+                return
+            if self._shorter:
+                # A way that had seemed to be longer is not: what is older than that counts again.
+                self._spans, self._span_ns = [*self._shorter[0], self._spans[-1]], self._shorter[1]
+                self._shorter = None
+                continue
+            if len(self._spans) < _FEWEST_SPANS:
                 return
             del self._spans[: len(self._spans) // 2]
 
