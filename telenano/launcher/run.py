@@ -35,7 +35,7 @@ from telenano.runtime.wiring import beside as beside_process
 from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
-from telenano.wire.errors import ConfigError, RecordingError, RigError, TelenanoError
+from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
 from telenano.wire.printable import quoted
 
@@ -67,6 +67,8 @@ class Outcome:
     restarts: dict[str, int]
     missing: tuple[str, ...] = ()
     bad_start: bool = False
+    # What recorders have told of files that were removed while they were written.
+    removed: tuple[str, ...] = ()
 
     @contextlib.contextmanager
     def report_later(self, plan: Plan) -> Iterator[None]:
@@ -254,7 +256,6 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     ran = isinstance(rig, SessionNode) and rig.ran
     note = ""
     missing = [f"{node}: {fault}" for node, fault in rig.recording_faults.items()]
-    missing += rig.removed_recordings
     if isinstance(rig, SessionNode) and rig.recording is not None:
         recordings, note = _found(rig, rig.recording, plan) if ran else ((), "")
     else:
@@ -262,7 +263,17 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
         missing += unreadable
         missing += rig.not_recorded if isinstance(rig, SessionNode) else ()
     restarts, bad_start = rig.supervisor.restarts(), rig.supervisor.bad_start
-    return Outcome(rig.failure, rig.interrupted, ran, recordings, note, restarts, tuple(missing), bad_start)
+    return Outcome(
+        rig.failure,
+        rig.interrupted,
+        ran,
+        recordings,
+        note,
+        restarts,
+        tuple(missing),
+        bad_start,
+        tuple(rig.removed_recordings),
+    )
 
 
 def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tuple[tuple[Path, ...], str]:
@@ -386,9 +397,9 @@ def report_of(
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:
             return None
-        if not outcome.missing:
+        if isinstance(error, ReportError) or not outcome.removed:
             raise
-        raise RecordingError("; ".join((str(error), *outcome.missing))) from error
+        raise RecordingError("; ".join((str(error), *outcome.removed))) from error
 
 
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:
