@@ -130,7 +130,7 @@ class OffsetFilter:
         if line is None or present is None:
             return None
         count = sum(block.exchanges for block in self.blocks)
-        uncertainty_s = 0.5e-9 * max(0.0, line.round_trip_ns)
+        uncertainty_s = 0.5 * max(0.0, line.round_trip_ns * 1e-9)
         offset_s, round_trip_s = line.at(self._newest_ns) * 1e-9, present.now_ns * 1e-9
         return Offset(offset_s, uncertainty_s, round_trip_s, count)
 
@@ -150,7 +150,8 @@ class OffsetFilter:
             valid=True,
             offset_s=offset.offset_s,
             uncertainty_s=offset.uncertainty_s,
-            round_trip_s=offset.round_trip_s,
+            # On one machine it is that of processes, which no route changes.
+            round_trip_s=offset.round_trip_s if of_line else 2.0 * offset.uncertainty_s,
             exchanges=offset.exchanges,
             round_trip_low_s=present.low_ns * 1e-9 if of_line else None,
             round_trip_high_s=present.high_ns * 1e-9 if of_line else None,

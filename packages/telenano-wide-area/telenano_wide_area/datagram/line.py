@@ -125,6 +125,7 @@ class Line:
             self.forget()
             return
         self._keep(Least((at, f), (at, b), f + b), at)
+        f_above, b_above = f - self._slope * at, b + self._slope * at
         self._there, self._back = min(self._there, f_above), min(self._back, b_above)
         self._least_both = min(self._least_both, f + b)
         most = f + b - self._least_both
