@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "packages/telenano-wide-area/tests")]
 
-from judge import OFF_MS, Verdict, judge  # noqa: E402
+from line_judge import OFF_MS, Verdict, judge  # noqa: E402
 from lines import draw_line, run  # noqa: E402
 
 

@@ -1,7 +1,7 @@
 """What is said of lines whose truth is known: of some of them in every check, of four hundred on demand."""
 
 import pytest
-from judge import OFF_MS, judge
+from line_judge import OFF_MS, judge
 from lines import LineOf, Piece, Seen, Session, WayOf, draw_line, run
 from lines_confusion import Counted, Figures, figures
 

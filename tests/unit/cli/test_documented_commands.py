@@ -84,6 +84,7 @@ def context_of(arguments: list[str]) -> Any:
 def plan_of(options: dict[str, Any], folder: Path) -> Plan:
     """Return what `telenano up` would run; ConfigError names what is wrong."""
     given = {name: getattr(options[name], "value", options[name]) for name in UpRequest.model_fields if name in options}
+    given["scenario"] = given.get("scenario") or options.get("experiment")
     given = {name: value for name, value in given.items() if value is not None}
     return make_plan(validated(UpRequest, {**given, "out": folder}), folder)
 

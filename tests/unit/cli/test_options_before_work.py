@@ -92,6 +92,6 @@ def test_a_command_that_is_printed_can_be_pasted(name: str) -> None:
     result = CliRunner().invoke(app, ["scenario", "new", "mine", f"--out={name}"])
     shown = shlex.split(result.output.partition("next: ")[2].replace(" && ", " "))
     file = shown[3]
-    assert shown == ["telenano", "scenario", "check", file, "telenano", "up", "--scenario", file]
+    assert shown == ["telenano", "scenario", "check", file, "telenano", "up", file]
     assert Path(file) == Path(name)
     assert CliRunner().invoke(app, shown[1:4]).exit_code == 0
