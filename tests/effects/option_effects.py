@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import typer
+import command_lines
 from compared_sessions import facts_of
 from typer.testing import CliRunner
 
@@ -147,17 +147,7 @@ def flat(value: Any, stem: str = "") -> dict[str, Any]:
 
 def commands() -> Iterator[tuple[str, Any]]:
     """Yield the name of each command and the command."""
-
-    def below(group: Any, words: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-        context = typer.Context(group)
-        for name in group.list_commands(context):
-            _, command, _ = group.resolve_command(context, [name])
-            if hasattr(command, "commands"):
-                yield from below(command, (*words, name))
-            else:
-                yield " ".join((*words, name)), command
-
-    yield from below(typer.main.get_command(app), ())
+    return ((" ".join(words), command) for words, command in command_lines.commands())
 
 
 def values_of(command: str, option: Any) -> list[list[str]]:

@@ -9,7 +9,6 @@ wrong: a greatest force, a pull-off of either way or a span of the height that i
 """
 
 import argparse
-import math
 import sys
 import tempfile
 from collections.abc import Callable
@@ -17,6 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from telenano.analysis import wilson
 
 Array = np.ndarray
 K, M_PER_V = 0.5, 50e-9
@@ -447,13 +448,6 @@ def outcome(kind: Kind, seed: int, folder: Path) -> Outcome:
         if abs(found[name] - truth[name]) > limits.get(name, 0.05 * scale)
     }
     return Outcome(", ".join(f"{name} {value:+.2g}" for name, value in off.items()), "", said)
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share by Wilson."""
-    z, share = 1.96, count / max(of, 1)
-    middle, width = share + z**2 / (2 * of), z * math.sqrt(share * (1.0 - share) / of + z**2 / (4 * of**2))
-    return max((middle - width) / (1.0 + z**2 / of), 0.0), min((middle + width) / (1.0 + z**2 / of), 1.0)
 
 
 def main() -> None:

@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import signal
 
+from telenano.analysis import wilson
+
 K_B = 1.380649e-23
 KELVIN = 295.0
 BY_ANGLE = 0.971 / 1.09**2
@@ -408,14 +410,6 @@ def outcome(form: Form, seed: int, folder: Path) -> Outcome:
         return Outcome(None, None, str(error))
     off = found.stiffness_n_per_m - made.k
     return Outcome(off / made.k, off / found.standard_error_n_per_m)
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share by Wilson."""
-    z, share = 1.96, count / max(of, 1)
-    middle, width = share + z**2 / (2 * of), z * math.sqrt(share * (1.0 - share) / of + z**2 / (4 * of**2))
-    scale = 1.0 + z**2 / of
-    return max((middle - width) / scale, 0.0), min((middle + width) / scale, 1.0)
 
 
 def main() -> None:

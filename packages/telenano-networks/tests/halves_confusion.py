@@ -19,6 +19,8 @@ from telenano_networks.line_fit import compared_halves
 from telenano_networks.line_log import LineLog, Segment
 from telenano_networks.line_sources import Column
 
+from telenano.analysis import wilson
+
 
 class Line(NamedTuple):
     """A drawn line: its kind, its log, and how many correlation times (integrated) a half of it has."""
@@ -106,13 +108,6 @@ def drawn(seed: int, kind: int, *, is_changed: bool, longest_s: float = 3600.0) 
 
 def is_said_to_differ(line: Line) -> bool:
     return any(halves.differ for halves in compared_halves(line.log).values())
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (E. B. Wilson, J. Am. Stat. Assoc. 22, 209, 1927)."""
-    z, share = 1.96, count / of
-    middle, half = share + z * z / (2 * of), z * math.sqrt(share * (1 - share) / of + z * z / (4 * of * of))
-    return (middle - half) / (1 + z * z / of), (middle + half) / (1 + z * z / of)
 
 
 def main() -> None:
