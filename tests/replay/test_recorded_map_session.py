@@ -47,8 +47,8 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.check("takes 2.3 s")
 def test_a_bilateral_session_feels_the_curves_of_the_file(example: Any, tmp_path: Path) -> None:
     made, up = example
-    assert up[:4] == ["telenano", "up", "--scenario", "fig12"]
-    path = record_session(tmp_path, 1, [up[5]], 2.0)
+    assert up[:3] == ["telenano", "up", "fig12"]
+    path = record_session(tmp_path, 1, [up[4]], 2.0)
     recording = Recording(path)
     read: dict[str, list[Any]] = {
         topic: [found.decode() for found in recording.messages((topic,))]

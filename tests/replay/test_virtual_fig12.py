@@ -26,9 +26,9 @@ def settings_of(option: str) -> list[str]:
     block = PAGE.read_text("utf-8").partition("```sh\n")[2].partition("```")[0]
     (line,) = [text for text in block.splitlines() if option in text and "telenano up" in text]
     words = shlex.split(line, comments=True)
-    assert words[1:4] == ["up", "--scenario", "fig12"]
+    assert words[1:3] == ["up", "fig12"]
     found: list[str] = []
-    for name, value in zip(words[4::2], words[5::2], strict=True):
+    for name, value in zip(words[3::2], words[4::2], strict=True):
         if name == "--round-trip-ms":
             found += [f"delay_node.{way}.delay_s={0.5e-3 * float(value)}" for way in ("forward", "backward")]
         else:
