@@ -33,11 +33,12 @@ def _checked(consume: Callable[..., Any], parameter: Any, *args: Any) -> Any:
     name = parameter.opts[0] if parameter.param_type_name == "option" else parameter.metavar or parameter.name
     for text in value if isinstance(value, list | tuple) else [value]:
         if isinstance(text, str):
-            _check(name, text, is_folder=parameter.metavar in _FOLDERS)
+            is_read = parameter.param_type_name == "argument"
+            _check(name, text, is_folder=parameter.metavar in _FOLDERS, is_read=is_read)
     return value, source
 
 
-def _check(name: str, text: str, *, is_folder: bool) -> None:
+def _check(name: str, text: str, *, is_folder: bool, is_read: bool) -> None:
     if not text:
         # `Path` takes it for the current folder.
         raise ConfigError(f"{name}: is empty, as an unset variable is; write . for the current folder")
@@ -49,6 +50,7 @@ def _check(name: str, text: str, *, is_folder: bool) -> None:
         if error.errno in _NO_WAY:
             raise TelenanoError(f"{text}: cannot be reached, as {name} asks: {error.strerror}") from error
         return
-    if is_folder and not stat.S_ISDIR(mode):
+    # A command that reads a folder knows best what another file is, and where it should have gone.
+    if is_folder and not stat.S_ISDIR(mode) and not (is_read and stat.S_ISREG(mode)):
         what = "file" if stat.S_ISREG(mode) else "pipe, socket or device"
         raise TelenanoError(f"{text}: cannot be the folder of {name}: it is a {what}: {os.strerror(errno.ENOTDIR)}")
