@@ -7,6 +7,8 @@ import contextlib
 import random
 import shutil
 import socket as sockets
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
@@ -156,6 +158,27 @@ def restarted(sender: Sender) -> None:
     sender.bind()
 
 
+_STANDS_IN = """
+import sys, time, zmq
+socket = zmq.Context().socket(zmq.PUB)
+socket.bind(sys.argv[1])
+print("bound", flush=True)
+time.sleep(60)
+"""
+
+
+def killed(sender: Sender) -> None:
+    """Have a process at the endpoint killed with its connections open, and the next one take its place."""
+    sender.close()
+    time.sleep(0.1)
+    with subprocess.Popen([sys.executable, "-c", _STANDS_IN, sender.endpoint], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"bound\n"
+        # The readers connect to it.
+        time.sleep(0.3)
+        process.kill()
+    sender.bind()
+
+
 def left_after_it(sender: Sender) -> None:
     """Break the connections and end; the next one comes later, as consoles do."""
     too_large(sender)
@@ -171,6 +194,7 @@ WAYS: Mapping[str, Callable[[Sender], None]] = {
     "the file removed and made again": file_removed,
     "ended and started again": restarted,
     "broken by one that ended": left_after_it,
+    "killed": killed,
 }
 
 
@@ -337,8 +361,23 @@ def lost(reader: Reader, but: str = "") -> int:
     return sum(t.lost for r in reader.readers for (_, src), t in r.trackers.items() if src != but)
 
 
+def large_frame(slave: Machine) -> None:
+    slave.publishers[AFM].socket.send_multipart([b"afm/state", LARGE])
+
+
+def cut_by_the_kernel(slave: Machine) -> None:
+    """Have the system end the connection, as a firewall or an administrator does."""
+    port = slave.publishers[AFM].socket.get(zmq.LAST_ENDPOINT).rpartition(b":")[2].decode()
+    done = subprocess.run(["ss", "-K", "sport", "=", port], capture_output=True, text=True, check=False)
+    if "ESTAB" not in done.stdout:
+        pytest.skip("this system ends no connection for `ss -K`, which needs root")
+
+
+@pytest.mark.parametrize("way", [large_frame, cut_by_the_kernel])
 @pytest.mark.parametrize("insecure", [True, False])
-def test_a_connection_to_another_machine_is_made_again_as_soon(tmp_path: Path, insecure: bool) -> None:
+def test_a_connection_to_another_machine_is_made_again_as_soon(
+    tmp_path: Path, insecure: bool, way: Callable[[Machine], None]
+) -> None:
     book = two_machine_book(tmp_path, insecure=insecure)
     master, slave = (Machine(name, book, tmp_path) for name in SITES)
     if not insecure:
@@ -346,7 +385,7 @@ def test_a_connection_to_another_machine_is_made_again_as_soon(tmp_path: Path, i
         slave.knows(master)
     with contextlib.closing(slave.open().bind(AFM)), contextlib.closing(master.open().subscribe({AFM: ["afm/state"]})):
         until(lambda: master.received_from(AFM), master, slave)
-        slave.publishers[AFM].socket.send_multipart([b"afm/state", LARGE])
+        way(slave)
         until(lambda: "down" in [event.data.get("connection") for event in master.events], master, slave)
         before, turns = master.received_from(AFM), 0
         # At each turn the clocks advance by 20 ms, which pass here as well: libzmq has its own clock.
