@@ -40,7 +40,7 @@ def parts_of(way: Array) -> list[Part]:
     parts: list[Part] = []
     stretches = list(zip(*_turns(way), strict=True))
     travel = sum(float(np.ptp(way[start:end])) for start, end in stretches)
-    # what a row moves on average, so that noise in a rest is no way
+    # A way moves by as much as a row does on average, so that noise in a rest is none.
     least = _RESTS * travel / max(len(way), 1)
     for start, end in stretches:
         for part in _rests(way, start, end, least):

@@ -71,7 +71,7 @@ class RigNode(Node):
         self.interrupted = False
         # why recorders have stopped recording, by node
         self.recording_faults: dict[str, str] = {}
-        # what recorders have told of files that were removed while they were written
+        # Recorders tell of files that were removed while they were written.
         self.removed_recordings: list[str] = []
         # the stamp of the last message of each publisher that has ended [ns]
         self.ended: dict[str, int] = {}

@@ -166,7 +166,7 @@ def _heights(columns: tuple[Column, ...]) -> list[Column]:
     """Return the columns that may be the height: by name and unit, else by unit, else by name."""
     lengths = [column for column in columns if _is(column, "m")]
     named = [column for column in lengths if role_of(column.name) == "base"]
-    # of an x and a y that no name tells of, the first is the height
+    # Where no name tells x from y, the first one is the height.
     unnamed = [column for column in lengths if not role_of(column.name)]
     found = named or _both_ways(unnamed) or unnamed[:1]
     if found:

@@ -433,7 +433,7 @@ def outcome(kind: Kind, seed: int, folder: Path) -> Outcome:
     found = {"greatest": force.max(), "pull_there": approach.min(), "pull_back": back.min(), "span": np.ptp(base)}
     scale = truth["greatest"]
     if kind is no_free_part:
-        # with an offset that nothing tells, only differences are known
+        # Only differences are known where nothing tells the offset.
         found = {"span": found["span"], "greatest": np.ptp(back)}
         truth = {"span": truth["span"], "greatest": float(np.ptp(curve.back))}
     # which end is the sample, and the sign, show in the course of the approach

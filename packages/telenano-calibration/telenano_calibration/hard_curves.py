@@ -235,7 +235,7 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
         except ConfigError as error:
             reason = reason or error
             if approaches:
-                # what one approach cannot give another one of the same file does not say instead
+                # Another approach of the same file does not stand in for one that gives nothing.
                 raise
     if not lines:
         assert reason is not None

@@ -62,7 +62,7 @@ _MOST_TONES = 40
 _MOST_TONE_SHARE = 0.02
 _MOST_ROUNDS = 12
 _FEWEST_LINES = 16
-# of the fit: log s^2, log f0, log Q and the floor
+# The fit has log s^2, log f0, log Q and the floor.
 _PARAMETERS = 4
 # The distance of the quartiles tells of the scatter as much as this share of the lines by their squares.
 _OF_QUARTILES = 0.37

@@ -65,7 +65,7 @@ def record_of(draw: np.random.Generator, lines: tuple[float, float] = (4.0, 16.0
     turn = 2.0 * math.pi * f0 * math.sqrt(1.0 - 0.25 / q**2)
     covariance = square * np.exp(-gamma * t) * (np.cos(turn * t) + gamma / turn * np.sin(turn * t))
     power = np.maximum(np.fft.rfft(covariance).real, 0.0)
-    # of the white noise of the read-out, by its share of the density in the peak
+    # The white noise of the read-out is drawn by its share of the density in the peak.
     peak = 2.0 * square * q / (math.pi * f0)
     power = power + 0.5 * rate * peak * math.exp(draw.uniform(math.log(1e-5), math.log(3e-3)))
     z = draw.standard_normal(count)

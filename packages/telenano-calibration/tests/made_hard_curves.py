@@ -241,7 +241,7 @@ def written(kind: Kind, seed: int) -> tuple[str, float]:
     """Return the text of a curve and the sensitivity [nm/V], nan where none belongs to it."""
     draw = np.random.default_rng([KINDS.index(kind), seed])
     course = kind(draw)
-    # what belongs to a volt, in the noise of the read-out; a detector at its end has none
+    # The noise of the read-out is added to the volts; a detector at its end has none.
     clean = course.deflection / (course.nm_per_v if course.nm_per_v == course.nm_per_v else 50.0)
     noise_v = abs(course.noise_v) if course.nm_per_v == course.nm_per_v else 2e-3 * np.ptp(clean)
     volts = clean + noise_v * draw.standard_normal(len(clean))

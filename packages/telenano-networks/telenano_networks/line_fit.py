@@ -19,7 +19,7 @@ from telenano.link import LinkSettings
 from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_log import LineLog, Segment
 from telenano_networks.line_sources import Column
-from telenano_networks.line_tally import Numbers, Scale, Tally, correlation_of, scale_of, tally_of
+from telenano_networks.line_tally import Numbers, Scale, Tally, blocks_in, correlation_of, scale_of, tally_of
 
 # Between two shares the quantiles are linear, and the tail needs them close.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
@@ -475,7 +475,7 @@ def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
     time_s, half_s = lasting_s(log)
     block_s = half_s / min(max(half_s / (_BLOCK_TIMES * time_s), _FEWEST_BLOCKS), _MOST_BLOCKS)
     tally = tally_of(LineLog((*first.segments, *second.segments), log.round_trip, log.resolution_s), scale, block_s)
-    is_second = np.repeat([0, 1], [len(tally_of(half, scale, block_s).seconds) for half in (first, second)])
+    is_second = np.repeat([0, 1], [sum(blocks_in(part, block_s) for part in half.segments) for half in (first, second)])
     # The blocks of a process with this correlation time have this share of the variance of a mean of them.
     times = block_s / time_s
     kept = 1.0 + math.expm1(-times) / times

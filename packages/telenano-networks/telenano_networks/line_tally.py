@@ -131,6 +131,11 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
     return stalls
 
 
+def blocks_in(part: Segment, block_s: float) -> int:
+    """Return how many blocks of about a length [s] a segment has: one at least, and never more than messages."""
+    return max(1, min(round(float(part.sent_s[-1]) / block_s), len(part.sent_s)))
+
+
 def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
     """Return the tally of a log in blocks of about this length [s], of which a segment has one at least."""
     delays, blocks, is_usual, overtaken = [], [], [], []
@@ -138,8 +143,7 @@ def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
     seconds: list[float] = []
     stalls: list[tuple[int, float, int, int]] = []
     for part in log.segments:
-        # never more than messages, whatever their times say
-        pieces = max(1, min(round(float(part.sent_s[-1]) / block_s), len(part.sent_s)))
+        pieces = blocks_in(part, block_s)
         edges_s = np.linspace(0.0, part.sent_s[-1], pieces + 1)
         block = len(seconds) + np.searchsorted(edges_s[1:-1], part.sent_s, side="right")
         seconds += np.diff(edges_s).tolist()
