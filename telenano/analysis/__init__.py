@@ -6,12 +6,16 @@ from telenano.faces import face
 
 if TYPE_CHECKING:
     from telenano.analysis.fig12 import SessionSeries as SessionSeries
+    from telenano.analysis.figure_style import VERDICT_COLOURS as VERDICT_COLOURS
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
     from telenano.analysis.holds import Fact as Fact
     from telenano.analysis.intervals import half_width as half_width
     from telenano.analysis.intervals import wilson as wilson
     from telenano.analysis.mean_interval import mean_half_width as mean_half_width
+    from telenano.analysis.page import Page as Page
+    from telenano.analysis.page import cell_text as cell_text
+    from telenano.analysis.page import png_of as png_of
     from telenano.analysis.report import Session as Session
     from telenano.analysis.verdict import Kind as Kind
 else:

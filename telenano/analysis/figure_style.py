@@ -34,6 +34,17 @@ _PAPER: Mapping[str, Any] = {
 # text of a PDF or SVG stays text, which an editor of the journal can search and set
 _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
 
+# The colours of verdicts are those with the greatest least difference between two, where stable is light and what
+# diverges is dark.
+VERDICT_COLOURS = {
+    "stable": "#99e6ff",
+    "limit_cycle": "#e68000",
+    "diverged": "#66004d",
+    "contact_lost": "#0000e6",
+    "guarded": "#001a00",
+    "no_data": "#ffffe6",
+    "cannot_say": "#4d4d00",
+}
 # The colours of curves.
 HAND = "#0b3d66"
 TIP = "#d55e00"

@@ -129,7 +129,7 @@ def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: lis
 
 
 def _page(take: "Take[Any]", verdicts: "list[Verdict]", result: str) -> Any:
-    from telenano_studies.page import Page
+    from telenano.analysis import Page
 
     page = Page(f"Acceptance of {take.facts.identity}: {result}")
     page.paragraph(

@@ -88,7 +88,7 @@ def _show(figures: Any, stages: Any, document: dict[str, Any]) -> None:
 
 
 def _page(figures: Any, stages: Any, document: dict[str, Any]) -> Any:
-    from telenano_studies.page import Page
+    from telenano.analysis import Page
 
     page = Page("Budget of a session")
     for heading, rows in _tables(figures, stages):

@@ -83,7 +83,7 @@ def analyse(
 
 
 def _print(document: dict[str, Any], page: Path) -> None:
-    from telenano_studies.page import text
+    from telenano.analysis import cell_text
 
     columns = {
         "terms": ("measure", "term", "f", "df1", "df2", "p_corrected", "partial_eta2"),
@@ -97,7 +97,7 @@ def _print(document: dict[str, Any], page: Path) -> None:
         if len(rows) > _MOST_ROWS:
             typer.echo(f"{part}: {len(rows)} rows, which are on the page")
         elif rows:
-            shown = [{name.replace("_", " "): text(row.get(name)) for name in names} for row in rows]
+            shown = [{name.replace("_", " "): cell_text(row.get(name)) for name in names} for row in rows]
             print_rows(shown, title=part)
     for row in document["models"]:
         for remark in row["remarks"]:

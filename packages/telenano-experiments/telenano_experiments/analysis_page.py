@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from telenano_studies.figure_colours import LINES
-from telenano_studies.page import Page, write_images
+from telenano_studies.page import write_images
 
-from telenano.analysis import FigureOptions
+from telenano.analysis import FigureOptions, Page
 from telenano.recording import versions as origin_of
 from telenano_experiments.analyse import Analysis, versions
 from telenano_experiments.effects import Factor

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano_studies.loops.cells import STRUCK_FORCES
-from telenano_studies.page import Page, text
 
+from telenano.analysis import Page, cell_text
 from telenano.link import profile_named
 from telenano_experiments.benchmark.plan import HANDS, STEADINESS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.results import Case, Row, Situation, Spread, choices
@@ -213,7 +213,7 @@ def _spread(spread: Spread | None) -> str | None:
 
 def _median(row: Row[Case], measure: str) -> str:
     spread = row.measures[measure]
-    return text(None) if spread is None else f"{spread.median:.0f}"
+    return cell_text(None) if spread is None else f"{spread.median:.0f}"
 
 
 def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":

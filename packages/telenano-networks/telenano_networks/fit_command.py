@@ -77,8 +77,7 @@ def fit(
         if histogram:
             _show(_of_histogram(logs, unit, out, seed, about, (cite, taken)), out, as_json)
             return
-        from telenano_studies.page import png_of
-
+        from telenano.analysis import png_of
         from telenano_networks.line_fit import accept, generated, intervals, parameters
         from telenano_networks.line_fit import fit as fitted
         from telenano_networks.line_log import read_log
@@ -296,7 +295,7 @@ def _agreement_rows(document: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def _page(picture: bytes, document: dict[str, Any]) -> Any:
-    from telenano_studies.page import Page
+    from telenano.analysis import Page
 
     page = Page("A line, measured and generated")
     page.image(picture, "measured beside generated: delay, distributions, autocorrelation, stalls, losses, age")

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
+from telenano.analysis import Page
 from telenano.cli import JsonOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.loops.network import measured_network, rows_of, run_laws
-from telenano_studies.page import Page
 from telenano_studies.study_results import NO_JOURNAL, command_line, print_result, write_study
 
 

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
+from telenano.analysis import Page
 from telenano.cli import EXIT_FAILED, JsonOption, law_names, report_errors, results_in
 from telenano_studies import option_values
 from telenano_studies.loops.promises import as_dict, broken, outcomes
-from telenano_studies.page import Page
 from telenano_studies.study_options import OutOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
 

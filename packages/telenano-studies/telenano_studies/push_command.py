@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.analysis import FigureOptions
+from telenano.analysis import FigureOptions, Page
 from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 from telenano_studies import option_values
-from telenano_studies.page import Page, write_images
+from telenano_studies.page import write_images
 from telenano_studies.study_options import OutOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
 

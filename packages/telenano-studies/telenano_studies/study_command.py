@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.analysis import FigureOptions
+from telenano.analysis import FigureOptions, Page
 from telenano.cli import (
     EXIT_FAILED,
     FormatOption,
@@ -32,7 +32,7 @@ from telenano_studies.loops.advice import Question
 from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.stability import Axes, LineResult, run_stability
 from telenano_studies.network_command import network_command
-from telenano_studies.page import Page, write_images
+from telenano_studies.page import write_images
 from telenano_studies.pages.transparency_page import (
     Feel,
     measure_all,

@@ -10,9 +10,10 @@ from typing import Any
 
 import typer
 
+from telenano.analysis import Page, cell_text
 from telenano.cli import print_json, print_rows, progress, results_in, say
 from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
-from telenano_studies.page import Page, text, write_tables
+from telenano_studies.page import write_tables
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins again"
@@ -67,5 +68,5 @@ def print_result(
         print_json(summary)
         return
     if rows:
-        print_rows([dict(zip(head, map(text, row), strict=True)) for row in rows])
+        print_rows([dict(zip(head, map(cell_text, row), strict=True)) for row in rows])
     typer.echo(f"page: {folder / summary['study']}.html")

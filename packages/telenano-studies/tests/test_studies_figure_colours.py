@@ -6,9 +6,8 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 import pytest
-from telenano_studies.figure_colours import VERDICTS
 
-from telenano.analysis import Kind
+from telenano.analysis import VERDICT_COLOURS, Kind
 
 Colour = npt.NDArray[np.float64]
 
@@ -72,13 +71,13 @@ def test_the_difference_is_that_of_the_published_test_data() -> None:
 
 @pytest.mark.parametrize("reader", SEEN)
 def test_the_colours_of_verdicts_differ_by_17_for_every_reader(reader: str) -> None:
-    assert set(VERDICTS) == set(get_args(Kind))
-    for first, second in itertools.combinations(VERDICTS, 2):
-        found = ciede2000(*(lab(VERDICTS[kind], SEEN[reader]) for kind in (first, second)))
+    assert set(VERDICT_COLOURS) == set(get_args(Kind))
+    for first, second in itertools.combinations(VERDICT_COLOURS, 2):
+        found = ciede2000(*(lab(VERDICT_COLOURS[kind], SEEN[reader]) for kind in (first, second)))
         assert found >= 17.0, (first, second, found)
 
 
 def test_stable_limit_cycle_and_diverged_differ_in_grey() -> None:
-    light, middle, dark = (lab(VERDICTS[kind], np.eye(3))[0] for kind in ("stable", "limit_cycle", "diverged"))
+    light, middle, dark = (lab(VERDICT_COLOURS[kind], np.eye(3))[0] for kind in ("stable", "limit_cycle", "diverged"))
     assert light - middle > 20.0
     assert middle - dark > 20.0

@@ -12,7 +12,6 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 from answered_sweep import Answered
-from telenano_studies.figure_colours import VERDICTS
 from telenano_studies.loops import sweep as sweep_module
 from telenano_studies.loops.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
 from telenano_studies.loops.stability import (
@@ -28,10 +27,10 @@ from telenano_studies.loops.stability import (
 )
 from telenano_studies.loops.sweep import Journal, Sweep
 from telenano_studies.option_values import Jitter
-from telenano_studies.page import Page
 from telenano_studies.pages.stability_page import broken_assumption, summarise, write_stability
 
 from telenano.afm import MODE_HOLD, MODE_RETRACTING
+from telenano.analysis import VERDICT_COLOURS, Page
 from telenano.wire import ConfigError
 
 
@@ -383,4 +382,4 @@ def test_a_page_says_what_made_it_and_links_the_tables_beside_it(tmp_path: Path)
     assert f"telenano {version('telenano')}, commit " in text
     assert '<a href="cells.parquet">cells.parquet</a>' in text
     assert '<td class="stable">stable</td>' in text
-    assert all(f".{kind} {{ background: {colour}66;" in text for kind, colour in VERDICTS.items())
+    assert all(f".{kind} {{ background: {colour}66;" in text for kind, colour in VERDICT_COLOURS.items())

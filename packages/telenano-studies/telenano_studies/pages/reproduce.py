@@ -12,10 +12,10 @@ from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.simulated_image import SimulatedImage, take_image
 
 from telenano.afm import AfmConfig, cohesive_stress_pa, reduced_modulus_pa
+from telenano.analysis import Page, cell_text, png_of
 from telenano.files import atomic_file
 from telenano.wire import RigError
 from telenano_studies.option_values import section_of_instrument
-from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
 
@@ -210,7 +210,7 @@ def _add_tactile(page: Page, recording: Path) -> dict[str, object]:
         "speed_m_per_s": float(path.way_m[-1] / path.time_s[-1]),
     }
     page.image(png_of(tactile_figure(path)), "The upward jumps are the dots, as wide as dot and tip together.")
-    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    page.table(("quantity", "value"), [(key, cell_text(value)) for key, value in numbers.items()])
     return numbers
 
 
@@ -237,7 +237,7 @@ def _add_curve(
     marks = marks_of(curve)
     numbers: dict[str, object] = {"stiffness_n_per_m": curve.stiffness_n_per_m, **marks.as_dict()}
     page.image(png_of(curve_figure([(curve, marks)])), words)
-    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    page.table(("quantity", "value"), [(key, cell_text(value)) for key, value in numbers.items()])
     return numbers
 
 
@@ -250,5 +250,5 @@ def _add_image(page: Page, image: SimulatedImage) -> dict[str, object]:
     images = {title: Image(title, "m", values, *sides) for title, values in titles.items()}
     numbers: dict[str, object] = {"rms_error_m": image.rms_error_m, "correlation": image.correlation}
     page.image(png_of(image_figure(images)), f"RMS error {image.rms_error_m * 1e9:.3f} nm, free of noise.")
-    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    page.table(("quantity", "value"), [(key, cell_text(value)) for key, value in numbers.items()])
     return numbers

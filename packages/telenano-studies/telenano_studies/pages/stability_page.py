@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import FigureOptions
+from telenano.analysis import VERDICT_COLOURS, FigureOptions, Page
 from telenano.cli import results_in
 from telenano.wire import RigError
-from telenano_studies.figure_colours import ON_SCREEN, VERDICTS
+from telenano_studies.figure_colours import ON_SCREEN
 from telenano_studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_studies.loops.stability import LineResult
 from telenano_studies.loops.theory import hybrid_of, llewellyn
-from telenano_studies.page import Page, write_images, write_tables
+from telenano_studies.page import write_images, write_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes
@@ -135,7 +135,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         delays = np.array([cell.cell.round_trip_ms for cell in rows[0].cells])
         edges = _edges(delays)
         for y, row in enumerate(rows):
-            colours = [[to_rgb(VERDICTS[cell.verdict]) for cell in row.cells]]
+            colours = [[to_rgb(VERDICT_COLOURS[cell.verdict]) for cell in row.cells]]
             axis.pcolormesh(_up_to(row, delays, edges), [y - 0.42, y + 0.42], np.array(colours))
             _mark(axis, y, row)
         axis.set_yticks(range(len(rows)), [row.line.label for row in rows])
@@ -143,7 +143,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
     axes[-1].set_xlabel("round trip of the link [ms]")
     shown = {cell.verdict for result in results for cell in result.cells}
-    handles = [_patch(VERDICTS[kind], kind.replace("_", " ")) for kind in VERDICTS if kind in shown]
+    handles = [_patch(VERDICT_COLOURS[kind], kind.replace("_", " ")) for kind in VERDICT_COLOURS if kind in shown]
     edge = axes[0].plot([], [], "k-", linewidth=_EDGE_PT, label="edge, lockstep")
     theory = axes[0].plot([], [], "w--", linewidth=_THEORY_PT, label="edge, theory (sampled loop)")
     figure.legend(

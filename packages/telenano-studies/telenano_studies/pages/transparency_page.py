@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from telenano.analysis import Page, cell_text
 from telenano.settings import Option
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.stability import Axes, Line
 from telenano_studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import frequencies
-from telenano_studies.page import Page, text
 from telenano_studies.pages.figures import hybrid_figure, impedance_figure
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def write_spectra(page: Page, spectra: Sequence[Spectrum], images: dict[str, byt
 
 
 def _limit(value: float | None) -> str | None:
-    return f">= {STIFFEST_N_PER_M:g}" if value == STIFFEST_N_PER_M else text(value)
+    return f">= {STIFFEST_N_PER_M:g}" if value == STIFFEST_N_PER_M else cell_text(value)
 
 
 def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:
