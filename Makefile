@@ -9,9 +9,9 @@ BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in compose.yaml
 # Each image with its locks, and the packages of the project that go in as well.
-IMAGES := haptic_node:node:telenano-haptic-devices controller:node:telenano-laws,telenano-wide-area delay_node:node:telenano-wide-area \
-  afm_node:node:telenano-afm-controllers recorder:node session:rig,node:telenano-afm-controllers,telenano-laws,telenano-wide-area viz_node:rig \
-  study:study:telenano-laws,telenano-studies,telenano-assembly,telenano-microscopy
+IMAGES := haptic_node:node:telenano-devices controller:node:telenano-laws,telenano-wide-area delay_node:node:telenano-wide-area \
+  afm_node:node:telenano-devices recorder:node session:rig,node:telenano-devices,telenano-laws,telenano-wide-area viz_node:rig \
+  study:study:telenano-laws,telenano-devices,telenano-lab
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
 NODE := haptic afm
 RIG := launcher view haptic afm
@@ -85,7 +85,7 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	$(BIN)/telenano up fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
-# PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what
+# PACKAGE=laws runs the tests of packages/telenano-laws alone. A page that is older than its sources is built anew; what
 # needs one is skipped on a machine that cannot build it.
 test: setup ## Run lint, the core's tests and one rig of real processes, or PACKAGE's tests; before every commit.
 	-@$(if $(PACKAGE),,$(MAKE) --no-print-directory page)
@@ -120,7 +120,7 @@ mutation: setup ## Ask whether the tests notice a mistake; MODULE=PATH tries one
 # the image of the handle from its sources, byte for byte with Debian's compiler; `git diff` shows whether it changed
 firmware: ## Build the image of the handle; it needs the AVR compiler.
 	@command -v avr-gcc >/dev/null || { echo "needs the AVR compiler: apt install gcc-avr avr-libc" >&2; exit 1; }
-	$(MAKE) -C packages/telenano-emulators/telenano_emulators/firmware/handle -B boards/avr328p/handle.hex
+	$(MAKE) -C packages/telenano-devices/telenano_devices/handle/firmware/handle -B boards/avr328p/handle.hex
 
 lint: setup ## Check style, types, layers and the contract of the wire.
 	$(LINT)
@@ -166,7 +166,7 @@ dist: page ## Build wheels, source distribution, SBOM and licences, and try them
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  $(addprefix --no-emit-package telenano-,assembly haptic-devices laws microscopy studies) \
+	  $(addprefix --no-emit-package telenano-,devices lab laws) \
 	  --no-emit-package gwyddionpy-converter -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
@@ -191,7 +191,7 @@ packages_of = $(sort $(foreach image,$(IMAGES),$(if $(filter $(1),$(word 2,$(sub
   $(subst $(comma), ,$(word 3,$(subst :, ,$(image)))))))
 image_lock = printf '%s\n' $(3) | $(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(call packages_of,$(1))) - \
   --constraint requirements.lock --no-emit-package telenano \
-  $(addprefix --no-emit-package telenano-,assembly laws microscopy) \
+  $(addprefix --no-emit-package telenano-,devices laws) \
   $(addprefix --extra ,$(2)) -o deploy/locks/$(1).lock
 
 clean: ## Remove .venv, out and the caches.

@@ -20,7 +20,7 @@ from side_by_side import figures
 
 from telenano.signals import children
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "packages" / "telenano-haptic-devices" / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "packages" / "telenano-devices" / "tests"))
 
 BASELINE = "simulated"
 CASES = {"simulated": 1000, "haply": 1000, "dhd": 1000, "dhd at 4 kHz": 4000, "hd": 1000}
@@ -31,7 +31,7 @@ def settings_of(case: str, service: str) -> list[str]:
     """Return the options of `telenano up` for a case."""
     if case == BASELINE:
         return []
-    from telenano_haptic_devices.doubles.libraries import build
+    from telenano_devices.doubles.libraries import build
 
     kind = case.partition(" ")[0]
     wire = f"haply.service={service}" if kind == "haply" else f"{kind}.library={build(kind)}"

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from telenano_studies import option_values
-from telenano_studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
-from telenano_studies.loops.links import symmetric_link
+from telenano_lab.studies import option_values
+from telenano_lab.studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
+from telenano_lab.studies.loops.links import symmetric_link
 
 from telenano.afm.step import AfmInputs
 from telenano.afm.step import step as instrument_step

@@ -18,9 +18,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 from loop import PACED, RigRun, measure_rig
-from telenano_learning import PUSH
-from telenano_learning.engine import CONTROL_S
-from telenano_learning.push_env import PushVectorEnv
+from telenano_lab.learning import PUSH
+from telenano_lab.learning.engine import CONTROL_S
+from telenano_lab.learning.push_env import PushVectorEnv
 
 from telenano.afm.config import AfmConfig
 from telenano.devices.afm.instrument import driver_of

@@ -17,7 +17,7 @@ from telenano.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("services", "telenano")
-STUDIES = "packages/telenano-studies/telenano_studies"
+STUDIES = "packages/telenano-lab/telenano_lab/studies"
 STUDY = (
     *("study", "stability", "--law", "virtual_impedance", "--environment", "tip_sample", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
@@ -25,7 +25,7 @@ STUDY = (
 # what is done, the file, a text in it and what takes its place
 LAW = "telenano/extend/virtual_impedance.py"
 MODEL = "telenano/afm/contact/lennard_jones.py"
-FIGURES = "telenano_studies/pages/figures.py"
+FIGURES = "telenano_lab/studies/pages/figures.py"
 EDITS = (
     ("nothing", LAW, "", ""),
     ("a comment in the figures of studies", FIGURES, '"""\n\nfrom', '"""\n\n# a comment\nfrom'),

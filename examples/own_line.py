@@ -1,7 +1,7 @@
 """Fit a network of your own to a log of ping, and see which law holds the contact over it.
 
 Run it: ping -D -i 0.2 -c 1500 HOST > ping.txt
-        python examples/own_line.py [FOLDER [ping.txt]]     takes: 40 s     needs: telenano[viz] and telenano-networks
+        python examples/own_line.py [FOLDER [ping.txt]]     takes: 40 s     needs: telenano[viz] and telenano-lab
 You see: the log, and the force at the tip with each law that is installed. Without a name the example makes a log of
 75 ms. Over that line two laws keep swinging. The others come to rest, but tdpa at a force that is not the hand's.
 """

@@ -1,6 +1,6 @@
 """Feel a sample that you measured: a force curve becomes the contact, instead of the paper's mica.
 
-Run it: python examples/own_sample.py [FOLDER [CURVE [N_PER_M]]]   takes: 5 s   needs: telenano[viz], telenano-afm-files
+Run it: python examples/own_sample.py [FOLDER [CURVE [N_PER_M]]]   takes: 5 s   needs: telenano[viz], telenano-lab
 You see: the curve of the file, and on it what the hand felt: it goes in by the approach and out by the retraction,
 which holds the tip with 5 nN. force_curve.txt is a table as an AFM exports it, of a soft sphere, computed with noise;
 docs/instrument.md lists the formats of makers. N_PER_M is the stiffness of the cantilever that measured it.

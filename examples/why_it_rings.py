@@ -1,6 +1,6 @@
 """Change the gain K_f and the delay, and see why the loop rings: the sessions beside the Nyquist curve of their loop.
 
-Run it: python examples/why_it_rings.py [FOLDER]     takes: 10 s     needs: telenano[viz] and telenano-studies
+Run it: python examples/why_it_rings.py [FOLDER]     takes: 10 s     needs: telenano[viz] and telenano-lab
 You see: above, the force at the tip while the hand holds 1 N, then 2 N. Below, the loop L(j omega) of the same gain and
 delay on a spring. Delay turns the curve about 0; once it encloses -1, what returns is larger than what was sent, so
 each swing is larger than the last. The nearer it passes to -1, the longer the force rings. K_f is `force_gain`.
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from telenano_studies.loops.linear_loop import theory
+from telenano_lab.studies.loops.linear_loop import theory
 
 import telenano
 

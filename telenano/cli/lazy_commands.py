@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from telenano.cli.path_options import check_paths
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.settings import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES, without_extra
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, TelenanoError, probably_meant
 from telenano.wire.nodes import module_of
@@ -69,6 +69,20 @@ LAZY_COMMANDS = {
 }
 
 
+# Commands of the test kit, which packages of laws and clients of the wire are examined by.
+_TEST_KIT = {
+    ("conformance",): LazyCommand(
+        "telenano.testing.conformance.conformance_command",
+        "conformance",
+        "Check a client in any language against the rules of the protocol.",
+    ),
+    ("law", "balance"): LazyCommand(
+        "telenano.testing.law_balance.balance_command",
+        "law_balance",
+        "Run random sequences of events against a law, and report the energy that it generates at its ports.",
+    ),
+}
+
 # The order of the list of commands; those of packages of the project stand in it where they are installed.
 GROUPS = {
     "Run": ("up", "simulate", "session", "estop", "replay", "node"),
@@ -88,11 +102,11 @@ FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep",
 
 @cache
 def package_commands() -> dict[tuple[str, ...], LazyCommand]:
-    """Return the commands of installed packages by their words, without importing the modules that define them.
+    """Return the commands of installed packages and of the test kit by their words, without importing their modules.
 
     The entry of a package is a dictionary such as `{"bridge mine": ("my_package.command:mine", "One sentence.")}`.
     """
-    commands: dict[tuple[str, ...], LazyCommand] = {}
+    commands = dict(_TEST_KIT)
 
     def checked(name: str, rows: Any) -> Any:
         new, entry = {}, plugins.installed("commands")[name]
@@ -124,7 +138,8 @@ def function_of_package(words: str) -> Any:
     row = package_commands().get(tuple(words.split()))
     if row is None:
         package = KNOWN_PACKAGES[f"command {words}"]
-        raise ConfigError(f"the command {words!r} is in the package {package}: {how_to_add_package(package)}")
+        text = f"the command {words!r} is in the package {without_extra(package)}: {how_to_add_package(package)}"
+        raise ConfigError(text)
     return getattr(importlib.import_module(row.module), row.attribute)
 
 
@@ -140,7 +155,7 @@ def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
         entry, top = row.entry, row.module.partition(".")[0]
         # Where a package of the project lacks a library, another sentence says how that is installed.
         is_library = isinstance(error, ModuleNotFoundError) and (error.name or top).partition(".")[0] != top
-        if entry is None or (is_library and entry.package in KNOWN_PACKAGES.values()):
+        if entry is None or (is_library and entry.package in OWN_PACKAGES):
             raise
         text = f"{plugins.fault_of_import(error)}; {row.module}:{row.attribute} must be a function or a group of typer"
         command = f"the command {' '.join(path)!r} of the package {entry.package} {entry.version}"
@@ -276,7 +291,7 @@ class OpenGroup(TyperGroup):
             from telenano.wire.extras import how_to_add_package
 
             package, last = KNOWN_PACKAGES[f"command {words[0]}"], words[0].removeprefix(" ".join([*self.path, ""]))
-            ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
+            ctx.fail(f"the command {last!r} is in the package {without_extra(package)}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
 
@@ -372,7 +387,7 @@ def _report(error: Any, *, as_json: bool) -> int:
     # A missing module of the core is a fault of the installation, not a missing extra.
     elif isinstance(error, ModuleNotFoundError) and (top := (error.name or "").partition(".")[0]) not in ("", *_OWN):
         name = top.replace("_", "-")
-        own = f"{name} is not installed: {how_to_add_package(name)}" if name in KNOWN_PACKAGES.values() else ""
+        own = f"{name} is not installed: {how_to_add_package(name)}" if name in OWN_PACKAGES else ""
         code, text = EXIT_BAD_CONFIGURATION, own or missing(top)
     if not text:
         raise error

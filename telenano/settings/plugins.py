@@ -7,8 +7,9 @@ A package names them in its `pyproject.toml`, and is found as soon as pip has in
 
 One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
 whoever asks for it. With `TELENANO_WITHOUT_PACKAGES` set there is none. An installed package is code that runs as who
-started the program: one that ends the process or never returns when it is imported does so. What is recorded of one is
-its package, version and a digest of its files.
+started the program: one that ends the process or never returns when it is imported does so. An entry is identified by
+its kind, its name and a digest of the files that it is made of, so that an edit of one driver leaves the others what
+they were; which distribution it came in, and in which version, is recorded as information.
 """
 
 import contextlib
@@ -55,7 +56,8 @@ class Plugin(NamedTuple):
 
     @property
     def digest(self) -> str:
-        return _digest(_top_level(self.target))
+        """Return the digest of its own folder and of what that imports of the same package."""
+        return _digest(_parts(self.target))
 
     def facts(self) -> dict[str, str]:
         """Return what a recording keeps of it."""
@@ -273,8 +275,8 @@ def with_steps() -> list[Plugin]:
 
 
 def modules(rows: Iterable[Plugin]) -> tuple[str, ...]:
-    """Return the packages of entries, as the beginnings of module names."""
-    return tuple(sorted({_top_level(row.target) + "." for row in rows}))
+    """Return what entries are made of, as the beginnings of module names."""
+    return tuple(sorted({part + "." for row in rows for part in _parts(row.target)}))
 
 
 def fault_of_package(error: BaseException) -> str:
@@ -304,9 +306,32 @@ def package_files(rows: Iterable[Plugin]) -> list[Path]:
 
 
 @cache
-def _digest(top_level: str) -> str:
-    files = (name.encode() + b"\0" + path.read_bytes() for name, path in _files(top_level))
+def _digest(parts: tuple[str, ...]) -> str:
+    files = (name.encode() + b"\0" + path.read_bytes() for part in parts for name, path in _files(part))
     return "sha256:" + _sha256(b"".join(files))
+
+
+@cache
+def _parts(target: str) -> tuple[str, ...]:
+    """Return the parts of a package that an entry is made of, as names of modules.
+
+    A part is a folder or a module directly in the package. An entry is made of the part in which it is defined and of
+    all that it mentions, strings included, because wires and steps are named by strings. Of an entry that is defined in
+    a module directly in the package the whole package is one part.
+    """
+    top, *inner = target.partition(":")[0].strip().split(".")
+    roots = _roots(top)
+    if not inner or not any((root / inner[0]).is_dir() for root in roots):
+        return (top,)
+    found, waiting = set[str](), {inner[0]}
+    named = re.compile(rf"\b{re.escape(top)}\.(\w+)")
+    while waiting:
+        found |= waiting
+        texts = (path.read_text("utf-8", "replace") for part in waiting for name, path in _files(f"{top}.{part}")
+                 if name.endswith(".py"))  # fmt: skip
+        mentioned = {name for text in texts for name in named.findall(text)}
+        waiting = {name for name in mentioned - found if any(_place(root, name) for root in roots)}
+    return tuple(f"{top}.{part}" for part in sorted(found))
 
 
 def _sha256(content: bytes) -> str:
@@ -320,13 +345,28 @@ def _top_level(target: str) -> str:
     return target.partition(":")[0].partition(".")[0].strip()
 
 
-def _files(top_level: str) -> Iterable[tuple[str, Path]]:
+@cache
+def _roots(top_level: str) -> tuple[Path, ...]:
+    """Return the folders of a package; none of a module or of what is not installed."""
     spec = importlib.util.find_spec(top_level)
-    if spec and spec.submodule_search_locations:
-        roots = [Path(location) for location in spec.submodule_search_locations]
-        files = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
-        return sorted((name, path) for name, path in files if path.is_file() and "__pycache__" not in path.parts)
-    return [(Path(spec.origin).name, Path(spec.origin))] if spec and spec.origin else []
+    return tuple(Path(location) for location in (spec and spec.submodule_search_locations) or ())
+
+
+def _place(root: Path, part: str) -> Path | None:
+    """Return the folder or file of a part in a folder of its package."""
+    return next((path for path in (root / part, root / f"{part}.py") if path.exists()), None)
+
+
+def _files(name: str) -> Iterable[tuple[str, Path]]:
+    """Return the files of a package, or of a part of one, by their names in it."""
+    top, _, part = name.partition(".")
+    if not (roots := _roots(top)):
+        spec = importlib.util.find_spec(top)
+        return [(Path(spec.origin).name, Path(spec.origin))] if spec and spec.origin else []
+    places = [(root, _place(root, part) if part else root) for root in roots]
+    files = [(root, path) for root, place in places if place for path in (place, *place.rglob("*"))]
+    names = ((path.relative_to(root).as_posix(), path) for root, path in files if path.is_file())
+    return sorted((name, path) for name, path in names if "__pycache__" not in path.parts)
 
 
 def scenario_files() -> Loaded[Path]:

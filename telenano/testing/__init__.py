@@ -1,11 +1,10 @@
 """A kit for the tests of packages: nodes, rigs, recordings, wires and damaged files, as a plug-in of pytest.
 
 `pip install telenano[testing]` adds pytest, which finds the fixtures of `telenano.testing.plugin` by itself; what is
-named here serves any other way to test as well. docs/extending.md has a test with each. What an installed package
-brings for tests, by its entry points of the group `telenano.testing`, is imported from here too.
+named here serves any other way to test as well. docs/extending.md has a test with each.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from telenano.faces import face
 
@@ -32,6 +31,17 @@ if TYPE_CHECKING:
     from telenano.testing.damage import damaged as damaged
     from telenano.testing.filled_messages import examples as examples
     from telenano.testing.frames import Frames as Frames
+    from telenano.testing.hostile import HOSTILITIES as HOSTILITIES
+    from telenano.testing.hostile import HostileService as HostileService
+    from telenano.testing.hostile import TakenReading as TakenReading
+    from telenano.testing.hostile import unseen as unseen
+    from telenano.testing.law_balance.balance import Balance as Balance
+    from telenano.testing.law_balance.balance import balance as balance
+    from telenano.testing.law_balance.balance import states_passivity as states_passivity
+    from telenano.testing.law_balance.balance import worst_balances as worst_balances
+    from telenano.testing.law_balance.balance_draws import ADVERSE as ADVERSE
+    from telenano.testing.law_balance.balance_draws import EVERYTHING as EVERYTHING
+    from telenano.testing.law_balance.balance_draws import drawn as drawn
     from telenano.testing.law_loop import LOST as LOST
     from telenano.testing.law_loop import LawRun as LawRun
     from telenano.testing.law_loop import run_law as run_law
@@ -72,17 +82,4 @@ if TYPE_CHECKING:
     from telenano.testing.wires import handle_wire as handle_wire
     from telenano.testing.wires import shorten_waits as shorten_waits
 else:
-    _named, __dir__ = face(__name__)
-
-    def __getattr__(name: str) -> Any:
-        """Return a name of this kit, or what an installed package brings for tests."""
-        try:
-            return _named(name)
-        except AttributeError:
-            if name.startswith("__"):
-                raise
-        from importlib.metadata import entry_points
-
-        for entry in entry_points(group="telenano.testing", name=name):
-            return entry.load()
-        raise AttributeError(f"telenano.testing has no {name}, and no installed package brings it")
+    __getattr__, __dir__ = face(__name__)

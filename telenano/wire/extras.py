@@ -17,7 +17,11 @@ def how_to_install(extra: str) -> str:
 
 
 def how_to_add_package(package: str) -> str:
-    """Return the command that adds a package of the project: to a checkout, or as a wheel of the release."""
+    """Return the command that adds a package of the project: to a checkout, or as a wheel of the release.
+
+    Args:
+        package: The name of a distribution, with an extra where one is needed, such as `telenano-lab[experiments]`.
+    """
     from importlib.metadata import version
 
     editable, source = _source()
@@ -26,7 +30,9 @@ def how_to_add_package(package: str) -> str:
     if editable:
         return f"pip install -e '{source}/packages/{package}'"
     # A file and no name, because the index may have a stranger's package of that name.
-    return f"pip install {package.replace('-', '_')}-{version(DISTRIBUTION)}-py3-none-any.whl"
+    name, bracket, extra = package.partition("[")
+    wheel = f"{name.replace('-', '_')}-{version(DISTRIBUTION)}-py3-none-any.whl{bracket}{extra}"
+    return f"pip install '{wheel}'" if bracket else f"pip install {wheel}"
 
 
 def extra_of(module: str) -> str:

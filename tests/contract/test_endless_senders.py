@@ -15,11 +15,10 @@ from typing import Any
 
 import pytest
 import zmq
-from telenano_afm_controllers import nanonis_client
-from telenano_conformance import examination
-from telenano_experiments.bus import ExperimentBus
-from telenano_haptic_devices import servo_process, vendor_service
-from telenano_networks import udp_ports
+from telenano_devices.impedance import servo_process, vendor_service
+from telenano_devices.nanonis import nanonis_client
+from telenano_lab.experiments.bus import ExperimentBus
+from telenano_lab.networks import udp_ports
 from telenano_wide_area.relay import forwarder
 
 from services.player import node as player
@@ -31,6 +30,7 @@ from telenano.extend.instruments import DeviceError
 from telenano.files import limited_child
 from telenano.runtime.security import zap_authenticator
 from telenano.runtime.wiring.observer import Observer
+from telenano.testing.conformance import examination
 
 # far beyond what any of these loops needs, and before the limit of a test [s]
 PATIENCE_S = 60.0
@@ -228,16 +228,16 @@ def silent_child(patch: Patch, folder: Path) -> None:
         limited_child._watched(command, [], out, dict(os.environ), SHORT_S, lambda share: None)
 
 
-CONTROLLERS = "packages/telenano-afm-controllers/telenano_afm_controllers"
-KIT = "packages/telenano-conformance/telenano_conformance/examination.py"
-HAPTIC = "packages/telenano-haptic-devices/telenano_haptic_devices"
-UDP = "packages/telenano-networks/telenano_networks/udp_ports.py"
+CONTROLLERS = "packages/telenano-devices/telenano_afm_controllers"
+KIT = "telenano/testing/conformance/examination.py"
+HAPTIC = "packages/telenano-devices/telenano_haptic_devices"
+UDP = "packages/telenano-lab/telenano_lab/networks/udp_ports.py"
 LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{CONTROLLERS}/nanonis_client.py: NanonisClient.call": answers_of_a_controller,
     f"{KIT}: _Rig.read_subscriptions": kit_subscriptions,
     f"{KIT}: _connection_events": kit_events,
     f"{KIT}: _stranger": kit_stranger,
-    "packages/telenano-experiments/telenano_experiments/bus.py: ExperimentBus.wait": answers_of_participants,
+    "packages/telenano-lab/telenano_lab/experiments/bus.py: ExperimentBus.wait": answers_of_participants,
     f"{HAPTIC}/vendor_service.py: Conversation.drop": service_of_a_handle,
     f"{UDP}: UdpPorts._take_answers": datagrams_of_the_target,
     f"{UDP}: UdpPorts._take_from_clients": datagrams_of_clients,

@@ -23,7 +23,7 @@ def _function(name: str) -> Callable[..., object]:
 
 
 def _thermal(width_m: float) -> object:
-    own = importlib.import_module("telenano_calibration.own_calibration")
+    own = importlib.import_module("telenano_lab.calibration.own_calibration")
     frequency = 20.0 * np.arange(1, 12_000)
     x = frequency / 70e3
     mean = 1e-30 + 2.0 * 1.7e-21 / (math.pi * 70e3 * 150.0 * ((1.0 - x**2) ** 2 + (x / 150.0) ** 2))
@@ -38,38 +38,38 @@ def sader() -> None:
 
 def sensitivity() -> None:
     way = np.linspace(0.0, 400e-9, 400)
-    _function("telenano_calibration.own_calibration:sensitivity_of_curve")(way, (way / 1e-7) ** 2)
+    _function("telenano_lab.calibration.own_calibration:sensitivity_of_curve")(way, (way / 1e-7) ** 2)
 
 
 def line() -> None:
     counts = [0.0, 1.0, 2.5, 3.0]
-    _function("telenano_calibration.line_fit:fit_line")("load cell", counts, [1e-3] * 4, [0.0, 1.0, 2.0, 3.0])
+    _function("telenano_devices.line_fit:fit_line")("load cell", counts, [1e-3] * 4, [0.0, 1.0, 2.0, 3.0])
 
 
 def adhesion() -> None:
-    force_curve = _function("telenano_microscopy.force_curve:force_curve")
+    force_curve = _function("telenano_lab.microscopy.force_curve:force_curve")
     config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 8.0}})
     curve = force_curve(config, 20e-9, 20e-9)
     half = curve.retract  # type: ignore[attr-defined]
     pushed = replace(half, force_n=np.abs(half.force_n) + 1e-9)
-    _function("telenano_microscopy.adhesion_fit:fit_adhesion")(replace(curve, retract=pushed), config)  # type: ignore[type-var]
+    _function("telenano_lab.microscopy.adhesion_fit:fit_adhesion")(replace(curve, retract=pushed), config)  # type: ignore[type-var]
 
 
 def psychometric() -> None:
-    model = importlib.import_module("telenano_experiments.psychophysics.function").Psychometric()
-    found = _function("telenano_experiments.psychophysics.fit:fit")([(float(n), True) for n in range(20)], model)
+    model = importlib.import_module("telenano_lab.experiments.psychophysics.function").Psychometric()
+    found = _function("telenano_lab.experiments.psychophysics.fit:fit")([(float(n), True) for n in range(20)], model)
     raise TelenanoError(f"threshold {found.threshold}, low {found.low}, high {found.high}")  # type: ignore[attr-defined]
 
 
 def phase() -> None:
     draw = np.random.default_rng(1)
     amplitude = 0.5 + 0.01 * draw.random(4000)
-    _function("telenano_afm_files.amplitude_phase:amplitude_phase")(amplitude, 120.0 + draw.standard_normal(4000))
+    _function("telenano_lab.afm_files.amplitude_phase:amplitude_phase")(amplitude, 120.0 + draw.standard_normal(4000))
 
 
 def particle() -> None:
-    find = importlib.import_module("telenano_assembly.find")
-    shape = importlib.import_module("telenano_assembly.particles.tip_shape")
+    find = importlib.import_module("telenano_lab.assembly.find")
+    shape = importlib.import_module("telenano_lab.assembly.particles.tip_shape")
     step_m = 62.5e-9
     x, y = np.meshgrid(step_m * np.arange(-24, 24), step_m * np.arange(-24, 24))
     # a block with a flat top and upright sides
@@ -80,13 +80,13 @@ def particle() -> None:
 
 
 def delay() -> None:
-    log = importlib.import_module("telenano_networks.line_log")
+    log = importlib.import_module("telenano_lab.networks.line_log")
     draw = np.random.default_rng(1)
     t = 0.1 * np.arange(6000)
     # half of the messages are lost for half a minute, now and then
     faded = (t % 150.0 > 60.0) & (t % 150.0 < 90.0)
     delay_s = np.where(faded & (draw.random(6000) < 0.5), np.nan, 0.03 + draw.gamma(2.0, 0.002, 6000))
-    table = _function("telenano_networks.line_fit:accept")(log.LineLog((log.Segment(t, delay_s),), round_trip=True))
+    table = _function("telenano_lab.networks.line_fit:accept")(log.LineLog((log.Segment(t, delay_s),), round_trip=True))
     raise TelenanoError(f"apart in {[row.what for row in table if not row.agrees]}")  # type: ignore[attr-defined]
 
 
@@ -124,15 +124,15 @@ _FITS = re.compile(
 )
 # Modules with such a call that is part of an estimate of the table: its name there.
 _PARTS = {
-    "packages/telenano-calibration/telenano_calibration/resonance.py": "stiffness by thermal noise",
-    "packages/telenano-calibration/telenano_calibration/line_fit.py": "handle and stage",
-    "packages/telenano-networks/telenano_networks/line_fit.py": "delay of a line",
+    "packages/telenano-lab/telenano_lab/calibration/resonance.py": "stiffness by thermal noise",
+    "packages/telenano-devices/telenano_devices/line_fit.py": "handle and stage",
+    "packages/telenano-lab/telenano_lab/networks/line_fit.py": "delay of a line",
 }
 # Modules with such a call that estimates nothing from a measurement, with the reason.
 _NO_ESTIMATE = {
-    "packages/telenano-experiments/telenano_experiments/effect_sizes.py": "the bound of an interval, of a known law",
-    "packages/telenano-studies/telenano_studies/loops/theory.py": "the crossing of a gain that a formula gives",
-    "packages/telenano-studies/telenano_studies/loops/tuning.py": "the damping that meets a wanted margin",
+    "packages/telenano-lab/telenano_lab/experiments/effect_sizes.py": "the bound of an interval, of a known law",
+    "packages/telenano-lab/telenano_lab/studies/loops/theory.py": "the crossing of a gain that a formula gives",
+    "packages/telenano-lab/telenano_lab/studies/loops/tuning.py": "the damping that meets a wanted margin",
 }
 
 
@@ -169,7 +169,7 @@ def test_what_does_not_fit_is_refused_or_said(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_spectrum_that_is_no_resonance_is_refused_and_a_tone_is_left_out(seed: int) -> None:
-    own = importlib.import_module("telenano_calibration.own_calibration")
+    own = importlib.import_module("telenano_lab.calibration.own_calibration")
     draw = np.random.default_rng(seed)
     frequency = 20.0 * np.arange(1, 12_000)
     known = own.Thermal(1.0, 300.0, 1.0, averages=100.0)

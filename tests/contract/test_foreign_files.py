@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from telenano_afm_files.curve_files import load_one
-from telenano_afm_files.inspect_command import inspected
-from telenano_calibration.own_calibration import curve_of, sensitivity_of_curve, spectrum_of
-from telenano_networks.line_log import read_log
+from telenano_lab.afm_files.curve_files import load_one
+from telenano_lab.afm_files.inspect_command import inspected
+from telenano_lab.calibration.own_calibration import curve_of, sensitivity_of_curve, spectrum_of
+from telenano_lab.networks.line_log import read_log
 
 from telenano.wire.errors import TelenanoError
 from tests.doubles.foreign_files import K_N_PER_M, KINDS, M_PER_V, Made

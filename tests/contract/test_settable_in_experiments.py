@@ -2,7 +2,7 @@
 
 import pytest
 from command_table import settable
-from telenano_experiments.plan import changes_while_running
+from telenano_lab.experiments.plan import changes_while_running
 
 
 @pytest.mark.parametrize("node", ["controller", "delay_node", "haptic_node"])

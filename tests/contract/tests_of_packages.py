@@ -22,10 +22,10 @@ class TestsOfPackages(Contract):
         for module in sorted(graph.modules):
             if not module.startswith("packages."):
                 continue
-            package = ".".join(module.split(".")[:3])
+            beside = module.rpartition(".")[0]
             for imported in sorted(graph.find_modules_directly_imported_by(module)):
                 name = imported.partition(".")[0]
-                if name in strange and f"{package}.{name}" not in graph.modules:
+                if name in strange and f"{beside}.{name}" not in graph.modules:
                     [row, *_] = graph.get_import_details(importer=module, imported=imported)
                     found.append(f"{module} (l.{row['line_number']}): {row['line_contents']}")
         return ContractCheck(kept=not found, metadata={"found": found})

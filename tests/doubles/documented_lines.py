@@ -85,8 +85,9 @@ def lines() -> tuple[Line, ...]:
         "*/README.md",
         "services/*/README.md",
         "telenano/*/README.md",
-        "packages/*/telenano_*/*/*/README.md",
+        "packages/*/telenano_*/*/*/*/README.md",
         "packages/*/README.md",
+        "packages/*/docs/*.md",
         "proto/*.md",
     )
     found = {path for place in places for path in ROOT.glob(place)}

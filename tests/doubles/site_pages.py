@@ -17,17 +17,18 @@ from posixpath import dirname, join, normpath, relpath
 
 import nbformat
 from nbconvert import MarkdownExporter
-from telenano_studies.pages.gallery import FOLDER, fragment_of
+from telenano_lab.studies.pages.gallery import FOLDER, fragment_of
 
 ROOT = Path(__file__).resolve().parents[2]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none
-_FOLDERS = ("", "services/", "telenano/", "packages/", "packages/telenano-emulators/telenano_emulators/firmware/")
-_BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md")
+_FOLDERS = ("", "services/", "telenano/", "packages/", "packages/telenano-devices/telenano_devices/handle/firmware/")
+_BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md", "packages/*/docs/*.md")
 _OTHERS = {
     str(path.relative_to(ROOT)): path
     for pattern in _BESIDE
     for path in sorted(ROOT.glob(pattern))
-    if path.parent.name not in ("docs", "out") and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
+    if path.parent not in (ROOT / "docs", ROOT / "out")
+    and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
 # the pictures of such a document
 _PICTURES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("examples/*.png"))}

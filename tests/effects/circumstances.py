@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 from compared_sessions import Session, Timed, command
-from telenano_microscopy.image_files import Image, write_gwy
+from telenano_lab.microscopy.image_files import Image, write_gwy
 
 from telenano.settings.config import merge
 from telenano.virtual import VirtualRig
@@ -177,7 +177,7 @@ SILENT = Session(happens=(Timed(0.5, lambda rig: rig.stall("controller@slave", 0
 # The half beside the instrument falls silent, so long that the tip is held, or so long that it is retracted.
 HELD_TIP = Session(happens=(Timed(0.4, lambda rig: rig.stall("controller@slave", 0.15)),))
 RETRACTED_TIP = Session(happens=(Timed(0.4, lambda rig: rig.stall("controller@slave", 0.8)),), end_s=1.6)
-# The simulated device of the package telenano-haptic-devices, which shows a force.
+# The simulated device of the package telenano-devices, which shows a force.
 HELD = Session(
     {"haptic_node": {"driver": "simulated_impedance", "coupling": {"rest_s": 0.02}}}, rate_hz=1000.0, end_s=1.0
 )
@@ -195,7 +195,7 @@ FEEL = {
     "channel": "frequency_shift", "unit": "Hz", "table": [[-2.0, 0.0], [-28.0, 3e-9]], "tolerance": 0.1,
     "slope_limit_n_per_unit": 1e-9,
 }  # fmt: skip
-# A tip that pushes a particle of the package telenano-assembly and loses it.
+# A tip that pushes a particle of the package telenano-lab and loses it.
 PARTICLE: Mapping[str, Any] = {
     "haptic_node": {
         "operator": {
@@ -456,7 +456,7 @@ COSTLY: Sequence[str] = (
     "afm_node.tip_sample.sample_thickness_m",
     "afm_node.tip_sample.sample_viscosity_pa_s",
 )
-FAULTY_HAND = "acts on a device that jumps, freezes or runs away; packages/telenano-haptic-devices/tests"
+FAULTY_HAND = "acts on a device that jumps, freezes or runs away; packages/telenano-devices/tests/impedance"
 # Keys that change nothing that a session in virtual time shows, each with the reason.
 WITHOUT: Mapping[str, str] = {
     "name": "names folders, figures and tables",
@@ -468,21 +468,21 @@ WITHOUT: Mapping[str, str] = {
     "realtime.huge_pages": "asks the system of a process for large pages",
     "haptic_node.serial.**": "a real handle; tests/unit/devices/test_serial_handle.py",
     "haptic_node.limits.max_force_n": "only a real device has a force mode; tests/unit/hand/test_haptic_safety.py",
-    "haptic_node.coupling.needs_deadman": "only a real device has a button; packages/telenano-haptic-devices/tests",
-    "haptic_node.coupling.deadman_age_s": "only a real device has a button; packages/telenano-haptic-devices/tests",
+    "haptic_node.coupling.needs_deadman": "only a real device has a button; packages/telenano-devices/tests/impedance",
+    "haptic_node.coupling.deadman_age_s": "only a real device has a button; packages/telenano-devices/tests/impedance",
     "haptic_node.coupling.rest_m": FAULTY_HAND,
     "haptic_node.coupling.jump_m": FAULTY_HAND,
     "haptic_node.coupling.frozen_s": FAULTY_HAND,
     "haptic_node.coupling.frozen_force_n": FAULTY_HAND,
     "haptic_node.coupling.runaway_m_per_s": FAULTY_HAND,
     "haptic_node.simulated_impedance": "is empty: haptic_node.impedance has its keys",
-    "haptic_node.haply.**": "a real device; packages/telenano-haptic-devices/tests",
-    "haptic_node.dhd.**": "a real device; packages/telenano-haptic-devices/tests",
-    "haptic_node.hd.**": "a real device; packages/telenano-haptic-devices/tests",
+    "haptic_node.haply.**": "a real device; packages/telenano-devices/tests/impedance",
+    "haptic_node.dhd.**": "a real device; packages/telenano-devices/tests/impedance",
+    "haptic_node.hd.**": "a real device; packages/telenano-devices/tests/impedance",
     "afm_node.modbus.**": "a real instrument; tests/unit/devices/test_modbus_stage.py",
-    "afm_node.gwyscope.**": "a real instrument; packages/telenano-afm-controllers/tests",
-    "afm_node.nanonis.**": "a real instrument; packages/telenano-afm-controllers/tests",
-    "afm_node.attended": "a real instrument without a guard; packages/telenano-afm-controllers/tests",
+    "afm_node.gwyscope.**": "a real instrument; packages/telenano-devices/tests/controllers",
+    "afm_node.nanonis.**": "a real instrument; packages/telenano-devices/tests/controllers",
+    "afm_node.attended": "a real instrument without a guard; packages/telenano-devices/tests/controllers",
     "recorder.sync_to_disk": "acts when the power is cut; tests/unit/recording/test_recording_writer.py",
     "recorder.far": "needs a network between two machines; tests/stack/test_two_sites.py",
     "recorder.fetch_kbit_per_s": "needs a network between two machines; tests/stack/test_fetched_recording.py",

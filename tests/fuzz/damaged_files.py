@@ -83,8 +83,8 @@ def npy() -> bytes:
 
 
 def write_hdf5(path: Path) -> None:
-    from telenano_microscopy.force_curve import Curve, Half
-    from telenano_microscopy.force_curve import write_hdf5 as write
+    from telenano_lab.microscopy.force_curve import Curve, Half
+    from telenano_lab.microscopy.force_curve import write_hdf5 as write
 
     base = np.linspace(-1e-7, 0, 20)
     there, back = (Half(way, 0.1 * way, 0.15 * way) for way in (base, base[::-1]))
@@ -153,7 +153,7 @@ def yaml() -> bytes:
 
 
 def of_maker(name: str, *arguments: object) -> Callable[[Path], Any]:
-    """Return what writes a file by the function of a name in the tests of telenano-afm-files."""
+    """Return what writes a file by the function of a name in the tests of telenano-lab."""
 
     def write(path: Path) -> None:
         import maker_files
@@ -173,8 +173,8 @@ def key() -> bytes:
 
 
 def write_trial(path: Path) -> None:
-    from telenano_acceptance.trial.trial_file import Acceptance, Line, Problem, Trial
-    from telenano_acceptance.trial.trial_file import write_trial as write
+    from telenano_devices.acceptance.trial.trial_file import Acceptance, Line, Problem, Trial
+    from telenano_devices.acceptance.trial.trial_file import write_trial as write
 
     lines = [Line("rate", "read only", "pass", "1000 Hz", "990 Hz at least")] * 5
     acceptance = Acceptance(1, "simulated", "a device", "pass", 12.0, lines)
@@ -203,7 +203,7 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "scenario.yaml": lambda path: path.write_bytes(yaml()),
     "trial.zip": write_trial,
     "profile.yaml": copy_of("telenano/settings/networks/4g.yaml"),
-    "plan.yaml": copy_of("packages/telenano-experiments/telenano_experiments/plans/delay_and_law.yaml"),
+    "plan.yaml": copy_of("packages/telenano-lab/telenano_lab/experiments/plans/delay_and_law.yaml"),
     "key.key_secret": lambda path: path.write_bytes(key()),
 }
 
@@ -219,13 +219,13 @@ def _read_map(path: Path) -> None:
 
 
 def _read_grid(path: Path) -> None:
-    from telenano_afm_files.map_files import Wanted, import_map
+    from telenano_lab.afm_files.map_files import Wanted, import_map
 
     assert np.isfinite(import_map(path, Wanted({})).map.values).all()
 
 
 def _read_curve(path: Path) -> None:
-    from telenano_microscopy.force_curve import read_measured
+    from telenano_lab.microscopy.force_curve import read_measured
 
     assert np.isfinite(read_measured(path).retract.force_n).all()
 
@@ -252,8 +252,8 @@ def _read_yaml(path: Path) -> None:
 
 
 def _read_trial(path: Path) -> None:
-    from telenano_acceptance.trial.sheet import judged_again, sheet_of
-    from telenano_acceptance.trial.trial_file import read_trial
+    from telenano_devices.acceptance.trial.sheet import judged_again, sheet_of
+    from telenano_devices.acceptance.trial.trial_file import read_trial
 
     trial = read_trial(path)
     assert sheet_of(trial)
@@ -268,13 +268,13 @@ def _read_profile(path: Path) -> None:
 
 
 def _read_plan(path: Path) -> None:
-    from telenano_experiments.plan import load_plan
+    from telenano_lab.experiments.plan import load_plan
 
     load_plan(path)
 
 
 def _read_key(path: Path) -> None:
-    from telenano_conformance.examination import Keys
+    from telenano.testing.conformance.examination import Keys
 
     Keys.of("0" * 40, path)
 

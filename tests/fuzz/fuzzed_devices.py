@@ -8,18 +8,23 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from telenano_afm_controllers import gwyscope_wire, nanonis_wire
-from telenano_afm_controllers.controller_line import Gwyscope, Nanonis
-from telenano_emulators.handle_line import HandleLine
-from telenano_emulators.stage_line import StageLine
-from telenano_haptic_devices import dhd, haply, hd
-from telenano_haptic_devices.coupling import ZERO, CouplingSettings
-from telenano_haptic_devices.doubles.servo_bench import MemoryConversation, VirtualTime
-from telenano_haptic_devices.emulated_arm import EmulatedArm
-from telenano_haptic_devices.haply_service import HaplyService
-from telenano_haptic_devices.servo import ServoCommand
-from telenano_haptic_devices.servo_process import ServoLoop, SharedServo
-from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
+from telenano_devices.doubles.controller_line import Gwyscope, Nanonis
+from telenano_devices.doubles.servo_bench import MemoryConversation, VirtualTime
+from telenano_devices.force_dimension import dhd
+from telenano_devices.force_dimension.dhd_device import DhdConfig
+from telenano_devices.gwyscope import gwyscope_wire
+from telenano_devices.handle.handle_line import HandleLine
+from telenano_devices.haply import haply
+from telenano_devices.haply.haply_device import HaplyConfig
+from telenano_devices.haply.haply_service import HaplyService
+from telenano_devices.impedance.coupling import ZERO, CouplingSettings
+from telenano_devices.impedance.emulated_arm import EmulatedArm
+from telenano_devices.impedance.servo import ServoCommand
+from telenano_devices.impedance.servo_process import ServoLoop, SharedServo
+from telenano_devices.nanonis import nanonis_wire
+from telenano_devices.t7.stage_line import StageLine
+from telenano_devices.touch import hd
+from telenano_devices.touch.hd_device import HdConfig
 
 from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_POSITION, DeviceError, DriveCommand

@@ -253,7 +253,11 @@ def test_a_command_does_not_wait_for_a_pipe(
 # A damaged file costs at most this multiple of what the sound one costs, over all that were read.
 _MOST_TIMES = 3.0
 _SOUND_EVERY = 6
-OF_PACKAGES = {"trial": ("telenano_acceptance",), "plan": ("telenano_experiments",), "key": ("telenano_conformance",)}
+OF_PACKAGES = {
+    "trial": ("telenano_devices.acceptance",),
+    "plan": ("telenano_lab.experiments",),
+    "key": ("telenano.testing.conformance",),
+}
 OF_LIBRARIES = ("map.gwy", "map.h5-jpk", "map.ibw", "grid.dat")
 
 

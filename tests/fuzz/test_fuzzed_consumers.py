@@ -19,11 +19,10 @@ import pytest
 import zmq
 from made_sessions import BEGAN_NS, MS, Made
 from made_source import MadeSource
-from telenano_foxglove.bridge import LEFT_OUT, _Viewer
-from telenano_foxglove.bridge import Bridge as FoxgloveBridge
-from telenano_lsl.bridge import MARKERS, STATES, LslBridge, Sample, Stream
-from telenano_ros2.bridge import Ros2Bridge
-from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
+from telenano_bridges.foxglove import LEFT_OUT, _Viewer
+from telenano_bridges.foxglove import Bridge as FoxgloveBridge
+from telenano_bridges.lsl import MARKERS, STATES, LslBridge, Sample, Stream
+from telenano_bridges.ros2 import TEXTS, Encoder, Ros2Bridge, Ros2Message
 
 from services.recorder.intake import Intake
 from services.viz_node.document import RecordingDocument

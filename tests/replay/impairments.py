@@ -1,16 +1,16 @@
 """One cell for each kind of impairment that the link has, for the lockstep loop, the virtual rig and the bus.
 
 A kind is the settings of the hand's signals forward; all else has a constant delay. Each session is compared with the
-lockstep loop over the losses and delays that its recording has (`telenano_studies.loops.recorded_link`).
+lockstep loop over the losses and delays that its recording has (`telenano_lab.studies.loops.recorded_link`).
 """
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settle_ticks
-from telenano_studies.loops.recorded_link import recorded_schedule
-from telenano_studies.loops.validate import read_course, scenario_of
+from telenano_lab.studies.loops.cells import Cell, CellResult, judged, rig_of, settle_ticks
+from telenano_lab.studies.loops.recorded_link import recorded_schedule
+from telenano_lab.studies.loops.validate import read_course, scenario_of
 
 ONE_WAY_S = 0.01
 # The verdict is that of both, and so is the greatest force, within this share.

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_afm_files.force_map import write_map
-from telenano_afm_files.map_files import Wanted, import_map
+from telenano_lab.afm_files.force_map import write_map
+from telenano_lab.afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 
 from telenano.cli.root import app

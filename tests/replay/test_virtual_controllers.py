@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from telenano_afm_controllers import nanonis_model
-from telenano_afm_controllers.calibration import NanonisCalibration
-from telenano_afm_controllers.nanonis_driver import NanonisAfm
+from telenano_devices.nanonis import nanonis_model
+from telenano_devices.nanonis.nanonis_calibration import NanonisCalibration
+from telenano_devices.nanonis.nanonis_driver import NanonisAfm
 
 import services.afm_node.__main__ as afm
 from telenano.afm.config import AfmConfig

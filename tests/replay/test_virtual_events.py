@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from telenano_studies.loops.cells import Cell, rig_of
+from telenano_lab.studies.loops.cells import Cell, rig_of
 from test_virtual_lockstep import (
     HAND_POINTS,
     PERIOD_NS,

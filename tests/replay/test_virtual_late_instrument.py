@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_studies.loops.cells import Cell, energies_of, scales_of
-from telenano_studies.loops.validate import read_course, scenario_of
+from telenano_lab.studies.loops.cells import Cell, energies_of, scales_of
+from telenano_lab.studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import PERIOD_NS, PERIOD_S, SETTLE_TICKS, ConstantRig
 
 from telenano.lockstep.trajectory import Trajectory

@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from telenano_studies.loops.cells import Cell, rig_of
-from telenano_studies.loops.links import symmetric_link
-from telenano_studies.loops.validate import read_course, scenario_of
+from telenano_lab.studies.loops.cells import Cell, rig_of
+from telenano_lab.studies.loops.links import symmetric_link
+from telenano_lab.studies.loops.validate import read_course, scenario_of
 from tried_laws import TRIED_LAWS
 
 from services.afm_node import node as afm_node

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import msgspec
 import pytest
-from telenano_assembly import bench
-from telenano_assembly.messages import AfmParticles
-from telenano_assembly.particles import layer
+from telenano_lab.assembly import bench
+from telenano_lab.assembly.messages import AfmParticles
+from telenano_lab.assembly.particles import layer
 
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun

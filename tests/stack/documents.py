@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from documented_lines import Line, lines, makes
 from experiment_tables import demo
-from telenano_experiments.folder_tables import describe
-from telenano_experiments.table import tidy, write_tables
+from telenano_lab.experiments.folder_tables import describe
+from telenano_lab.experiments.table import tidy, write_tables
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

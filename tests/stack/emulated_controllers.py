@@ -9,9 +9,9 @@ from typing import Any
 
 import yaml
 from stack_rig import ROOT
-from telenano_afm_controllers import gwyscope_wire
-from telenano_afm_controllers.nanonis_client import NanonisClient
-from telenano_afm_controllers.request_answer import Incoming
+from telenano_devices.controllers.request_answer import Incoming
+from telenano_devices.gwyscope import gwyscope_wire
+from telenano_devices.nanonis.nanonis_client import NanonisClient
 
 from telenano.testing import free_ports
 

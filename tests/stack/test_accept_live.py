@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import machine
 import pytest
 from stack_rig import ROOT
-from telenano_acceptance.haptic_device.person import person, reach_of
-from telenano_acceptance.haptic_device.take import steps_of
-from telenano_haptic_devices.doubles import libraries
-from telenano_haptic_devices.doubles.live_devices import LiveDevice, write_hand
-from telenano_haptic_devices.servo_process import ProcessLink
+from telenano_devices.acceptance.haptic_device.person import person, reach_of
+from telenano_devices.acceptance.haptic_device.take import steps_of
+from telenano_devices.doubles import libraries
+from telenano_devices.doubles.live_devices import LiveDevice, write_hand
+from telenano_devices.impedance.servo_process import ProcessLink
 
 pytestmark = [pytest.mark.endurance, pytest.mark.skipif(**libraries.WITHOUT_CC)]
 

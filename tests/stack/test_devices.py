@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from stack_rig import ROOT, Rig
-from telenano_studies.loops.theory import critical_link_delay_s, loop_model
+from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.analysis.modes import fitted
 from telenano.devices.afm.modbus_frames import Conversation

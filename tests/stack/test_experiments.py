@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import yaml
 from stack_rig import ROOT
-from telenano_experiments import journal
+from telenano_lab.experiments import journal
 
 from telenano.recording.reader import Recording
 from telenano.wire.errors import RecordingError

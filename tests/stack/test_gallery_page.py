@@ -9,7 +9,7 @@ import pytest
 from browser_page import Page, View, keep, needs_browser, open_page
 from made_sessions import Made, hand_force_n
 from page_walks import check_rules
-from telenano_studies.pages.gallery import FOLDER, page_of
+from telenano_lab.studies.pages.gallery import FOLDER, page_of
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from impairments import KINDS, cell_of, direction_of, outcomes, scenario_over, write_bursts
 from stack_rig import SESSIONS
-from telenano_studies.loops.cells import Cell, CellResult
-from telenano_studies.loops.validate import RECORDING_NAME
+from telenano_lab.studies.loops.cells import Cell, CellResult
+from telenano_lab.studies.loops.validate import RECORDING_NAME
 
 from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings

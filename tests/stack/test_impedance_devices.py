@@ -7,8 +7,8 @@ import machine
 import numpy as np
 import pytest
 from stack_rig import Rig
-from telenano_haptic_devices.doubles import libraries
-from telenano_haptic_devices.doubles.live_devices import LiveDevice
+from telenano_devices.doubles import libraries
+from telenano_devices.doubles.live_devices import LiveDevice
 
 from telenano.recording.reader import Recording
 
@@ -69,6 +69,6 @@ def servos(rig: Rig) -> list[int]:
                 words, variables = ((folder / name).read_bytes() for name in ("cmdline", "environ"))
             except OSError:
                 continue
-            if b"telenano_haptic_devices.servo_process" in words and str(rig.sockets).encode() in variables:
+            if b"telenano_devices.impedance.servo_process" in words and str(rig.sockets).encode() in variables:
                 found.append(int(folder.name))
     return found

@@ -1,6 +1,6 @@
 """A device that takes a force is pulled in a running rig: hand without force, tip held and withdrawn, one event.
 
-The other faults are at the servo in virtual time (`test_impedance_faults.py` of telenano-haptic-devices).
+The other faults are at the servo in virtual time (`test_impedance_faults.py` of telenano-devices).
 """
 
 import itertools
@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from stack_rig import Rig
-from telenano_haptic_devices.doubles import libraries
-from telenano_haptic_devices.doubles.live_devices import LiveDevice
+from telenano_devices.doubles import libraries
+from telenano_devices.doubles.live_devices import LiveDevice
 
 NONE_N = (0.0, 0.0, 0.0)
 # An arm that means to be there presses the tip onto the sample; at first it is where there is none.

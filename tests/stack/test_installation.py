@@ -33,11 +33,11 @@ def test_the_same_source_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> No
 def test_the_packages_of_the_project_add_their_commands_and_formats_to_the_wheel(wheel: Path, tmp_path: Path) -> None:
     installation = Installation(tmp_path, wheel, ())
     bare = installation.telenano("bridge", "lsl").stderr
-    assert "the command 'lsl' is in the package telenano-lsl: pip install telenano_lsl-" in bare
+    assert "the command 'lsl' is in the package telenano-bridges: pip install telenano_bridges.lsl-" in bare
     folders = sorted(path.parent for path in ROOT.glob("packages/*/pyproject.toml"))
     made = [wheel_of(folder, tmp_path / folder.name) for folder in folders]
     # the hint names the file that is made here
-    assert made[folders.index(ROOT / "packages" / "telenano-lsl")].name in bare
+    assert made[folders.index(ROOT / "packages" / "telenano-bridges")].name in bare
     for one in made:
         installation.add(one)
     listed = installation.telenano("--version").stdout.split()[1::2]
@@ -176,21 +176,21 @@ def test_an_extra_alone_does_what_it_is_for(
 def test_a_study_runs_with_its_extra_and_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
     installation = Installation(tmp_path, wheel, ("studies",))
     study = ("study", "transparency", "--law", "wave", "--delay", "0", "--out", "study")
-    assert "is in the package telenano-studies: pip install telenano_studies-" in installation.telenano(*study).stderr
-    installation.add(wheel_of(ROOT / "packages" / "telenano-studies", tmp_path / "package"))
+    assert "is in the package telenano-lab: pip install telenano_lab.studies-" in installation.telenano(*study).stderr
+    installation.add(wheel_of(ROOT / "packages" / "telenano-lab", tmp_path / "package"))
     done = installation.telenano(*study)
     assert done.returncode == 0, done.stderr
 
 
 def test_the_driver_of_the_inverse3_is_in_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
     installation = Installation(tmp_path, wheel, ())
-    installation.add(wheel_of(ROOT / "packages" / "telenano-acceptance", tmp_path / "acceptance"))
+    installation.add(wheel_of(ROOT / "packages" / "telenano-devices", tmp_path / "acceptance"))
     probe = ("device", "probe", "--device", "haply")
     probed, simulated = installation.telenano(*probe), installation.telenano("device", "simulate", "haply")
-    hint = "is in the package telenano-haptic-devices: pip install telenano_haptic_devices-"
+    hint = "is in the package telenano-devices: pip install telenano_devices.impedance-"
     assert f"--device haply: the driver haply {hint}" in probed.stderr
     assert f"the command 'haply' {hint}" in simulated.stderr
-    installation.add(wheel_of(ROOT / "packages" / "telenano-haptic-devices", tmp_path / "package"))
+    installation.add(wheel_of(ROOT / "packages" / "telenano-devices", tmp_path / "package"))
     nowhere = "haptic_node.haply.service=ws://127.0.0.1:1"
     probed = installation.telenano(*probe, "--set", nowhere)
     simulated = installation.telenano("device", "simulate", "haply", "--host", "no.such.host.invalid")

@@ -8,11 +8,11 @@ import machine
 import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
-from telenano_haptic_devices.coupling import ZERO, CouplingSettings, Gate
-from telenano_haptic_devices.doubles import libraries
-from telenano_haptic_devices.doubles.live_devices import LiveDevice
-from telenano_haptic_devices.servo import ServoCommand, ServoSample
-from telenano_haptic_devices.servo_process import ProcessLink
+from telenano_devices.doubles import libraries
+from telenano_devices.doubles.live_devices import LiveDevice
+from telenano_devices.impedance.coupling import ZERO, CouplingSettings, Gate
+from telenano_devices.impedance.servo import ServoCommand, ServoSample
+from telenano_devices.impedance.servo_process import ProcessLink
 
 pytestmark = [pytest.mark.endurance, pytest.mark.skipif(**libraries.WITHOUT_CC)]
 

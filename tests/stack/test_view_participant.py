@@ -21,15 +21,15 @@ import pytest
 from browser_page import AXE, BESIDE_A_BROWSER, PATIENCE_S, Page, View, has, needs_browser, open_page, until
 from page_walks import step
 from stack_rig import Rig
-from telenano_assembly.particles.settings import ParticlesConfig
-from telenano_assembly.push_program import AT_GOAL
-from telenano_experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
-from telenano_experiments.bus import Answer, ExperimentBus
-from telenano_experiments.extend import choice
-from telenano_experiments.journal import read as read_journal
-from telenano_experiments.recorded_trial import RecordedTrial
-from telenano_experiments.tasks import TASKS
-from telenano_experiments.types import Trial
+from telenano_lab.assembly.particles.settings import ParticlesConfig
+from telenano_lab.assembly.push_program import AT_GOAL
+from telenano_lab.experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
+from telenano_lab.experiments.bus import Answer, ExperimentBus
+from telenano_lab.experiments.extend import choice
+from telenano_lab.experiments.journal import read as read_journal
+from telenano_lab.experiments.recorded_trial import RecordedTrial
+from telenano_lab.experiments.tasks import TASKS
+from telenano_lab.experiments.types import Trial
 
 from telenano.recording.reader import Recording
 from telenano.settings import DEFAULT_SITE_FILE
@@ -393,8 +393,8 @@ def done(page: Page, action: Callable[[], object]) -> None:
 
 
 # A particle that is pushed through its middle turns aside by itself: who pushes has to follow the force that is felt,
-# by the law of telenano_assembly.particles.steering. The hand does so in the page, at what the page shows, because a
-# move of the pointer from outside takes seconds on a busy machine, in which a particle is lost.
+# by the law of telenano_lab.assembly.particles.steering. The hand does so in the page, at what the page shows, because
+# a move of the pointer from outside takes seconds on a busy machine, in which a particle is lost.
 HAND = """([share, deep]) => {
   const pad = document.querySelector('#steer-pad'), box = pad.getBoundingClientRect();
   const half = Math.min(box.width, box.height) / 2, steepest = Math.sqrt(3);

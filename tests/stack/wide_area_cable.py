@@ -35,9 +35,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import telenano_studies.option_values
+import telenano_lab.studies.option_values
 import yaml
-from telenano_networks.network_trace import QUANTILES
+from telenano_lab.networks.network_trace import QUANTILES
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
@@ -316,7 +316,7 @@ def fig12(
 
 def draws(law: str, delay_ms: float, loss: float, first_hold_s: float | None = None) -> list[str]:
     """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
-    from telenano_studies.loops.validate import SEEDS
+    from telenano_lab.studies.loops.validate import SEEDS
 
     from telenano.lockstep.simulation import simulate_scenario
 
@@ -422,7 +422,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     given = parser.parse_args()
     if given.table is not None:
-        laws = telenano_studies.option_values.laws(given.laws)
+        laws = telenano_lab.studies.option_values.laws(given.laws)
         cells = list(itertools.product(laws, given.delays_ms, given.losses))
         table(given.table, cells, given.networks.split(","), given.cells)
         return

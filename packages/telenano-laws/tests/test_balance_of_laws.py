@@ -1,11 +1,10 @@
-"""Every law that states passivity against the adversary of telenano-conformance, which knows no law."""
+"""Every law that states passivity against the adversary of the test kit, which knows no law."""
 
 import pytest
-from telenano_conformance.balance_draws import ADVERSE, EVERYTHING
 
 from telenano.extend.laws import NO_SIGNAL, NO_TIP
 from telenano.laws import LAWS
-from telenano.testing import balance, drawn, worst_balances
+from telenano.testing import ADVERSE, EVERYTHING, balance, drawn, worst_balances
 
 OWN = ("bounded_model", "matched_wave", "tdpa", "two_layer")
 CORE = ("wave", "passivity")

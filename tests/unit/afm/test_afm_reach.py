@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from telenano_microscopy.image_files import Image, write_gsf
+from telenano_lab.microscopy.image_files import Image, write_gsf
 from test_afm_programs import QUICK, Imager
 
 from services.afm_node.node import AfmNode

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from telenano_microscopy.image_files import Image, write_gsf
+from telenano_lab.microscopy.image_files import Image, write_gsf
 
 from telenano.afm.made_samples import SampleConfig
 from telenano.afm.sample.surface_files import read_surface

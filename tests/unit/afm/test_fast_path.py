@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_afm_controllers import nanonis_client, nanonis_model, nanonis_wire
-from telenano_afm_controllers.controller_line import Nanonis
-from telenano_afm_controllers.nanonis_client import approach
-from telenano_afm_controllers.nanonis_model import ExternalInput
-from telenano_emulators.stage_line import PARAMS, StageRig
-from telenano_emulators.t7_model import T7Model
+from telenano_devices.doubles.controller_line import Nanonis
+from telenano_devices.nanonis import nanonis_client, nanonis_model, nanonis_wire
+from telenano_devices.nanonis.nanonis_client import approach
+from telenano_devices.nanonis.nanonis_model import ExternalInput
+from telenano_devices.t7.stage_line import PARAMS, StageRig
+from telenano_devices.t7.t7_model import T7Model
 
 from telenano.afm.sim import simulated_afm
 from telenano.extend.instruments import DeviceError

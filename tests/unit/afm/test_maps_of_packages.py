@@ -82,7 +82,7 @@ def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("one.npz", "the map npz is in the package telenano-afm-files: "),
+        ("one.npz", "the map npz is in the package telenano-lab: "),
         ("one.wall", "is of no format that is felt here; known are none"),
     ],
 )

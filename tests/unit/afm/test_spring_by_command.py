@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from telenano_assembly import bench
+from telenano_lab.assembly import bench
 from test_afm_programs import SOFT, Imager, command
 
 from services.afm_node.node import AfmNode

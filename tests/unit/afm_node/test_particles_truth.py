@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgpack
 import pytest
-from telenano_assembly.messages import AfmParticles
+from telenano_lab.assembly.messages import AfmParticles
 
 from services.afm_node import node as afm
 from services.controller.__main__ import HALVES
@@ -22,11 +22,11 @@ TRUTH = "afm/particles"
 # afterwards; docs and generated files of the contract are no readers.
 SAYS_IT = {
     "telenano/settings/known_packages.py",
-    "packages/telenano-assembly/telenano_assembly/messages.py",
-    "packages/telenano-assembly/telenano_assembly/layers.py",
-    "packages/telenano-assembly/telenano_assembly/recording.py",
-    "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
-    "packages/telenano-experiments/telenano_experiments/tasks/push_particle.py",
+    "packages/telenano-lab/telenano_lab/assembly/messages.py",
+    "packages/telenano-lab/telenano_lab/assembly/layers.py",
+    "packages/telenano-lab/telenano_lab/assembly/recording.py",
+    "packages/telenano-lab/telenano_lab/experiments/recorded_trial.py",
+    "packages/telenano-lab/telenano_lab/experiments/tasks/push_particle.py",
 }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_sessions import BEGAN_NS, NS, Made, hand_force_n
-from telenano_studies.plot import read_traces
+from telenano_lab.studies.plot import read_traces
 
 import telenano
 from telenano.analysis.recording_document import judged_recording

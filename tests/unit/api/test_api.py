@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import zmq
 from recorder_samples import sample
-from telenano_studies.repetitions import share, statistic
+from telenano_lab.studies.repetitions import share, statistic
 
 import telenano
 from telenano.runtime.bus.publisher import ZmqPublisher

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from telenano_afm_controllers import gwyscope_model, nanonis_model
-from telenano_microscopy.force_curve import read_measured
+from telenano_devices.gwyscope import gwyscope_model
+from telenano_devices.nanonis import nanonis_model
+from telenano_lab.microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
 from telenano.afm import config as afm
@@ -26,7 +27,7 @@ from telenano.settings.known_packages import KNOWN_PACKAGES, known_of
 from telenano.wire import extras
 from telenano.wire.errors import ConfigError
 
-PACKAGE = "telenano-afm-controllers"
+PACKAGE = "telenano-devices"
 MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
 NAMED = ("afm_node.driver=gwyscope", "afm_node.gwyscope={calibration: gwyscope.yaml}")
 
@@ -81,7 +82,7 @@ def plan(site: str | None, folder: Path) -> Plan:
 def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
     # Every law and program that is installed has a section, and a rig can change to it while it runs.
-    assert json.loads(done.stdout) == ["telenano_assembly", "telenano_laws"]
+    assert json.loads(done.stdout) == ["telenano_lab.assembly", "telenano_laws"]
 
 
 @pytest.mark.check("takes 2.3 s")
@@ -129,24 +130,24 @@ def test_drivers_that_are_not_installed_are_listed_with_the_command_that_adds_th
     monkeypatch.setattr("telenano.cli.commands.doctor.checks_of_packages", list)
     rows = {row["driver"]: row for row in package_rows()}
     assert {name: row["package"] for name, row in rows.items()} == known_of("driver")
-    assert rows["haply"]["advice"] == extras.how_to_add_package("telenano-haptic-devices")
+    assert rows["haply"]["advice"] == extras.how_to_add_package("telenano-devices")
 
 
 def test_a_package_that_needs_another_one_names_it_and_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "telenano_acceptance.haptic_device.person", None)
+    monkeypatch.setitem(sys.modules, "telenano_devices.acceptance.haptic_device.person", None)
     done = CliRunner().invoke(app, ["device", "simulate", "haply", "--person"])
     assert done.exit_code == 2
-    assert f"telenano-acceptance is not installed: {extras.how_to_add_package('telenano-acceptance')}" in " ".join(
+    assert f"telenano-devices is not installed: {extras.how_to_add_package('telenano-devices')}" in " ".join(
         done.stderr.split()
     )
 
 
 def test_the_benchmark_names_the_package_of_the_studies_that_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "telenano_experiments.benchmark_command", raising=False)
-    monkeypatch.setitem(sys.modules, "telenano_studies.study_options", None)
+    monkeypatch.delitem(sys.modules, "telenano_lab.experiments.benchmark_command", raising=False)
+    monkeypatch.setitem(sys.modules, "telenano_lab.studies.study_options", None)
     done = CliRunner().invoke(app, ["benchmark", "--quick"])
     assert done.exit_code == 2
-    assert f"telenano-studies is not installed: {extras.how_to_add_package('telenano-studies')}" in " ".join(
+    assert f"telenano-lab is not installed: {extras.how_to_add_package('telenano-lab')}" in " ".join(
         done.stderr.split()
     )
 
@@ -159,16 +160,16 @@ def test_a_checkout_adds_a_package_as_its_environment_was_made(
     monkeypatch.setattr(sys, "prefix", f"/a/telenano/{environment}")
     expected = {
         ".venv": "make -C '/a/telenano' setup",
-        "another": "pip install -e '/a/telenano/packages/telenano-studies'",
+        "another": "pip install -e '/a/telenano/packages/telenano-lab'",
     }
-    assert extras.how_to_add_package("telenano-studies") == expected[environment]
+    assert extras.how_to_add_package("telenano-lab") == expected[environment]
 
 
 @pytest.mark.usefixtures("bare")
 def test_a_file_that_needs_a_package_names_it_and_its_command(tmp_path: Path) -> None:
     for name, read in (("a.gwy", read_surface), ("a.sxm", read_surface), ("a.jpk-force", read_measured)):
         (tmp_path / name).write_text("no file of an instrument")
-        with pytest.raises(ConfigError, match=rf"{name}: .* by the package {told('telenano-afm-files')}"):
+        with pytest.raises(ConfigError, match=rf"{name}: .* by the package {told('telenano-lab')}"):
             read(tmp_path / name)
 
 

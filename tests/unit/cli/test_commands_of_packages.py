@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_microscopy.force_curve import read_measured
-from telenano_microscopy.image_files import Image
-from telenano_microscopy.image_output import write_images
+from telenano_lab.microscopy.force_curve import read_measured
+from telenano_lab.microscopy.image_files import Image
+from telenano_lab.microscopy.image_output import write_images
 from typer.testing import CliRunner
 
 from telenano.afm.sample.surface_files import read_surface
@@ -151,10 +151,10 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
 ) -> None:
     monkeypatch.setattr(lazy_commands, "package_commands", dict)
     text = said("bridge", "lsl", code=2)
-    assert f"the command 'lsl' is in the package telenano-lsl: {how_to_add_package('telenano-lsl')}" in text
+    assert f"the command 'lsl' is in the package telenano-bridges: {how_to_add_package('telenano-bridges')}" in text
     text = said("experiment", "check", "delay_and_law", code=2)
-    how = how_to_add_package("telenano-experiments")
-    assert f"the command 'experiment' is in the package telenano-experiments: {how}" in text
+    how = how_to_add_package("telenano-lab")
+    assert f"the command 'experiment' is in the package telenano-lab: {how}" in text
     listed = said("--help-all")
     assert "  law " in listed and not {"study", "experiment", "benchmark"} & set(listed.split())
 
@@ -222,8 +222,8 @@ def names(recording, target, selection):
     with pytest.raises(ConfigError, match=r"'nams' is no format; did you mean names\?; known are mcap-json, "):
         export_recording(recording, tmp_path / "x", "nams")
     monkeypatch.setattr(plugins, "load", lambda *_, **__: plugins.Loaded({}, {}))
-    how = re.escape(how_to_add_package("telenano-ros2"))
-    with pytest.raises(ConfigError, match=f"the format ros2 is in the package telenano-ros2: {how}"):
+    how = re.escape(how_to_add_package("telenano-bridges"))
+    with pytest.raises(ConfigError, match=f"the format ros2 is in the package telenano-bridges: {how}"):
         export_recording(recording, tmp_path / "x", "ros2")
     assert not (tmp_path / "x").exists()
 

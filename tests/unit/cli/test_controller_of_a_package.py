@@ -13,8 +13,8 @@ from typing import Literal
 from telenano.settings import DeviceDriver
 from telenano.devices import AfmCapabilities
 from telenano.afm import AfmControllerConfig as ControllerSettings
-from telenano_afm_controllers.piezo_calibration import ControllerCalibration
-from telenano_afm_controllers.request_driver import RequestDriver
+from telenano_devices.controllers.piezo_calibration import ControllerCalibration
+from telenano_devices.controllers.request_driver import RequestDriver
 
 class Calibration(ControllerCalibration):
     controller: Literal["line_afm"]
@@ -57,7 +57,7 @@ from telenano.launcher.plan import UpRequest, make_plan
 from telenano.wire.errors import ConfigError
 from telenano.cli.root import app
 from telenano.doctor.devices import check_instrument
-from telenano_afm_controllers.request_server import serve_requests
+from telenano_devices.controllers.request_server import serve_requests
 
 assert "telenano_line_afm" not in sys.modules
 with socket.socket() as free:

@@ -68,7 +68,7 @@ def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, 
 
 
 def test_an_export_to_a_full_disk_says_so(make_file: MakeFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("telenano_tables.csv_tables._write_rows", no_space)
+    monkeypatch.setattr("telenano_bridges.tables._write_rows", no_space)
     for attempt in ("a", "b"):
         code, _, err = run("bag", "export", make_file(), "--to", "csv", "--out", tmp_path / attempt)
         assert (code, err) == (1, f"telenano: {tmp_path / attempt}: cannot be written: No space left on device\n")

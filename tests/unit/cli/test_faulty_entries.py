@@ -91,8 +91,8 @@ from pathlib import Path
 from typer.testing import CliRunner
 from telenano.cli.root import app
 from telenano.recording.made_records import write_recording
-from telenano_microscopy.image_files import Image
-from telenano_microscopy.image_output import write_images
+from telenano_lab.microscopy.image_files import Image
+from telenano_lab.microscopy.image_output import write_images
 from telenano.wire import example
 from telenano.recording import recorded
 

@@ -236,8 +236,8 @@ _SLOW = pytest.mark.endurance
 # a signal after the last line or point, while the first file is written
 _WHILE_WRITING = """
 import os, signal, sys
-import telenano_microscopy.force_curve as curves, telenano_microscopy.simulated_image as images
-from telenano_microscopy import image_files
+import telenano_lab.microscopy.force_curve as curves, telenano_lab.microscopy.simulated_image as images
+from telenano_lab.microscopy import image_files
 import numpy as np
 
 def with_signals(write):

@@ -13,8 +13,14 @@ from telenano.cli.lazy_commands import load_row, package_commands
 from telenano.cli.root import app
 from telenano.settings import plugins
 
-PACKAGES = Path(__file__).parents[3] / "packages"
+ROOT = Path(__file__).parents[3]
 FOLDERS = {row.target.partition(".")[0]: row.package for row in plugins.installed("commands").values()}
+
+
+def pages_of(folder: str) -> list[str]:
+    """Return the pages of a package: its README, and one for each of its parts."""
+    own = ROOT / "packages" / folder
+    return [path.read_text(encoding="utf-8") for path in (own / "README.md", *sorted(own.glob("docs/*.md")))]
 
 
 def with_inner(path: tuple[str, ...], command: Any, folder: str) -> Iterator[tuple[str, tuple[Any, str]]]:
@@ -28,6 +34,7 @@ def with_inner(path: tuple[str, ...], command: Any, folder: str) -> Iterator[tup
 FOUND = dict(
     found
     for path, row in package_commands().items()
+    if row.entry
     for found in with_inner(path, load_row(path[-1], row, path), FOLDERS[row.module.partition(".")[0]])
 )
 
@@ -37,12 +44,11 @@ def test_a_command_answers_help_and_its_page_names_every_option(words: str) -> N
     command, folder = FOUND[words]
     done = CliRunner().invoke(app, [*words.split(), "--help"])
     assert done.exit_code == 0 and "Usage" in done.output
-    page = (PACKAGES / folder / "README.md").read_text(encoding="utf-8")
     # A package of several commands has a heading or an item of a list for each.
-    own = re.search(
-        rf"^(?:#+ |- `)telenano {words}(?:\n|`).*?(?=\n(?:#+ |- `telenano)|\Z)", page, re.DOTALL | re.MULTILINE
-    )
-    part = own[0] if own else page
+    item = rf"^(?:#+ |- `)telenano {words}(?:\n|`).*?(?=\n(?:#+ |- `telenano)|\Z)"
+    pages = pages_of(folder)
+    own = [found[0] for page in pages if (found := re.search(item, page, re.DOTALL | re.MULTILINE))]
+    part = own[0] if own else "\n".join(page for page in pages if f"telenano {words}" in " ".join(page.split()))
     options = [one for one in command.params if one.param_type_name == "option" and one.name not in ("help", "rig")]
     assert [one.name for one in options if not one.help] == []
     assert {one.opts[0] for one in options if not re.search(rf"`{one.opts[0]}[ /`]", part)} == set()
@@ -52,7 +58,7 @@ def test_a_command_answers_help_and_its_page_names_every_option(words: str) -> N
 
 @pytest.mark.parametrize("folder", sorted(set(FOLDERS.values())))
 def test_a_page_has_no_command_or_option_that_is_gone(folder: str) -> None:
-    page = (PACKAGES / folder / "README.md").read_text(encoding="utf-8")
+    page = "\n\n".join(pages_of(folder))
     there = {words: command for words, (command, of) in FOUND.items() if of == folder}
     headings = re.findall(r"^## telenano (.+)$", page, re.MULTILINE)
     assert [words for words in headings if not any(f"{one} ".startswith(f"{words} ") for one in there)] == []

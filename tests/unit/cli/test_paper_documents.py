@@ -14,7 +14,7 @@ from telenano.wire.nodes import name_of
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 SVG = "{http://www.w3.org/2000/svg}"
-FOLDERS = ("services", "telenano", "packages/telenano-studies/telenano_studies")
+FOLDERS = ("services", "telenano", "packages/telenano-lab/telenano_lab/studies")
 SOURCES = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
 
 
@@ -40,7 +40,7 @@ def test_every_equation_that_the_code_cites_is_in_the_map() -> None:
     assert cited <= listed == set(range(1, 18))
 
 
-NAMED = re.compile(r"`((?:services|telenano|telenano_studies)\.[a-zA-Z0-9_.]+)`")
+NAMED = re.compile(r"`((?:services|telenano|telenano_lab.studies)\.[a-zA-Z0-9_.]+)`")
 FUNCTIONS = sorted({name for row in rows("paper.md") for name in NAMED.findall(row[3])})
 
 

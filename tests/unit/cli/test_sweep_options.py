@@ -144,7 +144,7 @@ def test_a_sweep_without_the_package_that_compares_is_refused_with_what_to_insta
     arguments = ["up", "--scenario", "fig12", "--no-view", "--out", str(tmp_path / "out"), "--seeds", "2"]
     done = RUNNER.invoke(app, arguments)
     assert done.exit_code == 2
-    assert "the command 'compare' is in the package telenano-studies" in done.stderr
+    assert "the command 'compare' is in the package telenano-lab" in done.stderr
     assert not (tmp_path / "out").exists()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from telenano_assembly import bench
+from telenano_lab.assembly import bench
 
 from telenano.settings import find_scenario
 from telenano.virtual import ARMED_S, VirtualRig
@@ -16,7 +16,7 @@ from telenano.wire.extras import how_to_add_package
 
 pytestmark = pytest.mark.check("records a session and starts processes, takes 10 s")
 
-PACKAGE = "telenano-assembly"
+PACKAGE = "telenano-lab"
 TOLD = f"is in the package {PACKAGE}: {how_to_add_package(PACKAGE)}"
 SCENARIO = {
     "name": "pushed",
@@ -37,7 +37,7 @@ from telenano.settings import find_scenario, validate
 from telenano.testing import invoke
 from telenano.wire.errors import TelenanoError
 
-assert not any(name.startswith("telenano_assembly") for name in sys.modules)
+assert not any(name.startswith("telenano_lab.assembly") for name in sys.modules)
 recording, out, assembly = sys.argv[1:]
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 from experiment_bench import plan_of
-from telenano_experiments.apparatus import live
-from telenano_experiments.apparatus.live import Live
-from telenano_experiments.desk import Desk
+from telenano_lab.experiments.apparatus import live
+from telenano_lab.experiments.apparatus.live import Live
+from telenano_lab.experiments.desk import Desk
 
 from telenano.console import holding
 from telenano.console.lease import EXPERIMENT, VANISHED_NS, Party, current, take

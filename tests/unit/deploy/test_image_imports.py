@@ -23,8 +23,8 @@ for node in ("controller", "afm_node", "haptic_node", "delay_node"):
 
 # a driver is imported by its node; the wire of a device that takes a force in the servo's process
 _DRIVERS = """
-import telenano_afm_controllers.gwyscope_driver, telenano_afm_controllers.nanonis_driver
-import telenano_haptic_devices.dhd, telenano_haptic_devices.haply, telenano_haptic_devices.hd
+import telenano_devices.gwyscope.gwyscope_driver, telenano_devices.nanonis.nanonis_driver
+import telenano_devices.force_dimension.dhd, telenano_devices.haply.haply, telenano_devices.touch.hd
 """
 
 

@@ -5,9 +5,9 @@ from collections import deque
 from typing import NamedTuple
 
 import pytest
-from telenano_emulators.stage_line import StageLine, calibration
-from telenano_emulators.t7_model import T7Model
-from telenano_studies.loops.theory import critical_link_delay_s, loop_model
+from telenano_devices.t7.stage_line import StageLine, calibration
+from telenano_devices.t7.t7_model import T7Model
+from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.config import ControllerConfig

@@ -11,7 +11,7 @@ if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
 from handle_answers import pack_fault, pack_hello
-from telenano_emulators.handle_line import PATH, HandleLine, HandleRig
+from telenano_devices.handle.handle_line import PATH, HandleLine, HandleRig
 
 from services.haptic_node.node import HapticNode
 from telenano.devices.hand import serial_driver, wire

@@ -94,7 +94,7 @@ def test_faults_are_counted_by_kind_and_the_next_zero_begins_anew() -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 def test_firmware_writes_the_same_bytes() -> None:
-    from telenano_emulators.firmware import BoardIdentity, FirmwareCore
+    from telenano_devices.handle.firmware import BoardIdentity, FirmwareCore
 
     core = FirmwareCore(BoardIdentity(HELLO.device_id, 0xBEEF, HELLO.flags, 2, 0.5, 0.25, 0.125, HELLO.model))
     for payload, _ in GOLDEN.values():

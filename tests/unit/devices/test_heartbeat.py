@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMultipleRegistersResponse
-from telenano_emulators.stage_line import PARAMS, StageLine, calibration
-from telenano_emulators.t7_model import HeartbeatScript, T7Model
+from telenano_devices.t7.stage_line import PARAMS, StageLine, calibration
+from telenano_devices.t7.t7_model import HeartbeatScript, T7Model
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig

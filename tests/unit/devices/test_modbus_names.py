@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from telenano_emulators.stage_line import PARAMS, StageLine, calibration
+from telenano_devices.t7.stage_line import PARAMS, StageLine, calibration
 
 from telenano.devices.afm.host_address import HostAddress
 from telenano.devices.afm.modbus_driver import ModbusAfm

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ModbusPDU
-from telenano_emulators import t7_model
-from telenano_emulators.stage_line import PARAMS, StageLine, StageRig, calibration
+from telenano_devices.t7 import t7_model
+from telenano_devices.t7.stage_line import PARAMS, StageLine, StageRig, calibration
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm

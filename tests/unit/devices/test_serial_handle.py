@@ -8,8 +8,8 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from telenano_emulators.handle_line import PATH, HandleLine, HandleRig, calibration
-from telenano_emulators.simulate import handled
+from telenano_devices.handle.handle_line import PATH, HandleLine, HandleRig, calibration
+from telenano_devices.handle.simulate_handle import handled
 
 from telenano.devices.hand.serial_driver import refusal
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand

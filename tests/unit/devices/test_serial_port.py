@@ -123,8 +123,8 @@ def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) -> None:
-    from telenano_emulators.emulated_handle import EmulatedHandle
-    from telenano_emulators.handle_on_pty import HandleOnPty
+    from telenano_devices.handle.emulated_handle import EmulatedHandle
+    from telenano_devices.handle.handle_on_pty import HandleOnPty
 
     from telenano.devices.hand.serial_driver import SerialHandle
 

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import pytest
 from pymodbus.pdu import ExceptionResponse
-from telenano_emulators import t7_model
-from telenano_emulators.stage_line import PARAMS, StageLine, StageRig
-from telenano_emulators.t7_server import respond
+from telenano_devices.t7 import t7_model
+from telenano_devices.t7.stage_line import PARAMS, StageLine, StageRig
+from telenano_devices.t7.t7_server import respond
 
 from services.afm_node.node import AfmNode
 from telenano.afm.config import AfmConfig

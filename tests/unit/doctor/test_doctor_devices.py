@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from telenano_emulators.t7_model import calibration_of
+from telenano_devices.t7.t7_model import calibration_of
 
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.wire.errors import ConfigError

@@ -18,9 +18,9 @@ def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypa
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})
     monkeypatch.setattr(SECTIONS, "_asked", {})
-    how = re.escape(how_to_add_package("telenano-haptic-devices"))
+    how = re.escape(how_to_add_package("telenano-devices"))
     named = {name: ("driver", f"driver {name}", name) for name in ("haply", "dhd", "hd", "simulated_impedance")}
     named |= {name: (name, f"section {name}", {}) for name in ("coupling", "impedance")}
     for key, words, value in named.values():
-        with pytest.raises(ConfigError, match=f"{key}: the {words} is in the package telenano-haptic-devices: {how}"):
+        with pytest.raises(ConfigError, match=f"{key}: the {words} is in the package telenano-devices: {how}"):
             validate(HapticConfig, {key: value}, "file", "haptic_node")

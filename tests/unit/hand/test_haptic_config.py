@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from pydantic import ValidationError
-from telenano_studies.pages.motor_theory import bandwidth_hz
+from telenano_lab.studies.pages.motor_theory import bandwidth_hz
 
 import services.haptic_node
 from telenano.extend.hands import DriveCommand

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_studies.loops.cells import Cell, trajectory_of
+from telenano_lab.studies.loops.cells import Cell, trajectory_of
 from tried_laws import TRIED_LAWS
 
 from telenano.extend.laws import NO_SIGNAL, SlaveReference, TipMeasurement

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from figure_layout import faults
 from matplotlib.figure import Figure
-from telenano_experiments.benchmark import results
-from telenano_experiments.benchmark_page import benchmark_figure
-from telenano_networks.network_trace import NetworkTrace, trace_figure
-from telenano_studies.loops.push_study import Row
-from telenano_studies.pages.stability_page import _edges, _up_to
-from telenano_studies.push_command import push_figure
+from telenano_lab.experiments.benchmark import results
+from telenano_lab.experiments.benchmark_page import benchmark_figure
+from telenano_lab.networks.network_trace import NetworkTrace, trace_figure
+from telenano_lab.studies.loops.push_study import Row
+from telenano_lab.studies.pages.stability_page import _edges, _up_to
+from telenano_lab.studies.push_command import push_figure
 from tried_laws import TRIED_LAWS as ALL_LAWS
 from typer.testing import CliRunner
 

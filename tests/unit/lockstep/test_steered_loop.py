@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 import yaml
-from telenano_assembly import push_hand
-from telenano_assembly.particles.adhered_sphere import KINDS
-from telenano_assembly.particles.tip_shape import tip_shape, touch_distance_m
-from telenano_studies.loops import push_study
-from telenano_studies.loops.push_study import Trial
+from telenano_lab.assembly import push_hand
+from telenano_lab.assembly.particles.adhered_sphere import KINDS
+from telenano_lab.assembly.particles.tip_shape import tip_shape, touch_distance_m
+from telenano_lab.studies.loops import push_study
+from telenano_lab.studies.loops.push_study import Trial
 
 from telenano import SimulatedSession
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step

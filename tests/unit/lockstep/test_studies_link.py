@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
+from telenano_lab.studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
 from telenano.link.config import LinkSettings
 from telenano.lockstep import link

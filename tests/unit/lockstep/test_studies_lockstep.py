@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
-from telenano_studies.loops.links import symmetric_link
+from telenano_lab.studies.loops.cells import Cell, course_of, rig_of, trajectory_of
+from telenano_lab.studies.loops.links import symmetric_link
 from tried_laws import TRIED_LAWS as LAWS
 
 from telenano.afm import step as afm

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from telenano_studies.plot import read_traces
+from telenano_lab.studies.plot import read_traces
 
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.recording.indexed import IndexedRecording

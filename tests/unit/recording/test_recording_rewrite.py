@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
-from telenano_studies.recording_diff import diff_recordings
+from telenano_lab.studies.recording_diff import diff_recordings
 
 from telenano.recording.channel_filter import Selection
 from telenano.recording.mcap_scan import MAGIC

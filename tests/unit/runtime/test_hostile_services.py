@@ -11,11 +11,11 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from telenano_afm_controllers.controller_line import PARAMS, Gwyscope, Nanonis
-from telenano_afm_controllers.nanonis_driver import FrameLog
-from telenano_afm_controllers.nanonis_model import DEFLECTION
-from telenano_emulators.handle_line import HandleLine
-from telenano_emulators.stage_line import StageLine
+from telenano_devices.doubles.controller_line import PARAMS, Gwyscope, Nanonis
+from telenano_devices.handle.handle_line import HandleLine
+from telenano_devices.nanonis.nanonis_driver import FrameLog
+from telenano_devices.nanonis.nanonis_model import DEFLECTION
+from telenano_devices.t7.stage_line import StageLine
 
 from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_OFF, DriveCommand

@@ -16,5 +16,5 @@ def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, mon
 
     monkeypatch.setattr(file_readers, "read_in_child", lacking)
     (tmp_path / "map.spm").write_bytes(b"\\*File list")
-    with pytest.raises(ConfigError, match=r"needs gwyfile to be read: install telenano-afm-files with its"):
+    with pytest.raises(ConfigError, match=r"needs gwyfile to be read: install telenano-lab with its"):
         read_surface(tmp_path / "map.spm")

@@ -12,10 +12,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from telenano_experiments.apparatus.rig_process import RigError, RigProcess
-from telenano_haptic_devices.servo_process import ProcessLink
+from telenano_devices.impedance.servo_process import ProcessLink
+from telenano_lab.experiments.apparatus.rig_process import RigError, RigProcess
+from telenano_lab.networks import measured_lines
 from telenano_laws import live_sessions
-from telenano_networks import measured_lines
 
 from telenano.cli.child_session import run_session
 from telenano.cli.commands.node import node as run_node
@@ -253,7 +253,7 @@ def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     safe = "pass" if children.spawning_workers is SAFE else "sweep.spawning_workers = contextlib.nullcontext"
     code = (
         "import contextlib, os\n"
-        "from telenano_studies.loops import sweep\n"
+        "from telenano_lab.studies.loops import sweep\n"
         "if __name__ == '__main__':\n"
         f"    {safe}\n"
         "    kind = sweep.Kind(str, abs, dict)\n"
@@ -300,12 +300,12 @@ Start = Callable[[Path, pytest.MonkeyPatch], bool]
 STARTED: dict[str, tuple[Start, ...] | str] = {
     "deploy/entrypoint.py": (by_entrypoint,),
     "deploy/handover.py": "files of /opt, whose folder comes first on the path and is in a read-only image",
-    "packages/telenano-afm-files/telenano_afm_files/gwyddion.py": "Gwyddion's converter",
+    "packages/telenano-lab/telenano_lab/afm_files/gwyddion.py": "Gwyddion's converter",
     "packages/telenano-laws/telenano_laws/live_sessions.py": (by_live_session, by_emulated_inverse3),
-    "packages/telenano-networks/telenano_networks/measured_lines.py": (by_measured_line,),
-    "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
-    "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
-    "packages/telenano-emulators/telenano_emulators/firmware/__init__.py": "a C compiler",
+    "packages/telenano-lab/telenano_lab/networks/measured_lines.py": (by_measured_line,),
+    "packages/telenano-lab/telenano_lab/experiments/apparatus/rig_process.py": (by_experiment,),
+    "packages/telenano-lab/telenano_lab/studies/loops/sweep.py": (by_sweep,),
+    "packages/telenano-devices/telenano_devices/handle/firmware/__init__.py": "a C compiler",
     "telenano/runtime/loop/own_process.py": (by_servo,),
     "telenano/cli/child_session.py": (by_child_session,),
     "telenano/launcher/fan_out.py": (by_fan_out,),

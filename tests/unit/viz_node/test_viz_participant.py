@@ -21,9 +21,9 @@ import bus_page
 from bus_page import BusPage
 from made_source import MadeSource
 from starlette.testclient import TestClient
-from telenano_experiments import panel as panels
-from telenano_experiments.messages import CUE, Question
-from telenano_experiments.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
+from telenano_lab.experiments import panel as panels
+from telenano_lab.experiments.messages import CUE, Question
+from telenano_lab.experiments.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
 
 from services.viz_node import hub as hubs
 from services.viz_node import server

@@ -1,0 +1,1 @@
+"""What the drivers, guards and emulations of AFM controllers have in common."""

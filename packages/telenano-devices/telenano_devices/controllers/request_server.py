@@ -1,0 +1,109 @@
+"""A server of an emulated controller: one answer to each request, in turn, on connections that share one device."""
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from telenano_devices.controllers.request_answer import Cut, Incoming, WireError
+
+_WATCH_S = 0.001
+_READ_BYTES = 65536
+_MOST_UNREAD_BYTES = 2**20
+
+
+class Pushed(NamedTuple):
+    """A stream that a device pushes to every client of a port: take() returns its bytes since the last call."""
+
+    port: int
+    take: Callable[[], bytes]
+
+
+async def serve_requests(
+    cut: Cut,
+    respond: Callable[[bytes, int], bytes | None],
+    pass_time: Callable[[int], None],
+    host: str,
+    ports: Sequence[int],
+    on_ready: Callable[[], None] = lambda: None,
+    most_clients: int = 16,
+    pushed: Pushed | None = None,
+) -> None:
+    """Serve until the task is cancelled.
+
+    Args:
+        cut: The rule of the protocol.
+        respond: Returns the answer to a request that came at a time of the monotonic clock [ns], None for none; what it
+            raises ends the server.
+        pass_time: Lets the device do what is due at a time [ns].
+        host: The address to listen at.
+        ports: The TCP ports to listen at.
+        on_ready: Called once the ports are bound.
+        most_clients: The most connections at one port; one more is closed at once.
+        pushed: A stream on a port of its own, None for none.
+
+    Raises:
+        OSError: An address cannot be bound.
+    """
+    failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    clients: dict[int, int] = dict.fromkeys(ports, 0)
+    writers: set[asyncio.StreamWriter] = set()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        port = writer.get_extra_info("sockname")[1]
+        clients[port] += 1
+        writers.add(writer)
+        incoming = Incoming(cut)
+        try:
+            while clients[port] <= most_clients and (received := await reader.read(_READ_BYTES)):
+                incoming.add(received)
+                while (request := incoming.take()) is not None:
+                    answer = respond(request, time.monotonic_ns())
+                    if answer is not None:
+                        writer.write(answer)
+                        await writer.drain()
+        except (WireError, ConnectionError):
+            # bytes that cannot be read end their connection, and nothing else
+            pass
+        except Exception as error:  # noqa: BLE001
+            # it ends the process, as it would that of the device
+            if not failed.done():
+                failed.set_exception(error)
+        finally:
+            clients[port] -= 1
+            writers.discard(writer)
+            writer.close()
+
+    listeners: list[asyncio.StreamWriter] = []
+
+    async def listen(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        listeners.append(writer)
+
+    servers = [await asyncio.start_server(serve, host, port) for port in ports]
+    if pushed is not None:
+        servers.append(await asyncio.start_server(listen, host, pushed.port))
+    on_ready()
+    try:
+        while not failed.done():
+            pass_time(time.monotonic_ns())
+            if pushed is not None and listeners:
+                _push(listeners, pushed.take())
+            await asyncio.sleep(_WATCH_S)
+        failed.result()
+    finally:
+        for server in servers:
+            server.close()
+        for writer in (*writers, *listeners):
+            writer.close()
+        # Clients that wait for an answer find that the server has ended.
+        await asyncio.sleep(_WATCH_S)
+
+
+def _push(listeners: list[asyncio.StreamWriter], frames: bytes) -> None:
+    """Write to each listener; one that is gone, or does not read, is left out."""
+    for writer in list(listeners):
+        if writer.is_closing() or writer.transport.get_write_buffer_size() > _MOST_UNREAD_BYTES:
+            listeners.remove(writer)
+            writer.close()
+        elif frames:
+            writer.write(frames)

@@ -1,0 +1,1 @@
+"""A Gwyscope as an instrument of telenano: driver, guard and emulation."""

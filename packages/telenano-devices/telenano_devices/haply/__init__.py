@@ -1,0 +1,1 @@
+"""Haply's Inverse3 with a VerseGrip: driver and emulated service."""

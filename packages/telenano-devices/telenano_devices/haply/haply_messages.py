@@ -1,0 +1,113 @@
+"""The messages of Haply's Inverse Service, JSON of format 3.x, as far as the driver reads them."""
+
+import math
+
+import msgspec
+
+from telenano_devices.impedance.coupling import Vector
+
+# The names of the buttons of a grip, bit 0 first.
+BUTTONS = ("a", "b", "c")
+
+
+class Xyz(msgspec.Struct, frozen=True):
+    """A vector of the wire; JSON has no word for what is no number but null."""
+
+    x: float | None
+    y: float | None
+    z: float | None
+
+    def vector(self) -> Vector:
+        return tuple(math.nan if value is None else value for value in (self.x, self.y, self.z))  # type: ignore[return-value]
+
+
+class Wxyz(msgspec.Struct, frozen=True):
+    """A rotation of the wire."""
+
+    w: float
+    x: float
+    y: float
+    z: float
+
+
+class ArmState(msgspec.Struct, frozen=True):
+    """What an Inverse3 says with each answer."""
+
+    cursor_position: Xyz
+    current_cursor_force: Xyz | None = None
+
+
+class ArmStatus(msgspec.Struct, frozen=True):
+    """Whether it may be used."""
+
+    calibrated: bool = True
+    ready: bool = True
+
+
+class ArmInfo(msgspec.Struct, frozen=True):
+    """Who it is."""
+
+    model: str = ""
+    major_version: int = 0
+    minor_version: int = 0
+
+
+class ArmConfig(msgspec.Struct, frozen=True):
+    """What a full message has besides."""
+
+    type: str = "inverse3"
+    device_info: ArmInfo = ArmInfo()
+
+
+class Arm(msgspec.Struct, frozen=True):
+    """An Inverse3 in a message."""
+
+    device_id: str
+    state: ArmState | None = None
+    status: ArmStatus = ArmStatus()
+    config: ArmConfig | None = None
+
+
+class GripState(msgspec.Struct, frozen=True):
+    """What a grip says; a wired one has one button."""
+
+    orientation: Wxyz | None = None
+    buttons: dict[str, bool] = {}
+    button: bool = False
+    battery_level: float = 1.0
+
+    @property
+    def pressed(self) -> int:
+        """Return the buttons as bits, those of `BUTTONS`."""
+        return sum(self.buttons.get(name, False) << i for i, name in enumerate(BUTTONS)) | self.button
+
+
+class GripStatus(msgspec.Struct, frozen=True):
+    """Whether it may be heard."""
+
+    awake: bool = True
+
+
+class Grip(msgspec.Struct, frozen=True):
+    """A grip in a message."""
+
+    device_id: str
+    state: GripState | None = None
+    status: GripStatus = GripStatus()
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """A message of the service; devices are found by their ids, because the order of a list is not promised."""
+
+    inverse3: list[Arm] = []
+    wireless_verse_grip: list[Grip] = []
+    verse_grip: list[Grip] = []
+
+    @property
+    def grips(self) -> list[Grip]:
+        """Return the grips, wireless ones first."""
+        return [*self.wireless_verse_grip, *self.verse_grip]
+
+    def arms(self, device_id: str | None) -> list[Arm]:
+        """Return the Inverse3 of an id; all of them without one."""
+        return [arm for arm in self.inverse3 if device_id in (None, arm.device_id)]

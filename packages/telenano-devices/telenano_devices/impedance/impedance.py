@@ -1,0 +1,104 @@
+"""The drivers of devices that take a force: simulated, or real with the coupling in a process of its own."""
+
+import importlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pydantic import BaseModel
+
+from telenano.extend.hands import SimulatedHand
+from telenano.settings import DeviceDriver, Settings, section_of
+from telenano_devices.impedance.impedance_config import CouplingConfig, SimulatedImpedanceConfig
+
+if TYPE_CHECKING:
+    from telenano_devices.impedance.impedance_device import ImpedanceDevice
+    from telenano_devices.impedance.impedance_wire import ImpedanceWire
+
+
+class Impedance(NamedTuple):
+    """What the process of the servo needs of a driver: `module:name` of what makes the wire of its settings."""
+
+    path: str
+
+    def wire(self, settings: BaseModel) -> "ImpedanceWire":
+        """Return the wire of these settings, not yet open; its module is imported now."""
+        module, _, name = self.path.partition(":")
+        wire: ImpedanceWire = getattr(importlib.import_module(module), name)(settings)
+        return wire
+
+
+def impedance_driver(
+    name: str, config: type[BaseModel], wire: str, what: str = "", *, experimental: bool = False
+) -> DeviceDriver:
+    """Return the driver of a device that takes a force.
+
+    Args:
+        name: The value of `haptic_node.driver`, and the name of the section with its settings.
+        config: The model of that section.
+        wire: The class or function that makes the wire of the settings, as `my_package.wire:MyWire`. It is imported in
+            the process of the servo alone, where the coupling runs at the rate of the device.
+        what: The devices, for a list.
+        experimental: Whether it has driven an emulator and never a real device, which the node then reports.
+    """
+
+    def build(
+        settings: BaseModel, limits: Any, *, coupling: CouplingConfig | None, period_s: float
+    ) -> "ImpedanceDevice":
+        from telenano_devices.impedance.impedance_device import ImpedanceDevice
+        from telenano_devices.impedance.servo_process import ProcessLink
+
+        link = ProcessLink(name, settings.model_dump(mode="json"))
+        return ImpedanceDevice(link, coupling or CouplingConfig(), period_s)
+
+    keywords = ("coupling", "period_s")
+    return DeviceDriver(
+        "haptic_node", name, config, build, keywords=keywords, own=Impedance(wire), what=what, experimental=experimental
+    )
+
+
+def takes_force(driver: DeviceDriver | None) -> bool:
+    """Return whether a driver is one of `impedance_driver`, or of the simulated device."""
+    return driver is not None and (driver is SIMULATED or isinstance(driver.own, Impedance))
+
+
+def force_drivers() -> list[str]:
+    """Return the drivers of installed packages whose devices take a force, the simulated one first."""
+    found = DeviceDriver.all().found
+    return sorted((name for name in found if takes_force(found[name])), key=lambda name: name != SIMULATED_IMPEDANCE)
+
+
+def coupling_of(config: BaseModel) -> CouplingConfig:
+    """Return the coupling of a section `haptic_node`, or the default one."""
+    return section_of(config, "coupling") or CouplingConfig()
+
+
+SIMULATED_IMPEDANCE = "simulated_impedance"
+
+
+class _NoKeys(Settings):
+    """The section of the simulated device's own name; its settings are in `haptic_node.impedance`."""
+
+
+def _simulated(
+    settings: BaseModel,
+    limits: Any,
+    *,
+    impedance: SimulatedImpedanceConfig | None,
+    coupling: CouplingConfig | None,
+    operator: Any,
+) -> SimulatedHand:
+    device, spring = impedance or SimulatedImpedanceConfig(), coupling or CouplingConfig()
+    able = device.capabilities()
+    about = f"{able.identity}; {spring.bounds(able).sentence()}"
+    return SimulatedHand(device.to_params(spring, operator.to_params()), able, about)
+
+
+SIMULATED = DeviceDriver(
+    "haptic_node",
+    SIMULATED_IMPEDANCE,
+    _NoKeys,
+    _simulated,
+    simulated=True,
+    in_lockstep=True,
+    keywords=("impedance", "coupling", "operator"),
+    what="a simulated device of three axes",
+)

@@ -1,0 +1,58 @@
+"""What the servo's process needs of a device of impedance type: it is opened, runs a loop of its own, and is closed.
+
+Places, velocities and forces are in the master frame of the messages, x to the right of the person, y away from the
+person, z up, away from the sample, with the centre of the workspace at zero.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+from telenano.extend.hands import Capabilities
+from telenano_devices.impedance.coupling import Quaternion, Vector
+from telenano_devices.impedance.servo import DeviceSample
+
+# Takes a sample and returns the force on the hand [N], or None when the servo ends.
+Turn = Callable[[DeviceSample], Vector | None]
+
+
+class ImpedanceWire(Protocol):
+    """One device behind its vendor's service or library."""
+
+    def open(self) -> Capabilities:
+        """Find the device and come up without force.
+
+        Raises:
+            DeviceError: It is not there or not able; the message says what is missing and where to get it.
+        """
+
+    def run(self, turn: Turn) -> None:
+        """Call `turn` with each sample, at the rate of the device, and send what it returns, until that is None.
+
+        Raises:
+            DeviceError: The device is lost.
+        """
+
+    def session(self, runs: bool) -> None:
+        """Tell an emulated device whether the session runs, for its simulated hand; a real one is sent nothing."""
+
+    def close(self) -> None:
+        """Take the force away and let the device go; harmless when already closed, and never raises."""
+
+
+def quaternion_of(r: tuple[tuple[float, float, float], ...]) -> Quaternion:
+    """Return the unit quaternion (w, x, y, z) of a rotation matrix, w >= 0, by the greatest of its four squares."""
+    squares = (
+        1.0 + r[0][0] + r[1][1] + r[2][2],
+        1.0 + r[0][0] - r[1][1] - r[2][2],
+        1.0 - r[0][0] + r[1][1] - r[2][2],
+        1.0 - r[0][0] - r[1][1] + r[2][2],
+    )
+    i = squares.index(max(squares))
+    a, b, c = r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
+    d, e, f = r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]
+    rows = ((squares[0], a, b, c), (a, squares[1], d, e), (b, d, squares[2], f), (c, e, f, squares[3]))
+    scale = 0.5 / math.sqrt(squares[i])
+    scale = -scale if rows[i][0] < 0.0 else scale
+    w, x, y, z = (value * scale for value in rows[i])
+    return (w, x, y, z)

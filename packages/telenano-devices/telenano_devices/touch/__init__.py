@@ -1,0 +1,1 @@
+"""3D Systems' Touch, by OpenHaptics."""

@@ -1,0 +1,108 @@
+"""`telenano push`: one push of a particle, in simulated time or by the instrument of a running rig."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from telenano.cli import (
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    refuse_unused,
+    report_errors,
+    validated,
+    with_options,
+)
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import ConfigError, RigError
+from telenano_lab.assembly.push_program import AT_GOAL, PushSettings
+from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+
+if TYPE_CHECKING:
+    from telenano.wire import Scalar
+
+_REACH_M = 1e-3
+_ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
+
+
+@with_options(PushSettings, leave_out=_ENDS)
+def push(
+    begin: Annotated[
+        str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [nm].")
+    ],
+    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Its target on the sample [nm].")],
+    given: dict[str, Any],
+    afm: AfmOption = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Push one particle with the tip from one place to another; print what was felt, and where it is believed to be."""
+    with report_errors(as_json):
+        ends = (*_place("--from", begin), *_place("--to", goal))
+        given |= dict(zip(_ENDS, ends, strict=True))
+        validated(PushSettings, given, dict(zip(_ENDS, ("--from", "--from", "--to", "--to"), strict=True)))
+        keys: dict[str, Scalar] = {"program": "push", **{f"push.{name}": value for name, value in given.items()}}
+        if live:
+            refuse_foreign({"--afm": afm})
+            document = _live(site_file, keys, as_json=as_json)
+        else:
+            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
+            document = _simulated(keys, afm or [], as_json=as_json)
+    document["error_m"] = math.dist(document["believed_m"], ends[2:])
+    print_document(document, document["why"], as_json=as_json)
+
+
+def _place(option: str, text: str) -> tuple[float, float]:
+    """Return the place that an option names [m]."""
+    try:
+        x, y = (1e-9 * float(word) for word in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"{option} {text}: must be two numbers in nm with a comma between, such as 1000,0") from error
+    if not max(abs(x), abs(y)) <= _REACH_M:
+        reach = f"{1e9 * _REACH_M:g} nm"
+        raise ConfigError(f"{option} {text}: must lie within {reach} of the middle of the sample, both ways, in nm")
+    return x, y
+
+
+def _values(values: "Mapping[str, Scalar]") -> dict[str, Any]:
+    """Return what a push says of itself, its places as pairs."""
+    document = dict(values)
+    believed = document.pop("believed_x_m"), document.pop("believed_y_m")
+    why = str(document.pop("why"))
+    return {"why": why, "at_goal": why == AT_GOAL, "believed_m": believed, **document}
+
+
+def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
+    from telenano_lab.microscopy.image_files import LiveImage
+
+    report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
+    if report.state != "finished" or report.values is None:
+        raise RigError(report.text)
+    return _values(report.values)
+
+
+def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
+    """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
+    from telenano.devices import VirtualInstrument
+    from telenano_lab.assembly.particle_bench import DISTURBED, configured
+
+    particles = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
+    config = configured(overrides, particles, DISTURBED, "places", "count", "seed")
+    instrument = VirtualInstrument(config)
+    with progress("push", 1.0, shown=not as_json) as show:
+        # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
+        for number, _ in enumerate(instrument.run(keys)):
+            if number % 1000 == 0 and (report := instrument.report()) is not None:
+                show(0.01 * report.done_percent, text=report.text)
+    outcome = instrument.outcome
+    if outcome is None or outcome.values is None or outcome.state != "finished":
+        raise ConfigError("--from: nothing was pushed: check that place" if outcome is None else outcome.text)
+    places = instrument.truths["particles"].places_m.tolist()
+    outcome_values = _values(outcome.values)
+    # What the simulation knows, and neither the program nor a real instrument does.
+    return {**outcome_values, "true_m": min(places, key=lambda place: math.dist(place, outcome_values["believed_m"]))}

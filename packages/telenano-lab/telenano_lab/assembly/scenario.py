@@ -1,0 +1,5 @@
+"""The scenario `assembly`."""
+
+from pathlib import Path
+
+SCENARIO = Path(__file__).with_name("assembly.yaml")

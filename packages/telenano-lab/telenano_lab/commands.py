@@ -1,0 +1,101 @@
+"""The commands of this distribution, which telenano lists without importing what they need."""
+
+COMMANDS = {
+    "bag diff": (
+        "telenano_lab.studies.diff_command:diff",
+        "Compare two recordings message by message, by channel and number.",
+    ),
+    "bag plot": (
+        "telenano_lab.studies.plot_command:plot",
+        "Draw fields over time, on the terminal or into a PNG.",
+    ),
+    "compare": (
+        "telenano_lab.studies.compare_command:compare",
+        "Draw sessions over one another, with one table.",
+    ),
+    "study": (
+        "telenano_lab.studies.study_command:app",
+        "Study each law in lockstep: stability, transparency.",
+    ),
+    "reproduce": (
+        "telenano_lab.studies.reproduce_command:reproduce",
+        "Make figures and equations of the paper again, on one page.",
+    ),
+    "topic pub": (
+        "telenano_lab.networks.publish_command:pub",
+        "Publish messages in the place of a node that does not run, for trials and tests.",
+    ),
+    "link fit": (
+        "telenano_lab.networks.fit_command:fit",
+        "Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.",
+    ),
+    "link picture": (
+        "telenano_lab.networks.picture_command:picture",
+        "Draw the way forward of networks: delay, its distribution and autocorrelation, stalls, losses, and age.",
+    ),
+    "link report": (
+        "telenano_lab.networks.report_command:report",
+        "Show what the link did to the messages of a recording: delay, loss, stalls and order, by direction.",
+    ),
+    "link udp": (
+        "telenano_lab.networks.udp_command:udp",
+        "Put the link between two programs that send UDP datagrams, one of which sends to LISTEN.",
+    ),
+    "link probe": (
+        "telenano_lab.networks.probe_command:probe",
+        "Measure the network between two running sites: delay and loss of each datagram, each way.",
+    ),
+    "experiment": (
+        "telenano_lab.experiments.experiment_command:app",
+        "Run trials of people or simulated operators over conditions.",
+    ),
+    "benchmark": (
+        "telenano_lab.experiments.benchmark_command:benchmark",
+        "Run the benchmark of laws: which law for which network.",
+    ),
+    "particles": (
+        "telenano_lab.assembly.assemble_command:particles",
+        "Find spheres in an image: places, radii and their errors.",
+    ),
+    "push": (
+        "telenano_lab.assembly.push_command:push",
+        "Push one particle, in simulated time or on a rig.",
+    ),
+    "assemble": (
+        "telenano_lab.assembly.assemble_command:assemble",
+        "Push particles into a pattern, in simulated time.",
+    ),
+    "sample": ("telenano_lab.microscopy.sample_command:app", "Make or read a surface as a round tip sees it."),
+    "curve": (
+        "telenano_lab.microscopy.curve_command:curve",
+        "Measure a force curve of the simulated instrument, beside a measured one.",
+    ),
+    "scan": (
+        "telenano_lab.microscopy.scan_command:scan",
+        "Image a sample: tapping or contact mode, simulated time.",
+    ),
+    "bag recalibrate": (
+        "telenano_lab.calibration.recalibrate_command:recalibrate",
+        "Read what real devices sent with another calibration, into a new recording.",
+    ),
+    "budget": (
+        "telenano_lab.calibration.budget_command:budget",
+        "State the error of a session's figures by its sources, and the delay of the loop by its stages.",
+    ),
+    "calibrate": (
+        "telenano_lab.calibration.calibrate_command:app",
+        "Calibrate read-out and stiffness from own measurements.",
+    ),
+    "inspect": (
+        "telenano_lab.afm_files.inspect_command:inspect",
+        "Show how a file is read: format, columns, units, sign, what was left out, and which command uses it.",
+    ),
+    "sample import": (
+        "telenano_lab.afm_files.map_commands:import_map",
+        "Convert a recorded map into a file for `afm_node.sample.map`.",
+    ),
+    "sample info": (
+        "telenano_lab.afm_files.map_commands:info",
+        "Show what a recorded map contains, or what it lacks to be felt.",
+    ),
+}

@@ -1,0 +1,538 @@
+"""Trials on a rig of processes that stays up: the condition changes while the hand is at rest, and is verified.
+
+Before each trial the link is clean while a simulated hand goes back to its start and the law changes, as a rig does it
+bumplessly; then the link takes the condition. The trial begins only when `link/status` and `link/delay` report the
+settings and the delay, `law/status` the law at both halves, and `node/health` that every node runs. Each trial is an
+MCAP file of its own: the recorder begins a new one after it.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from pathlib import Path
+from typing import Any, Literal
+
+from telenano.console import holding, recouple, send_control
+from telenano.hand import HapticConfig
+from telenano.laws import ControllerConfig
+from telenano.link import LinkSettings
+from telenano.recording import Recording
+from telenano.runtime import AddressBook, Command, Observer
+from telenano.settings import DEFAULT_SITE_FILE
+from telenano.wire import (
+    LINK,
+    AfmState,
+    HapticState,
+    LinkDelay,
+    LinkStatus,
+    Message,
+    NodeHealth,
+    RecordingError,
+    RigError,
+    Scalar,
+)
+from telenano_lab.experiments.apparatus.base import Apparatus, Course, Take
+from telenano_lab.experiments.apparatus.marks import END, Marks, code_of
+from telenano_lab.experiments.apparatus.page_hand import PageHand
+from telenano_lab.experiments.apparatus.rig_process import RigProcess, wait_for_others
+from telenano_lab.experiments.apparatus.wanted import (
+    NO_HAND,
+    Wanted,
+    constant_delays_ns,
+    kept_keys,
+    of_way,
+    section_of,
+    wanted_of,
+)
+from telenano_lab.experiments.desk import Desk
+from telenano_lab.experiments.disturbances import disturbances
+from telenano_lab.experiments.nodes import HAND, RECORDER, TIP
+from telenano_lab.experiments.plan import Plan, parameters_of
+from telenano_lab.experiments.recorded_trial import RecordedTrial
+from telenano_lab.experiments.types import Trial
+
+_HALVES = ("controller@master", "controller@slave")
+_REPORTS = ("link/status", "link/delay", "law/status", "node/health")
+_NODES = (HAND, *_HALVES, f"{LINK}@master", TIP, RECORDER)
+# How long a state is waited for [s]; the rig's own deadlines are far shorter.
+_PATIENCE_S = 20.0
+_LISTEN_S = 0.05
+# The hand is at rest below this speed.
+_REST_M_PER_S = 2e-4
+# The hand has to be at rest, or at its start, for this time.
+_REST_S = 0.1
+# The hand is at its start within this distance of it.
+_HOME_M = 2e-4
+# The hand has this time to go back to its start.
+_HOME_S = 6.0
+# The hand has this time to come to rest.
+_REST_MOST_S = 6.0
+_CLEAN: dict[str, Scalar] = {"profile": "clean"}
+# What is under way when the force profile ends still belongs to the trial.
+_AFTER_S = 0.3
+# Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
+_SAME_PLACE_M = 2e-9
+# They are coupled again so often before the trial is given up.
+_COUPLINGS = 3
+_NO_MARKS: Mapping[int, int | str] = {}
+
+
+_Name = Literal["start", "stop", "set", "mark", "arm"]
+
+
+class Live(Apparatus):
+    """An apparatus of processes on this machine.
+
+    Args:
+        plan: The experiment.
+        folder: The folder of the experiment.
+        desk: Tells and asks participant and experimenter.
+        show: Called with what a person has to know.
+        marks: The port to which trials are marked; None for none.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        folder: Path,
+        desk: Desk,
+        show: Callable[[str], None] = lambda text: None,
+        marks: Marks | None = None,
+    ) -> None:
+        super().__init__(plan, desk)
+        self._folder, self._show, self._marks = folder.resolve(), show, marks
+        self._site_file = DEFAULT_SITE_FILE
+        self._rig: RigProcess | None = None
+        self._kept = ""
+        self._set = Wanted({}, {}, "", {}, {})
+        self._document: Mapping[str, Any] = {}
+        # When the trial began: the places of hand and base, and how far the base was from that of the hand [m].
+        self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
+        # A simulated hand that steers the tip pushes at the place of a page.
+        self._page: PageHand | None = None
+        self._hold = ExitStack()
+        self._lease: Any = None
+        self._was_lost = False
+        self._observer: Observer | None = None
+        # the newest report by topic and source, and when it came
+        self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
+        wait_for_others(self._folder, show)
+
+    def close(self) -> None:
+        self._hold.close()
+        self._lease = None
+        if self._observer is not None:
+            self._observer.close()
+            self._observer = None
+        if self._page is not None:
+            self._page.close()
+            self._page = None
+        if self._rig is not None:
+            self.desk.detach()
+            self._rig.end()
+            self._rig = None
+
+    def take(self, course: Course) -> Take:
+        trial = course.trial
+        wanted, self._was_lost = wanted_of(course.document, trial.seed), False
+        rig = self._rig_in(trial, course.document, wanted)
+        verified = self._verified(wanted)
+        place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
+        mark: dict[str, Scalar] = {"trial": trial.index, "attempt": course.attempt, "interval": course.interval}
+        # What comes before the trial is in no file of its own: it is of no use.
+        self._split(rig).unlink()
+        self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
+        self.desk.begin(trial, course.attempt, first=course.interval == 0)
+        marked: dict[int, int | str] = {}
+        with self._pushing(course):
+            self._command("start", HAND)
+            begun_s = time.monotonic()
+            self._mark(code_of(self.plan, trial), marked)
+            try:
+                answers = list(self._wait(course.duration_s, begun_s))
+            finally:
+                self._command("stop", HAND)
+                self._mark(END, marked)
+        self._watch(_AFTER_S)
+        self._command("mark", RECORDER, {**mark, "state": "end"})
+        path = self._folder / "recordings" / trial.participant / f"{place}.mcap"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._split(rig).replace(path)
+        # The hand comes to rest while the trial is judged.
+        self._command("set", LINK, _CLEAN)
+        return self._judged(course, path, verified, answers, marked)
+
+    def _mark(self, code: int, marked: dict[int, int | str]) -> None:
+        """Mark the trial, and note when [ns], or in words why it was not: it is disturbed then."""
+        if self._marks is not None:
+            try:
+                marked[code] = self._marks.send(code)
+            except RigError as error:
+                marked[code] = str(error)
+
+    def document(self, trial: Trial, parameters: Any, interval: Mapping[str, Any]) -> dict[str, Any]:
+        document, hand = super().document(trial, parameters, interval), self.simulated(trial)
+        if hand is not None and hand.steers(self.plan.tasks[trial.task], parameters, trial.seed):
+            document["haptic_node"] = {**document["haptic_node"], "operator": {"kind": "interactive"}}
+        return document
+
+    def _pushing(self, course: Course) -> AbstractContextManager[None]:
+        """Let the simulated hand of a course push at the place of a page, where it steers the tip across."""
+        steers = self.steering(course)
+        if steers is None:
+            return nullcontext()
+        if self._page is None:
+            self._page = PageHand(self._site_file)
+        hand = section_of(course.document, "haptic_node", HapticConfig).lateral_in_force
+        return self._page.pushing(
+            steers, section_of(course.document, "controller", ControllerConfig), hand.stiffness_n_per_m
+        )
+
+    def _judged(
+        self,
+        course: Course,
+        path: Path,
+        verified: dict[str, Any],
+        answers: list[Mapping[str, Any]],
+        marked: Mapping[int, int | str] = _NO_MARKS,
+    ) -> Take:
+        name = str(path.relative_to(self._folder))
+        try:
+            recorded = RecordedTrial(path)
+        except RecordingError as error:
+            return Take(None, f"the recording cannot be read: {error}", name, verified)
+        band = section_of(course.document, "controller", ControllerConfig).deadband
+        evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
+        reasons = [what for what in marked.values() if isinstance(what, str)]
+        reasons += ["the experiment stood still for a second and lost the hand"] if self._was_lost else []
+        reasons += disturbances(evidence, self.plan.experiment.disturbed.stall_s)
+        for code, sent_ns in marked.items():
+            if not isinstance(sent_ns, str):
+                verified[f"mark_{code}_s"] = round(1e-9 * (sent_ns - recorded.start_ns), 6)
+        if recorded.duration_s < 0.9 * course.duration_s:
+            reasons.append(f"it lasted {recorded.duration_s:.2f} s instead of {course.duration_s:.2f} s")
+        timed = [{**answer, "time_s": 1e-9 * (answer["given_ns"] - recorded.start_ns)} for answer in answers]
+        answered = ({key: answer[key] for key in ("name", "value", "time_s")} for answer in timed)
+        data = recorded.data(course.duration_s, answered)
+        if not data.afm["time_s"].size:
+            return Take(None, "; ".join([*reasons, "its recording has no state of the tip"]), name, verified)
+        return Take(data, "; ".join(reasons), name, verified)
+
+    def prepare(self, trial: Trial) -> None:
+        parameters = parameters_of(self.plan.tasks[trial.task], trial.task_parameters)
+        first = self.plan.tasks[trial.task].intervals(parameters, trial.seed)[0]
+        self._rig_of(trial, self.document(trial, parameters, first.settings))
+
+    def _rig_of(self, trial: Trial, document: Mapping[str, Any]) -> RigProcess:
+        """Return the rig of a trial: the one that runs, or a new one where it differs in what none takes while it runs.
+
+        Each participant has rigs of their own, so that all that is theirs is in folders of theirs.
+        """
+        kept = json.dumps([trial.participant, kept_keys(document)], sort_keys=True)
+        self._document = document
+        if self._rig is not None and kept == self._kept:
+            self._rig.check()
+            return self._rig
+        self.close()
+        parent = self._folder / "rig"
+        number = len(list(parent.glob(f"{trial.participant}-*"))) + 1
+        folder = parent / f"{trial.participant}-{number}"
+        hand = document.get("haptic_node", {})
+        # No simulated hand presses before the first trial; a page's force is none until then.
+        operator = hand.get("operator", NO_HAND)
+        if self.simulated(trial) is not None and operator.get("kind") != "interactive":
+            operator = NO_HAND
+        started = {**document, "haptic_node": {**hand, "operator": operator}}
+        is_person = self.plan.experiment.operator.kind == "person"
+        self._show(f"starting the rig of {trial.participant}")
+        # Participants press, and no one else commands, while the experiment has control.
+        self._lease = self._hold.enter_context(holding("experiment"))
+        self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
+        self._kept, self._newest = kept, {}
+        self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
+        self._observer = Observer(AddressBook.load(self._site_file), _REPORTS)
+        self._await_running(self._rig)
+        self._command("stop", HAND)
+        self.desk.attach(self._site_file)
+        return self._rig
+
+    def _await_running(self, rig: RigProcess) -> None:
+        """Wait until the session of a new rig runs: its devices are armed and the hand's clock counts."""
+        deadline_s = time.monotonic() + 4.0 * _PATIENCE_S
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
+            while time.monotonic() < deadline_s:
+                rig.check()
+                for observed in observer.listen(_LISTEN_S):
+                    state = observed.received.message
+                    if isinstance(state, HapticState) and state.session_s >= 0.0:
+                        return
+        raise RigError(f"the rig did not begin its session; see {rig.folder}")
+
+    def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: Wanted) -> RigProcess:
+        """Return a rig in a condition, whose hand and tip are coupled as those of a new one are.
+
+        A law keeps the places at which it was coupled, and a silence can move them against each other: then the tip is
+        withdrawn and armed again. Where that fails, a simulated hand gets a new rig, and a person's hand another try.
+        """
+        for left in reversed(range(_COUPLINGS)):
+            rig = self._rig_of(trial, document)
+            self._ready()
+            self._rest(wanted)
+            if abs(off_m := self._off_m(document)) <= _SAME_PLACE_M:
+                break
+            self._show(f"the tip is {1e9 * off_m:.1f} nm from where the hand has it: both are coupled again")
+            try:
+                self._couple()
+            except RigError as error:
+                if not left:
+                    raise
+                self._show(str(error))
+                if wanted.operator:
+                    self._show("the rig is restarted")
+                    self.close()
+                continue
+            # Some laws, such as tactile, do not bring the tip to the place of the hand: then this is where it belongs.
+            self._off_m(document)
+            break
+        self._prepare_sample(document)
+        self._condition(wanted)
+        return rig
+
+    def _off_m(self, document: Mapping[str, Any]) -> float:
+        """Return how far the base is from where the place of the hand, at the scale of the law, has it [m]."""
+        law = section_of(document, "controller", ControllerConfig).law_config()
+        states = self._states()
+        self._base_m = -states["afm/state"].base_position_m[2]
+        self._apart_m = float(self._base_m + law.position_scale * states["haptic/state"].position_m[2])
+        return self._apart_m
+
+    def _couple(self) -> None:
+        """Couple hand and tip again, as `telenano session couple` does; a tip that touches is withdrawn before."""
+        if self._states()["afm/state"].in_contact:
+            self._command("stop", TIP)
+            self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
+        self._show(recouple(self._site_file))
+
+    def _prepare_sample(self, document: Mapping[str, Any]) -> None:
+        """Put the tip to its place over the sample where a hand moves it across, and particles to where they began."""
+        across = section_of(document, "controller", ControllerConfig).lateral
+        if "lateral" not in document.get("haptic_node", {}) or across.mode == "direct":
+            return
+        # In mode position the way of the tip is that of the hand, which continues from where it is.
+        scale = across.position_scale if across.mode == "position" else 0.0
+        x_m, y_m = (scale * place_m for place_m in self._states()["haptic/state"].position_m[:2])
+
+        def put() -> None:
+            self._command("set", TIP, {"lateral.x_m": x_m, "lateral.y_m": y_m})
+
+        def is_there(state: AfmState) -> bool:
+            return math.dist(state.base_position_m[:2], (x_m, y_m)) <= _SAME_PLACE_M
+
+        # A hand that still comes to rest across has the stage and keeps the tip in place: the tip is commanded again.
+        self._await_tip(is_there, "that the tip is at its place over the sample", put)
+        if "particles" in document.get("afm_node", {}).get("sample", {}):
+            self._command("set", TIP, {"sample.restore": True})
+
+    def _await_tip(self, is_so: Callable[[AfmState], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
+        """Wait until something holds of the tip, and ask for it each time before looking."""
+        deadline_s = time.monotonic() + _PATIENCE_S
+        ask()
+        while not is_so(self._states()["afm/state"]):
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"the rig did not report {what} within {_PATIENCE_S:g} s")
+            ask()
+
+    def _ready(self) -> None:
+        """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
+        states = self._states()
+        if states["haptic/state"].estop or states["afm/state"].mode == "estop":
+            raise RigError(
+                "a device is in emergency stop: find out why, and continue with `telenano experiment resume`"
+            )
+        if states["afm/state"].mode not in ("follow", "hold"):
+            self._command("set", LINK, _CLEAN)
+            self._send(Command("arm", TIP, parameters={"place": "hand"}, placed=True))
+
+    def _states(self) -> dict[str, Any]:
+        """Return the newest state of both devices."""
+        states: dict[str, Any] = {}
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state", "afm/state"))) as observer:
+            for observed in observer.listen(_PATIENCE_S):
+                states[observed.received.topic] = observed.received.message
+                if len(states) == 2:
+                    return states
+        raise RigError("the devices of the rig are silent; see the logs in its folder")
+
+    def _rest(self, wanted: Wanted) -> None:
+        """Bring the hand to its start and to rest over a clean link, and change the law."""
+        before = self._set
+        self._place_m = self._go_home() if wanted.operator else self._await_rest()
+        for target, new, old in (
+            ("controller", wanted.law, before.law),
+            (HAND, wanted.hand, before.hand),
+            (TIP, wanted.tip, before.tip),
+        ):
+            if changes := {key: value for key, value in new.items() if old.get(key) != value}:
+                self._command("set", target, changes)
+        self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
+
+    def _condition(self, wanted: Wanted) -> None:
+        """Give the operator its force profile, and the link its condition."""
+        if wanted.operator:
+            self._command("set", HAND, {"operator": wanted.operator})
+        self._command("set", LINK, {**wanted.link})
+        self._set = wanted
+
+    def _go_home(self) -> float:
+        """Have a simulated hand go back to where it starts; return where it is then [m]."""
+        start_m = self._start_m
+        path = [{"time_s": 0.0, "position_m": start_m}]
+        self._command("set", HAND, {"operator": json.dumps({"kind": "impedance", "path": path, "arm": "ordinary"})})
+        self._command("start", HAND)
+        try:
+            self._await_hand(lambda state: abs(-state.position_m[2] - start_m) <= _HOME_M, _HOME_S)
+        finally:
+            self._command("stop", HAND)
+        return self._await_rest()
+
+    @property
+    def _start_m(self) -> float:
+        return float(section_of(self._document, "haptic_node", HapticConfig).device.start_position_m)
+
+    def _await_rest(self) -> float:
+        return self._await_hand(lambda state: abs(state.velocity_m_per_s[2]) < _REST_M_PER_S, _REST_MOST_S)
+
+    def _await_hand(self, is_there: Callable[[HapticState], bool], most_s: float) -> float:
+        """Wait until something has held of the hand for a while, at most for a time; return where it is then [m]."""
+        since_ns: int | None = None
+        place_m = 0.0
+        with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
+            for observed in observer.listen(most_s):
+                state = observed.received.message
+                if not isinstance(state, HapticState):
+                    continue
+                place_m = -state.position_m[2]
+                if not is_there(state):
+                    since_ns = None
+                    continue
+                since_ns = state.t_ns if since_ns is None else since_ns
+                if state.t_ns - since_ns >= _REST_S * 1e9:
+                    break
+        return place_m
+
+    def _verified(self, wanted: Wanted) -> dict[str, Any]:
+        """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
+        expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
+        network = LinkSettings().changed(wanted.link).network_name
+
+        def link_is_set() -> bool:
+            status = self._report("link/status", f"{LINK}@master")
+            return isinstance(status, LinkStatus) and all(
+                getattr(status, way).profile == network and dict(getattr(status, way).settings) == keys
+                for way, keys in expected.items()
+            )
+
+        self._watch_until(link_is_set, "the settings of the link")
+        delays = constant_delays_ns(wanted.link)
+        self._watch_until(
+            lambda: all(self._delay_ns(way) == delay_ns for way, delay_ns in delays.items()), f"the delays {delays} ns"
+        )
+        self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']}")
+        self._watch_until(lambda: not self._absent(), "every node")
+        status = self._report("link/status", f"{LINK}@master")
+        assert isinstance(status, LinkStatus)
+        return {
+            "law": wanted.law["law"],
+            "profile": status.forward.profile,
+            "link_seed": wanted.link.get("seed"),
+            **{f"{way}.{key}": value for way, keys in expected.items() for key, value in keys.items()},
+            **{f"{way}_delay_ns": self._delay_ns(way) for way in expected},
+            "hand_start_m": round(self._place_m, 7),
+            "base_start_m": round(self._base_m, 12),
+            "apart_start_m": round(self._apart_m, 12),
+            "nodes": len(_NODES),
+        }
+
+    def _delay_ns(self, way: str) -> int | None:
+        delays = [
+            message
+            for (topic, _), (_, message) in self._newest.items()
+            if topic == "link/delay" and isinstance(message, LinkDelay) and message.direction == way
+        ]
+        return delays[-1].delay_ns if delays else None
+
+    def _law_is(self, law: str) -> bool:
+        reports = [self._report("law/status", half) for half in _HALVES]
+        return all(report is not None and report.law == law and not report.switching for report in reports)
+
+    def _absent(self) -> list[str]:
+        """Return the nodes that report nothing, or that they do not run."""
+        reports = {node: self._report("node/health", node) for node in _NODES}
+        return [node for node, report in reports.items() if report is None or report.state in ("stopping", "starting")]
+
+    def _report(self, topic: str, src: str) -> Any:
+        """Return the newest report, None where none came since the last change."""
+        at_s, message = self._newest.get((topic, src), (0.0, None))
+        fresh_s = 2.0 if topic == "node/health" else 1.0
+        return message if time.monotonic() - at_s <= fresh_s else None
+
+    def _watch_until(self, is_so: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not is_so():
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"the rig did not report {what} within {_PATIENCE_S:g} s")
+            self._watch(_LISTEN_S)
+
+    def _watch(self, duration_s: float) -> None:
+        """Take what the rig reports for a time [s]."""
+        assert self._observer is not None
+        for observed in self._observer.listen(duration_s):
+            message = observed.received.message
+            way = f" {message.direction}" if isinstance(message, LinkDelay) else ""
+            if not (isinstance(message, NodeHealth) and "@" in observed.name):
+                self._newest[observed.received.topic, message.src + way] = (time.monotonic(), message)
+        if self._rig is not None:
+            self._rig.check()
+
+    def _wait(self, duration_s: float, begun_s: float) -> Iterator[Mapping[str, Any]]:
+        """Wait for the end of a trial, and yield what is answered meanwhile."""
+        while (elapsed_s := time.monotonic() - begun_s) < duration_s:
+            self._watch(min(_LISTEN_S, duration_s - elapsed_s))
+            yield from self.desk.during(elapsed_s)
+
+    def _command(self, name: _Name, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
+        """Send a command; RigError where a node refuses it. What was reported before counts no more."""
+        self._send(Command(name, target, parameters=parameters or {}))
+
+    def _send(self, command: Command) -> None:
+        self._keep_hand()
+        answers = send_control(command, self._site_file, "master", lambda event: None)
+        refused = [f"{src}: {event.text}" for src, event in sorted(answers.items()) if event.kind == "refused"]
+        if refused:
+            raise RigError(f"{command.name} {command.target}: {'; '.join(refused)}")
+        self._newest = {}
+
+    def _keep_hand(self) -> None:
+        """Take the hand again where a machine that was held up has lost it, which disturbs the trial.
+
+        Raises:
+            RefusedError: Another has it now; the sentence names whose.
+        """
+        if self._lease is None or self._lease.is_held():
+            return
+        self._hold.close()
+        self._lease, self._was_lost = self._hold.enter_context(holding("experiment")), True
+        self._show("the experiment stood still for a second and lost the hand: it has taken it again")
+
+    def _split(self, rig: RigProcess) -> Path:
+        """Have the recorder begin a new file; return the one that it has finished."""
+        finished = rig.recordings[-1]
+        self._command("set", RECORDER, {"record.split": True})
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not Recording(finished).closed:
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"{finished}: the recorder did not end the file")
+            self._watch(_LISTEN_S)
+        return finished

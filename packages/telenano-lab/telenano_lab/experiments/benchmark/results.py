@@ -1,0 +1,213 @@
+"""The result of the benchmark: its runs as a text of the same bits everywhere, a row a case and law, and the choice.
+
+The digest is that of `runs.csv`: two people have the same result when `sha256sum runs.csv` says so. No file says when
+or where it was made, and none has a figure of more digits than DIGITS.
+"""
+
+import csv
+import hashlib
+import io
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from telenano.analysis import wilson
+from telenano.link import profile_named
+from telenano_lab.experiments.benchmark.plan import LINES, SAMPLES, STEADINESS, TASKS, VERSION, Plan, Run
+from telenano_lab.experiments.benchmark.run import MEASURES, Outcome, rounded
+
+# A run is held when it came to rest, with the force that it should have, and unstruck.
+HELD = ("stable",)
+# energy below this was made by the loop and not left by rounding [mJ]
+LEAST_MJ = -1e-3
+
+
+class Spread(NamedTuple):
+    """Median, least and greatest of the runs that have a measure."""
+
+    median: float
+    least: float
+    most: float
+
+
+class Case(NamedTuple):
+    """What the runs of a choice have in common: the instrument, how steady the hand is, and the network."""
+
+    instrument: str
+    steadiness: str
+    network: str
+
+
+class Situation(NamedTuple):
+    """What a reader knows beforehand: the kind of line, the instrument and the sample; every hand is in it."""
+
+    line: str
+    instrument: str
+    sample: str
+
+
+Of = TypeVar("Of", bound=Case | Situation)
+
+
+class Row(NamedTuple, Generic[Of]):
+    """A law in a case or a situation: its runs.
+
+    Of them were held (with the interval of their share), made energy, and were held without it; measures are of those
+    held.
+    """
+
+    case: Of
+    law: str
+    runs: int
+    held: int
+    low: float
+    high: float
+    made_energy: int
+    sound: int
+    verdicts: dict[str, int]
+    measures: dict[str, Spread | None]
+
+    @property
+    def share(self) -> float:
+        """The share of the runs that were held."""
+        return self.held / self.runs
+
+    def price(self) -> tuple[float, float]:
+        """Return what puts one law before another: most runs held, and of equal ones the nearest tracking."""
+        spread = self.measures["tracking_error"]
+        return -self.share, math.inf if spread is None else spread.median
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row as plain data."""
+        spreads = {name: None if spread is None else spread._asdict() for name, spread in self.measures.items()}
+        interval = {"low": rounded(self.low), "high": rounded(self.high)}
+        own = {key: value for key, value in self._asdict().items() if key != "case"}
+        return {**self.case._asdict(), **own, **interval, "share": rounded(self.share), "measures": spreads}
+
+
+def rows_of(outcomes: Sequence[Outcome]) -> list[Row[Case]]:
+    """Return a row for each case and law, in the order of the runs."""
+    return _rows(outcomes, lambda cell: Case(cell.instrument, cell.steadiness, cell.network))
+
+
+def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situation]]]:
+    """Return the laws in each situation, the one that is recommended first.
+
+    Recommended is the law that followed the swing nearest, of those whose share of runs held without making energy may
+    by chance be the greatest: its 95 % interval meets that of the law with the greatest. Networks that stand for no
+    kind of line are left out.
+    """
+    lines = {network: line for line, networks in LINES.items() for network in networks}
+    samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}
+    placed = [outcome for outcome in outcomes if outcome.cell.network in lines]
+    rows = _rows(placed, lambda cell: Situation(lines[cell.network], cell.instrument, samples[cell.task]))
+    situations: dict[Situation, list[Row[Situation]]] = {}
+    for row in rows:
+        situations.setdefault(row.case, []).append(row)
+    return {situation: _recommended(some) for situation, some in situations.items()}
+
+
+def _recommended(rows: Sequence[Row[Situation]]) -> list[Row[Situation]]:
+    intervals = {row.law: wilson(row.sound, row.runs) for row in rows}
+    greatest = max(low for low, _ in intervals.values())
+
+    def order(row: Row[Situation]) -> tuple[bool, float, float, str]:
+        is_behind = intervals[row.law][1] < greatest
+        # a law that is behind is ordered by its share, and the others follow one another by the swing alone
+        return is_behind, -row.sound / row.runs if is_behind else 0.0, row.price()[1], row.law
+
+    return sorted(rows, key=order)
+
+
+def _rows(outcomes: Sequence[Outcome], case_of: Callable[[Run], Of]) -> list[Row[Of]]:
+    grouped: dict[tuple[Of, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        grouped.setdefault((case_of(outcome.cell), outcome.cell.law), []).append(outcome)
+    return [_row(case, law, some) for (case, law), some in grouped.items()]
+
+
+def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
+    verdicts: dict[str, int] = {}
+    for outcome in some:
+        verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
+    held = [outcome for outcome in some if outcome.verdict in HELD]
+    low, high = wilson(len(held), len(some))
+    made = sum(_made_energy(outcome) for outcome in some)
+    sound = sum(not _made_energy(outcome) for outcome in held)
+    # What is not held has no place that its force or position could be compared at.
+    measures = {name: spread_of(held, name) for name in MEASURES}
+    return Row(case, law, len(some), len(held), low, high, made, sound, dict(sorted(verdicts.items())), measures)
+
+
+def _made_energy(outcome: Outcome) -> bool:
+    return (outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ
+
+
+def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
+    """Return the spread of a measure; None where no run has it."""
+    values = [value for outcome in some if (value := outcome.measures[measure]) is not None]
+    return Spread(statistics.median(values), min(values), max(values)) if values else None
+
+
+def choices(rows: Sequence[Row[Case]]) -> dict[Case, list[Row[Case]]]:
+    """Return the laws in each case, the one to take first."""
+    by_case: dict[Case, list[Row[Case]]] = {}
+    for row in rows:
+        by_case.setdefault(row.case, []).append(row)
+    return {case: sorted(some, key=lambda row: (row.price(), row.law)) for case, some in by_case.items()}
+
+
+def runs_text(outcomes: Sequence[Outcome]) -> str:
+    """Return the runs as CSV, in one order: a line a run, with its verdict and measures."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    condition = ("instrument", "steadiness", "network", "task", "law", "hand", "seed", "settings")
+    out.writerow(("benchmark", *condition, "verdict", *MEASURES))
+    for outcome in sorted(outcomes, key=lambda outcome: outcome.cell.sort_key):
+        cell = outcome.cell
+        changed = " ".join(f"{key}={value}" for key, value in cell.settings)
+        figures = ["" if value is None else repr(value) for value in outcome.measures.values()]
+        where = (cell.instrument, cell.steadiness, cell.network, cell.task, cell.law, cell.hand, cell.seed, changed)
+        out.writerow((VERSION, *where, outcome.verdict, *figures))
+    return text.getvalue()
+
+
+def digest_of(text: str) -> str:
+    """Return the SHA-256 of a text, as `sha256sum` prints it."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def summary_of(
+    plan: Plan,
+    outcomes: Sequence[Outcome],
+    rows: Sequence[Row[Case]],
+    situations: Mapping[Situation, Sequence[Row[Situation]]],
+) -> dict[str, Any]:
+    """Return the object that `benchmark.json` holds and --json prints."""
+    return {
+        "study": "benchmark",
+        "version": VERSION,
+        "digest": digest_of(runs_text(outcomes)),
+        "runs": len(outcomes),
+        "laws": list(plan.laws),
+        "settings": {key: value for key, value in plan.settings},
+        "hands": list(plan.hands),
+        "instruments": list(plan.instruments),
+        "steadiness": {name: STEADINESS[name] for name in plan.steadiness},
+        "seeds": plan.seeds,
+        "tasks": {name: TASKS[name].about for name in plan.tasks},
+        "networks": {
+            name: {"about": profile_named(name).about, "round_trip_ms": rounded(profile_named(name).round_trip_ms)}
+            for name in plan.networks
+        },
+        "measures": {name: measure._asdict() for name, measure in MEASURES.items()},
+        "take": [
+            {**case._asdict(), "law": some[0].law if some[0].held else None} for case, some in choices(rows).items()
+        ],
+        "recommended": [
+            {**situation._asdict(), "laws": [row.law for row in some if row.held]}
+            for situation, some in situations.items()
+        ],
+        "rows": [row.as_dict() for row in rows],
+    }

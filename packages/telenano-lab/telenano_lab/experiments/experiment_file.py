@@ -1,0 +1,336 @@
+"""The file of an experiment: every key with its type, its bounds and a sentence."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, PlainValidator, model_validator
+
+from telenano.settings import Settings, flatten
+from telenano.wire import Scalar, known_names
+from telenano_lab.experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS, worded
+from telenano_lab.experiments.extend import choice, scale
+from telenano_lab.experiments.messages import Question
+from telenano_lab.experiments.orders import OrderKind
+
+# Factors that stand for the delay of both directions: the delay of one way for a unit of the level [s].
+DELAYS = {"round_trip_ms": 0.5e-3, "delay_ms": 1e-3}
+
+
+def _levels_alone(value: object) -> object:
+    return {"levels": value} if isinstance(value, list) else value
+
+
+def _levels(value: object) -> object:
+    """Return levels as a tuple of scalars, or as dotted keys by name; ValueError says what they have to be."""
+    if value is None:
+        return None
+    if isinstance(value, list) and all(isinstance(level, bool | int | float | str) for level in value):
+        return tuple(value)
+    if isinstance(value, dict) and all(isinstance(keys, dict) for keys in value.values()):
+        return {str(name): flatten(keys) for name, keys in value.items()}
+    raise ValueError("levels have to be a list of values, or names of levels, each with the keys that it means")
+
+
+def _name_alone(value: object) -> object:
+    return {"name": value} if isinstance(value, str) else value
+
+
+class Factor(Settings):
+    """A factor: levels that are given, or that a psychophysical method chooses from trial to trial."""
+
+    levels: Annotated[Any, PlainValidator(_levels)] = Field(
+        default=None, description="Values of the key; or names of levels, each with the dotted keys that it means"
+    )
+    adaptive: dict[str, Any] | None = Field(
+        default=None, description="Settings of a psychophysical method, which chooses the level of each trial"
+    )
+    measure: str = Field(default="correct", description="The measure of the task that tells the method right or wrong")
+    key: str | None = Field(default=None, description="Dotted key, or task.PARAMETER, where the name is another")
+
+    @model_validator(mode="after")
+    def _levels_or_method(self) -> Self:
+        if (self.levels is None) == (self.adaptive is None):
+            raise ValueError("give either levels or adaptive")
+        if self.levels is not None and not self.levels:
+            raise ValueError("levels: at least one is needed")
+        if isinstance(self.levels, tuple) and len(set(map(str, self.levels))) < len(self.levels):
+            raise ValueError("levels: each may be there once; repetitions say how often it comes")
+        if isinstance(self.levels, dict) and self.key is not None:
+            raise ValueError("key: levels with names have the keys that they mean themselves")
+        return self
+
+    @property
+    def names(self) -> tuple[Scalar, ...]:
+        """The levels as a table shows them; none of an adaptive factor."""
+        return tuple(self.levels or ())
+
+
+class TaskEntry(Settings):
+    """A task with its parameters."""
+
+    name: str = Field(description="Name of the task")
+    parameters: dict[str, Any] = Field(default={}, description="Parameters of the task")
+
+
+class Blocks(Settings):
+    """What is held for a block of trials, and the order of the blocks."""
+
+    factors: tuple[str, ...] = Field(default=(), description="Factors whose level is the same for all of a block")
+    order: OrderKind = Field(default="shuffle", description="Order of the blocks")
+
+
+class Criterion(Settings):
+    """When a task has been practised enough: the mean of a measure over the last trials, where right counts as 1."""
+
+    measure: str = Field(description="Measure of the task, such as success")
+    last: int = Field(default=4, ge=1, le=1000, description="Over how many of the last practice trials it is the mean")
+    at_least: float | None = Field(default=None, description="The mean is not below this")
+    at_most: float | None = Field(default=None, description="The mean is not above this")
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> Self:
+        if (self.at_least is None) == (self.at_most is None):
+            raise ValueError("give either at_least or at_most")
+        return self
+
+    def is_met(self, values: Sequence[float | bool | str | None]) -> bool:
+        """Return whether the practice trials so far meet it; one without a value does not."""
+        last = [value for value in values[-self.last :] if isinstance(value, bool | int | float)]
+        if len(last) < self.last:
+            return False
+        mean = math.fsum(last) / self.last
+        is_high, is_low = self.at_least is None or mean >= self.at_least, self.at_most is None or mean <= self.at_most
+        return is_high and is_low
+
+
+class Practice(Settings):
+    """Trials that do not count, before the first block of each task in a session."""
+
+    trials: int = Field(
+        default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn; with `until` at most"
+    )
+    until: dict[str, Criterion] = Field(default={}, description="Criterion that ends the practice of a task, by task")
+    missed: Literal["keep", "exclude"] = Field(
+        default="keep", description="What becomes of a participant who does not meet it in these trials"
+    )
+
+    @model_validator(mode="after")
+    def _can_be_met(self) -> Self:
+        for name, criterion in self.until.items():
+            if criterion.last > self.trials:
+                raise ValueError(
+                    f"until.{name}.last: {criterion.last} trials are more than the {self.trials} of practice"
+                )
+        return self
+
+
+class Breaks(Settings):
+    """Rests."""
+
+    every_trials: int | None = Field(default=None, ge=1, description="Number of trials of a block before a rest")
+    duration_s: float = Field(default=60.0, ge=0.0, le=3600.0, description="Length of a rest [s]")
+    between_blocks_s: float = Field(default=0.0, ge=0.0, le=3600.0, description="Length of a rest between blocks [s]")
+
+
+class Disturbed(Settings):
+    """When a trial counts as disturbed, and what becomes of it."""
+
+    stall_s: float = Field(
+        default=0.02, gt=0.0, le=10.0, description="The longest standstill of a process of the loop [s]"
+    )
+    again: Literal["at_once", "end_of_block"] = Field(default="end_of_block", description="When a trial is repeated")
+    most_attempts: int = Field(default=3, ge=1, le=100, description="Attempts at one trial, the first one included")
+
+
+class Stop(Settings):
+    """What ends a run before its plan is done; `resume` continues."""
+
+    disturbed_in_a_row: int = Field(
+        default=5, ge=1, description="Stop after this number of disturbed attempts in a row"
+    )
+    session_s: float | None = Field(default=None, gt=0.0, description="The longest session of a participant [s]")
+
+
+class Asked(Settings):
+    """An instrument of questions, and when it is asked."""
+
+    instrument: str = Field(description="Name of the instrument, such as nasa_tlx")
+    after: Literal["trial", "block", "session"] = Field(
+        default="block", description="Whether it is asked after each trial, block or session"
+    )
+
+
+class Item(Settings):
+    """A question of an instrument of your own: a scale, or a choice where there are options."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="Name of the item in the table")
+    text: str = Field(max_length=128, description="The question")
+    low: str = Field(default="", max_length=128, description="What the lower end of the scale means")
+    high: str = Field(default="", max_length=128, description="What its upper end means")
+    least: float = Field(default=1.0, description="Lowest value")
+    most: float = Field(default=7.0, description="Highest value")
+    step: float = Field(default=1.0, gt=0.0, description="Distance of the values")
+    options: tuple[str, ...] = Field(default=(), max_length=16, description="What can be chosen, in place of a scale")
+
+    def question(self) -> Question:
+        """Return the question as it goes to the page."""
+        if self.options:
+            return choice(self.name, self.text, self.options)
+        return scale(self.name, self.text, self.low, self.high, self.least, self.most, self.step)
+
+
+Heading = Annotated[str, Field(max_length=128)]
+Paragraph = Annotated[str, Field(max_length=1024)]
+
+
+class QuestionWords(Settings):
+    """A question of a task in other words; what is empty stays as it is."""
+
+    text: Heading = Field(default="", description="The question")
+    low: Heading = Field(default="", description="What the lower end of its scale means")
+    high: Heading = Field(default="", description="What its upper end means")
+    options: tuple[Heading, ...] = Field(default=(), max_length=16, description="What can be chosen, in its order")
+
+
+class TaskWords(Settings):
+    """A task in other words; what is empty stays as it is."""
+
+    title: Heading = Field(default="", description="Heading")
+    instruction: Paragraph = Field(
+        default="", description="What is to be done; a parameter of the task in braces stands for its value"
+    )
+    questions: dict[str, QuestionWords] = Field(default={}, description="Its questions by name")
+
+
+class Words(Settings):
+    """What a participant reads, in the words and the language of the experiment."""
+
+    language: str = Field(
+        default="en",
+        pattern=r"^[A-Za-z]{2,8}(-[A-Za-z0-9]{1,8})*$",
+        description="Language by BCP 47, such as de or ar, which gives the direction of writing as well",
+    )
+    consent_title: Heading = Field(default="Consent", description="Heading of the consent")
+    consent: Paragraph = Field(default=CONSENT_TEXT, description="What a participant agrees to")
+    consent_question: Heading = Field(default=CONSENT.text, description="What is asked then")
+    agree: Heading = Field(default=CONSENT.options[0], description="Answer of one who takes part")
+    disagree: Heading = Field(default=CONSENT.options[1], description="Answer of one who does not")
+    questions: Heading = Field(default="A few questions", description="Heading of questionnaires")
+    rest: Heading = Field(default="Rest", description="Heading of a rest")
+    pause: Heading = Field(default="Pause", description="Heading of a pause that the experimenter makes")
+    end: Heading = Field(default="Thank you", description="Heading of the end")
+    end_text: Paragraph = Field(default="The session is over.", description="What stands below it")
+    begin: Heading = Field(default="Begin", description="Button below an instruction")
+    end_rest: Heading = Field(default="Continue", description="Button that ends a rest")
+    submit: Heading = Field(default="Continue", description="Button below questions")
+    practice: Heading = Field(default="Practice", description="What stands beside the bar in practice")
+    trial: Heading = Field(
+        default="Trial {number} of {total}", description="What stands there otherwise; with {number} and {total}"
+    )
+    tasks: dict[str, TaskWords] = Field(default={}, description="Tasks by name")
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The words of the page itself by their use; none in English as it is."""
+        default = Words()
+        names = ("language", "begin", "end_rest", "submit", "practice", "trial")
+        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(default, name)}
+
+    @property
+    def consent_choice(self) -> Question:
+        """What is asked for consent; the first answer agrees."""
+        return worded(CONSENT, self.consent_question, options=(self.agree, self.disagree))
+
+    def of(self, task: str, question: Question) -> Question:
+        """Return a question of a task in its words here."""
+        words = self.tasks.get(task, TaskWords()).questions.get(question.name)
+        return question if words is None else worded(question, words.text, words.low, words.high, words.options)
+
+
+class Operator(Settings):
+    """Who does the trials."""
+
+    kind: Literal["person", "simulated"] = Field(default="simulated", description="A person, or a simulated operator")
+    profile: dict[str, Any] = Field(default={}, description="Settings of the simulated operator")
+
+
+Prefix = Annotated[str, Field(pattern=r"^[A-Za-z]{1,4}[-_]?$")]
+
+
+class Experiment(Settings):
+    """The file of an experiment."""
+
+    name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
+    title: str = Field(default="", max_length=200, description="What it is about")
+    scenario: str = Field(description="Scenario that every trial begins from: a name or a YAML file")
+    settings: dict[str, Any] = Field(default={}, description="Dotted keys of the scenario that hold in every trial")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of every order and of every trial")
+    apparatus: Literal["live", "lockstep"] = Field(default="live", description="A rig of processes, or simulated time")
+    participants: Annotated[int, Field(ge=1, le=999)] | tuple[str, ...] = Field(
+        description="How many, which are then numbered; or their pseudonyms"
+    )
+    pseudonym: Prefix = Field(default="P", description="What a pseudonym begins with; a number follows")
+    sessions: int = Field(default=1, ge=1, le=100, description="Visits of a participant, each with all blocks")
+    operator: Operator = Field(default=Operator(), description="Who does the trials")
+    tasks: tuple[Annotated[TaskEntry, BeforeValidator(_name_alone)], ...] = Field(
+        min_length=1, max_length=50, description="Tasks, each in blocks of its own"
+    )
+    factors: dict[str, Annotated[Factor, BeforeValidator(_levels_alone)]] = Field(
+        default={},
+        description="Factors by name: law, round_trip_ms, delay_ms, network, a dotted key, or task.PARAMETER",
+    )
+    repetitions: int = Field(default=1, ge=1, le=10_000, description="How often a condition comes in a block")
+    order: OrderKind = Field(default="shuffle", description="Order of the conditions of a block")
+    blocks: Blocks = Field(default=Blocks(), description="What is held for a block")
+    practice: Practice = Field(default=Practice(), description="Trials that do not count")
+    breaks: Breaks = Field(default=Breaks(), description="Rests")
+    disturbed: Disturbed = Field(default=Disturbed(), description="Trials that are repeated")
+    stop: Stop = Field(default=Stop(), description="What ends a run early")
+    questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Your own instruments, by name")
+    ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
+    words: Words = Field(default=Words(), description="What participants read, in your own words")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if unknown := sorted(set(self.blocks.factors) - set(self.factors)):
+            raise ValueError(f"blocks.factors: {unknown[0]} is no factor; {known_names(unknown[0], self.factors)}")
+        adaptive = [name for name, factor in self.factors.items() if factor.adaptive is not None]
+        if len(adaptive) > 1:
+            raise ValueError(f"factors: {', '.join(adaptive)} are adaptive; a trial can have one such factor")
+        if len(DELAYS.keys() & self.factors.keys()) > 1:
+            raise ValueError("factors: round_trip_ms and delay_ms are the same delay: give one of them")
+        for asked in self.ask:
+            if asked.instrument not in self.instruments:
+                raise ValueError(
+                    f"ask: {asked.instrument} is no instrument; {known_names(asked.instrument, self.instruments)}"
+                )
+        if len({task.name for task in self.tasks}) < len(self.tasks):
+            raise ValueError("tasks: each may be there once")
+        for name in self.pseudonyms:
+            if not re.fullmatch(re.escape(self.pseudonym) + r"\d{1,6}", name):
+                raise ValueError(f"participants: {name!r} is no pseudonym: it has to be {self.pseudonym} and a number")
+        if len(set(self.pseudonyms)) < len(self.pseudonyms):
+            raise ValueError("participants: each may be there once")
+        names = [task.name for task in self.tasks]
+        if unknown := sorted(set(self.words.tasks) - set(names)):
+            raise ValueError(f"words.tasks: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+        if unknown := sorted(set(self.practice.until) - set(names)):
+            raise ValueError(f"practice.until: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+        if self.words.agree == self.words.disagree:
+            raise ValueError("words.agree and words.disagree are the same word")
+        return self
+
+    @property
+    def instruments(self) -> dict[str, tuple[Question, ...]]:
+        """The instruments that can be asked, by name."""
+        own = {name: tuple(item.question() for item in items) for name, items in self.questionnaires.items()}
+        return {**INSTRUMENTS, **own}
+
+    @property
+    def pseudonyms(self) -> tuple[str, ...]:
+        """The participants in the order in which the design counts them."""
+        if isinstance(self.participants, tuple):
+            return self.participants
+        return tuple(f"{self.pseudonym}{number:02d}" for number in range(1, self.participants + 1))

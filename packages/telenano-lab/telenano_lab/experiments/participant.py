@@ -1,0 +1,155 @@
+"""What a participant of an experiment is sent: what is on the lists here, and nothing else that is on the bus.
+
+A participant must not know the condition of a trial, and a person who opens the tools of a browser reads all that it
+was sent. So the server keeps a list of what may pass, and not of what may not: a topic, key or column that is new is
+not passed on. The picture, which is the tip and the image, can be late by a time of its own. It is held here, because a
+browser that receives a delay knows a part of the condition.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from telenano_lab.experiments.messages import CUE as CUE_TOPIC
+from telenano_lab.experiments.messages import TRIAL as TRIAL_TOPIC
+
+CUE = CUE_TOPIC.name
+TRIAL = TRIAL_TOPIC.name
+# The keys of the messages that pages are sent. A cue has nothing of the condition; the trial is for experimenters.
+CUE_KEYS = (
+    "id", "stage", "title", "text", "remaining_s", "done", "total", "practice", "labels",
+    "quantity", "band", "times_s", "target", "questions", "answered",
+)  # fmt: skip
+TRIAL_KEYS = (
+    "participant",
+    "session",
+    "block",
+    "index",
+    "trials",
+    "attempt",
+    "phase",
+    "task",
+    "condition",
+    "state",
+    "text",
+    "picture_delay_s",
+)
+# What the hand needs is never late: the spring of the page acts on it.
+_HAND = {"hand": ("position", "force", "x", "y"), "command": ("tip_force",)}
+_PICTURE = {"tip": ("base", "deflection", "force", "force_x", "force_y", "x", "y", "separation")}
+# The page of a participant is sent this state of the instrument.
+_AFM = "afm/state/slave"
+# Of that state it is sent these keys alone.
+_AFM_KEYS = ("in_contact", "meniscus")
+# Of a picture that is held back the oldest go: ten seconds at thirty a second.
+_MOST_HELD = 300
+# A picture that is later than it can be held would never be shown.
+_LONGEST_DELAY_S = 9.0
+_ACKNOWLEDGEMENTS = {True: "done", False: "not carried out: tell the experimenter"}
+
+Changes = Mapping[str, Any]
+
+
+class ParticipantPicture:
+    """Makes of what all pages are sent what participants are sent, the picture late by `delay_s` [s]."""
+
+    def __init__(self, streams: Sequence[Mapping[str, Any]]) -> None:
+        """Begin with the streams that pages have: name, topic and columns of each."""
+        self.delay_s = 0.0
+        self._streams_of_pages = streams
+        self._columns = _places(streams)
+        self._held: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_MOST_HELD)
+        self._contact: dict[str, Any] = {}
+
+    def take(self, changes: Changes, now_s: float) -> list[dict[str, Any]]:
+        """Return the changes that participants are sent now, each for a frame.
+
+        Args:
+            changes: What changed for the pages of operators; empty where nothing did.
+            now_s: The time of this on a clock that never goes back [s].
+        """
+        state = changes.get("state", {})
+        if TRIAL in state:
+            self.delay_s = min(float(state[TRIAL]["picture_delay_s"]), _LONGEST_DELAY_S)
+        taken: list[dict[str, Any]] = []
+        now: dict[str, Any] = {key: changes[key] for key in ("origin_ns",) if key in changes}
+        if CUE in state:
+            now["state"] = {CUE: state[CUE]}
+        if streams := self._streams(changes, _HAND):
+            now["streams"] = streams
+        if now:
+            taken.append(now)
+        picture: dict[str, Any] = {}
+        if streams := self._streams(changes, _PICTURE):
+            picture["streams"] = streams
+        if _AFM in state and (contact := {key: state[_AFM].get(key) for key in _AFM_KEYS}) != self._contact:
+            self._contact = contact
+            picture["state"] = {_AFM: contact}
+        if lines := changes.get("lines"):
+            picture["lines"] = lines
+        if picture:
+            self._held.append((now_s, picture))
+        while self._held and now_s - self._held[0][0] >= self.delay_s:
+            taken_s, picture = self._held.popleft()
+            taken.append(_shown_at(picture, now_s - taken_s if self.delay_s > 0.0 else 0.0))
+        return taken
+
+    def snapshot(self, snapshot: Changes, *, hand: bool) -> dict[str, Any]:
+        """Return what the page of a participant begins with, of what that of an operator begins with."""
+        state = snapshot.get("state", {})
+        return {
+            "k": "snapshot",
+            "role": "participant",
+            "commands": False,
+            "hand": hand,
+            "streams": [
+                {
+                    "name": each["name"],
+                    "topic": "",
+                    "columns": [each["columns"][i] for i in self._columns[each["name"]]],
+                }
+                for each in self._streams_of_pages
+                if each["name"] in self._columns
+            ],
+            "forms": {},
+            "source": {"kind": "live", "name": ""},
+            "origin_ns": snapshot.get("origin_ns", 0),
+            "state": {CUE: state[CUE]} if CUE in state else {},
+            "nodes": {},
+            "events": [],
+            # an image of before the trial is no part of what is late
+            "lines": snapshot.get("lines", []),
+        }
+
+    def acknowledgement(self, *, is_ok: bool) -> str:
+        """Return the answer to a request in words of its own: those of a node may name the law."""
+        return _ACKNOWLEDGEMENTS[is_ok]
+
+    def _streams(self, changes: Changes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+        streams = changes.get("streams", {})
+        return {name: _of_columns(streams[name], self._columns[name]) for name in wanted if name in streams}
+
+
+def _places(streams: Sequence[Mapping[str, Any]]) -> dict[str, list[int]]:
+    """Return by stream the places of the columns that pass."""
+    places = {}
+    for stream in streams:
+        if wanted := (_HAND | _PICTURE).get(stream["name"]):
+            names = [column["name"] for column in stream["columns"]]
+            places[stream["name"]] = [names.index(name) for name in wanted]
+    return places
+
+
+def _of_columns(stream: Mapping[str, Any], places: list[int]) -> dict[str, Any]:
+    rows = np.frombuffer(stream["data"], "<f4").reshape(-1, stream["n"])
+    kept = rows[[0, *(place + 1 for place in places)]]
+    return {"n": stream["n"], "t0": stream["t0"], "data": kept.tobytes()}
+
+
+def _shown_at(picture: dict[str, Any], late_s: float) -> dict[str, Any]:
+    """Return a picture with the times at which it is shown: those of its samples would tell the delay."""
+    streams = picture.get("streams", {})
+    shown = {name: {**stream, "t0": stream["t0"] + late_s} for name, stream in streams.items()}
+    return {**picture, "streams": shown} if shown else picture

@@ -1,0 +1,402 @@
+"""The plan of an experiment: one YAML file, and the list of trials of each participant that follows from it."""
+
+import hashlib
+import itertools
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from telenano.launcher import anchored, check_sections
+from telenano.settings import LoadedScenario, find_scenario, flatten, merge, nested, read_yaml, validate
+from telenano.wire import ConfigError, Scalar, known_names
+from telenano_lab.experiments.experiment_file import DELAYS, Experiment, TaskEntry
+from telenano_lab.experiments.extend import Task
+from telenano_lab.experiments.orders import (
+    MOST_PERMUTED,
+    Balance,
+    OrderKind,
+    balance,
+    sequence,
+    sequences_of_design,
+)
+from telenano_lab.experiments.psychophysics.methods import checked, most_trials
+from telenano_lab.experiments.tasks import INSTALLED, TASKS
+from telenano_lab.experiments.types import Trial
+
+# Factors that stand for a key.
+SHORT_NAMES = {"law": "controller.law", "network": "delay_node.profile"}
+_OF_TASK = "task."
+# The delay of what a participant's page shows, apart from that of the force [s]; it is no key of a scenario.
+PICTURE_DELAY = "picture.delay_s"
+# What a rig that runs takes by `set`, by section; everything else needs it to be started again.
+_RUNNING: Mapping[str, tuple[str, ...]] = {
+    "controller": ("",),
+    "delay_node": ("",),
+    "haptic_node": ("operator.", "disturbances."),
+    "afm_node": ("disturbances.", "spring.stiffness_n_per_m"),
+}
+_PERIOD = "controller.period_s"
+_MOST_TRIALS = 100_000
+
+
+def changes_while_running(key: str) -> bool:
+    """Return whether a dotted key of a scenario can change while the rig runs."""
+    section, _, below = key.partition(".")
+    return key == PICTURE_DELAY or (
+        key != _PERIOD and any(below.startswith(prefix) for prefix in _RUNNING.get(section, ()))
+    )
+
+
+Condition = dict[str, Scalar]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An experiment whose file was read, with its tasks.
+
+    Args:
+        experiment: The content of the file.
+        path: The file.
+        tasks: The tasks by name.
+    """
+
+    experiment: Experiment
+    path: Path
+    tasks: Mapping[str, Task]
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the content, 16 hex digits: two files of equal content are one experiment."""
+        return hashlib.sha256(self.experiment.model_dump_json().encode()).hexdigest()[:16]
+
+    @cached_property
+    def scenario(self) -> dict[str, Any]:
+        """The scenario that every trial begins from, with absolute file names."""
+        name = self.experiment.scenario
+        beside = self.path.parent / name
+        path = beside if beside.is_file() else find_scenario(name)
+        return anchored(read_yaml(path), Path(os.path.realpath(path)).parent)
+
+    @cached_property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """The parameters of each task, checked, without those that are factors."""
+        return {entry.name: self._checked(number, entry, {}) for number, entry in enumerate(self.experiment.tasks)}
+
+    def _checked(self, number: int, entry: TaskEntry, changed: Mapping[str, Any]) -> dict[str, Any]:
+        model = self.tasks[entry.name].parameters
+        parameters = validate(model, {**entry.parameters, **changed}, str(self.path), f"tasks.{number}.parameters")
+        return dict(parameters.model_dump(mode="json"))
+
+    @property
+    def adaptive(self) -> str:
+        """The name of the adaptive factor; empty where there is none."""
+        return next((name for name, factor in self.experiment.factors.items() if factor.adaptive is not None), "")
+
+    @property
+    def method(self) -> dict[str, Any]:
+        """The settings of the adaptive method; empty where there is none."""
+        return dict(self.experiment.factors[self.adaptive].adaptive or {}) if self.adaptive else {}
+
+    @cached_property
+    def block_factors(self) -> tuple[str, ...]:
+        """The factors that are held for a block: those that the file says, and those that need the rig to start."""
+        held = set(self.experiment.blocks.factors) | set(self.restarting)
+        return tuple(name for name in self.experiment.factors if name in held)
+
+    @cached_property
+    def restarting(self) -> tuple[str, ...]:
+        """The factors with a key that a running rig does not take."""
+        return tuple(
+            name
+            for name, factor in self.experiment.factors.items()
+            if not all(changes_while_running(key) for level in factor.names or (0.0,) for key in self.keys(name, level))
+        )
+
+    @cached_property
+    def trial_factors(self) -> tuple[str, ...]:
+        """The factors whose level may differ from trial to trial, without the adaptive one."""
+        others = (*self.block_factors, self.adaptive)
+        return tuple(name for name in self.experiment.factors if name not in others)
+
+    def keys(self, name: str, level: Scalar) -> dict[str, Any]:
+        """Return the dotted keys that a level of a factor means; none of a parameter of the task."""
+        factor = self.experiment.factors[name]
+        if isinstance(factor.levels, dict):
+            return dict(factor.levels[str(level)])
+        key = factor.key or SHORT_NAMES.get(name, name)
+        if key in DELAYS:
+            if isinstance(level, bool | str):
+                raise ConfigError(
+                    f"{self.path}: factors.{name}: {level!r} is no number; write it without a unit, in ms"
+                )
+            one_way_s = float(level) * DELAYS[key]
+            return {"delay_node.forward.delay_s": one_way_s, "delay_node.backward.delay_s": one_way_s}
+        return {} if key.startswith(_OF_TASK) else {key: level}
+
+    def of_task(self, condition: Mapping[str, Scalar]) -> dict[str, Any]:
+        """Return the parameters of the task that a condition sets."""
+        keys = {name: self.experiment.factors[name].key or name for name in condition}
+        return {key.removeprefix(_OF_TASK): condition[n] for n, key in keys.items() if key.startswith(_OF_TASK)}
+
+    def settings(self, condition: Mapping[str, Scalar]) -> dict[str, Any]:
+        """Return the dotted keys that hold in a condition."""
+        values = dict(flatten(nested(self.experiment.settings, f"{self.path}: settings")))
+        for name, level in condition.items():
+            values |= self.keys(name, level)
+        return values
+
+    def conditions(self, names: Sequence[str]) -> list[Condition]:
+        """Return all combinations of the levels of some factors."""
+        levels = [self.experiment.factors[name].names for name in names]
+        return [dict(zip(names, levels_chosen, strict=True)) for levels_chosen in itertools.product(*levels)]
+
+    @cached_property
+    def block_conditions(self) -> list[tuple[str, Condition]]:
+        """The blocks of a session, as the file has them: the task and the levels that are held."""
+        held = self.conditions(self.block_factors)
+        return [(task.name, condition) for task in self.experiment.tasks for condition in held]
+
+    @cached_property
+    def within_block(self) -> list[Condition]:
+        """The conditions within a block, as the file has them."""
+        return self.conditions(self.trial_factors)
+
+    def number(self, trial: Trial) -> int:
+        """Return the number of the condition of a trial, from 1: by blocks as the file has them, then within them.
+
+        What an adaptive method chooses has no part in it.
+        """
+        held = {name: trial.condition[name] for name in self.block_factors}
+        within = {name: trial.condition[name] for name in self.trial_factors}
+        block = self.block_conditions.index((trial.task, held))
+        return 1 + block * len(self.within_block) + self.within_block.index(within)
+
+    @property
+    def rounds(self) -> int:
+        """How often each condition comes in a block, at most so often where a method decides."""
+        return most_trials(self.method) if self.adaptive else self.experiment.repetitions
+
+    def sequences(self, number: int, session: int) -> list[tuple[int, ...]]:
+        """Return the order of conditions in each repetition of a block, of the participant of that number."""
+        first = (number * self.experiment.sessions + session - 1) * self.rounds
+        return [
+            self._sequence(self.experiment.order, self.within_block, first + r, "within") for r in range(self.rounds)
+        ]
+
+    def _sequence(self, kind: OrderKind, things: Sequence[Any], number: int, what: str) -> tuple[int, ...]:
+        return sequence(kind, len(things), number, f"{self.experiment.seed}/{what}")
+
+    def trials(self, participant: str) -> list[Trial]:
+        """Return the trials of a participant, in their order over all sessions."""
+        number = self.experiment.pseudonyms.index(participant)
+        planned: list[Trial] = []
+        for session in range(1, self.experiment.sessions + 1):
+            planned += self._session(participant, number, session, len(planned))
+        return planned
+
+    def _session(self, participant: str, number: int, session: int, first: int) -> Iterator[Trial]:
+        order = self._sequence(
+            self.experiment.blocks.order,
+            self.block_conditions,
+            number * self.experiment.sessions + session - 1,
+            "blocks",
+        )
+        rows = self.sequences(number, session)
+        practised: set[str] = set()
+        count = itertools.count(first)
+        blocks = itertools.count()
+        for place in order:
+            task, held = self.block_conditions[place]
+            if self.experiment.practice.trials and task not in practised:
+                block = next(blocks)
+                turns = itertools.islice(itertools.cycle(rows[0]), self.experiment.practice.trials)
+                for turn in turns:
+                    condition = {**held, **self.within_block[turn]}
+                    yield self._trial(participant, session, block, next(count), "practice", task, condition)
+            practised.add(task)
+            block = next(blocks)
+            for turn in itertools.chain.from_iterable(rows):
+                condition = {**held, **self.within_block[turn]}
+                yield self._trial(participant, session, block, next(count), "main", task, condition)
+
+    def _trial(
+        self, participant: str, session: int, block: int, index: int, phase: str, task: str, condition: Condition
+    ) -> Trial:
+        ordered = {name: condition[name] for name in self.experiment.factors if name in condition}
+        return Trial(
+            participant=participant,
+            session=session,
+            block=block,
+            index=index,
+            phase=phase,
+            task=task,
+            task_parameters={**self.parameters[task], **self.of_task(ordered)},
+            condition=ordered,
+            settings=self.settings(ordered),
+            seed=seed_of(self.experiment.seed, participant, index),
+        )
+
+    def with_level(self, trial: Trial, level: Scalar) -> Trial:
+        """Return a trial with the level that the adaptive method chose."""
+        condition = {**trial.condition, self.adaptive: level}
+        return trial._replace(
+            condition=condition,
+            settings=self.settings(condition),
+            task_parameters={**self.parameters[trial.task], **self.of_task(condition)},
+        )
+
+    def document(self, settings: Mapping[str, Any], origin: str) -> dict[str, Any]:
+        """Return the scenario with dotted keys changed, not yet checked."""
+        keys = {key: value for key, value in settings.items() if key != PICTURE_DELAY}
+        document = merge(self.scenario, nested(keys, origin))
+        hand = document.get("haptic_node", {})
+        if self.experiment.operator.kind == "person" and hand.get("driver", "simulated").startswith("simulated"):
+            # The hand of a simulated device is the person at the page.
+            interactive = {"kind": "interactive"}
+            given = hand.get("operator", {})
+            operator = given if given.get("kind") == "interactive" else interactive
+            document["haptic_node"] = {**hand, "operator": operator}
+        return document
+
+    def balance(self) -> Balance:
+        """Count places and neighbours of the conditions in the blocks of all participants."""
+        rows = [
+            row
+            for number in range(len(self.experiment.pseudonyms))
+            for session in range(1, self.experiment.sessions + 1)
+            for row in self.sequences(number, session)
+        ]
+        return balance(rows, len(self.within_block))
+
+    @property
+    def complete_after(self) -> int:
+        """After how many participants the order of conditions is balanced as far as its design goes."""
+        sequences = sequences_of_design(self.experiment.order, len(self.within_block))
+        each = self.rounds * self.experiment.sessions
+        return sequences // math.gcd(sequences, each)
+
+
+def seed_of(seed: int, participant: str, index: int) -> int:
+    """Return the seed of a trial, below 2**32."""
+    return _number(f"{seed}/{participant}/{index}")
+
+
+def attempt_seed(seed: int, attempt: int) -> int:
+    """Return the seed of an attempt at a trial; the first one has that of the trial."""
+    return seed if attempt == 0 else _number(f"{seed}/{attempt}")
+
+
+def _number(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
+    """Read and check the file of an experiment, with every condition that it asks for.
+
+    Args:
+        path: The file.
+        tasks: The tasks that there are, by name; those of the project and of packages unless given.
+
+    Raises:
+        ConfigError: Something is wrong; the message names file and key, and what would be right.
+    """
+    experiment = validate(Experiment, read_yaml(path), str(path))
+    tasks = TASKS if tasks is None else tasks
+    for number, entry in enumerate(experiment.tasks):
+        if entry.name not in tasks:
+            absent = f"{entry.name}: is no task; {known_names(entry.name, tasks)}"
+            raise ConfigError(f"{path}: tasks.{number}.name: {INSTALLED.problems.get(entry.name, absent)}")
+    plan = Plan(experiment, path, {entry.name: tasks[entry.name] for entry in experiment.tasks})
+    _check_design(plan)
+    _check_words(plan)
+    for task, held in plan.block_conditions:
+        for condition in plan.within_block:
+            _check_condition(plan, task, {**held, **condition})
+    return plan
+
+
+def _check_words(plan: Plan) -> None:
+    """Raise ConfigError for words of a question that a task does not ask, or that has another number of answers."""
+    for number, entry in enumerate(plan.experiment.tasks):
+        task, words = plan.tasks[entry.name], plan.experiment.words.tasks.get(entry.name)
+        if words is None:
+            continue
+        parameters = parameters_of(task, plan._checked(number, entry, {}))
+        asked = {one.name: one for one in (*task.questions(parameters), *task.questions_during(parameters))}
+        for name, own in words.questions.items():
+            where = f"{plan.path}: words.tasks.{entry.name}.questions.{name}"
+            if name not in asked:
+                raise ConfigError(f"{where}: is not asked by the task; {known_names(name, asked)}")
+            options = asked[name].options
+            if own.options and len(own.options) != len(options):
+                raise ConfigError(f"{where}.options: has {len(own.options)} words for {', '.join(options) or 'none'}")
+
+
+def _check_design(plan: Plan) -> None:
+    if plan.adaptive:
+        checked(plan.method, f"{plan.path}: factors.{plan.adaptive}.adaptive")
+    experiment, size = plan.experiment, len(plan.within_block)
+    if experiment.order == "counterbalanced" and size > MOST_PERMUTED:
+        text = f"{size} conditions have {math.factorial(size)} orders; take latin_square"
+        raise ConfigError(f"{plan.path}: order: counterbalanced: {text}")
+    if experiment.blocks.order == "counterbalanced" and len(plan.block_conditions) > MOST_PERMUTED:
+        raise ConfigError(
+            f"{plan.path}: blocks.order: counterbalanced: {len(plan.block_conditions)} blocks are too many"
+        )
+    total = len(plan.block_conditions) * size * plan.rounds * experiment.sessions
+    if total > _MOST_TRIALS:
+        raise ConfigError(f"{plan.path}: {total} trials of a participant are more than {_MOST_TRIALS}")
+    if plan.adaptive and plan.adaptive in plan.restarting:
+        text = "the rig would have to be started for every trial"
+        raise ConfigError(
+            f"{plan.path}: factors.{plan.adaptive}: an adaptive factor needs a key that `set` takes: {text}"
+        )
+    if plan.adaptive and plan.adaptive in experiment.blocks.factors:
+        raise ConfigError(f"{plan.path}: blocks.factors: {plan.adaptive} is adaptive and differs from trial to trial")
+    for number, entry in enumerate(experiment.tasks):
+        measures = [measure.name for measure in plan.tasks[entry.name].measures]
+        wanted = experiment.factors[plan.adaptive].measure if plan.adaptive else ""
+        if wanted and wanted not in measures:
+            text = f"task {entry.name} has no measure {wanted!r}; {known_names(wanted, measures)}"
+            raise ConfigError(f"{plan.path}: factors.{plan.adaptive}.measure, tasks.{number}: {text}")
+        criterion = experiment.practice.until.get(entry.name)
+        if criterion is not None and criterion.measure not in measures:
+            text = f"task {entry.name} has no measure {criterion.measure!r}; {known_names(criterion.measure, measures)}"
+            raise ConfigError(f"{plan.path}: practice.until.{entry.name}.measure: {text}")
+
+
+def _check_condition(plan: Plan, task: str, condition: Condition) -> None:
+    """Check the scenario that a condition makes; the error names the levels with which it was wrong."""
+    entry = next(entry for entry in plan.experiment.tasks if entry.name == task)
+    levels = ", ".join(f"{name} = {level}" for name, level in condition.items())
+    origin = f"{plan.path}" + (f" ({levels})" if levels else "")
+    try:
+        parameters = plan._checked(plan.experiment.tasks.index(entry), entry, plan.of_task(condition))
+    except ConfigError as error:
+        raise ConfigError(f"{error}" + (f" ({levels})" if levels else "")) from error
+    checked_document(plan, task, parameters, plan.settings(condition), 0, origin)
+
+
+def checked_document(
+    plan: Plan, task: str, parameters: Mapping[str, Any], settings: Mapping[str, Any], seed: int, origin: str
+) -> dict[str, Any]:
+    """Return the scenario of a trial: that of the file, the task's own keys, and over them those of the condition.
+
+    Raises:
+        ConfigError: A node would refuse its section; the message names the origin and the key.
+    """
+    own = plan.tasks[task]
+    needed = own.settings(parameters_of(own, parameters), seed)
+    document = plan.document({**needed, **settings}, origin)
+    check_sections(LoadedScenario.of(document, origin))
+    return document
+
+
+def parameters_of(task: Task, values: Mapping[str, Any]) -> Any:
+    """Return the parameters of a task as its own model, from plain values that were checked."""
+    return task.parameters.model_validate_json(json.dumps(dict(values)))

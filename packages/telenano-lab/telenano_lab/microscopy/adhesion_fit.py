@@ -1,0 +1,285 @@
+"""Radius of the tip and work of adhesion from the contact part of a force curve, with their uncertainties.
+
+The retraction from the load to the pull-off is compared with Maugis and Dugdale's contact (Eq. 7-11, E5, E6) at the
+reduced modulus of the configuration, and with the constant pull of the meniscus in contact (E4) where there is one.
+The model is followed as the instrument does, in equilibrium with the spring at each base, so that noise of the
+deflection is noise of the force and of nothing else. Free are the radius R, the work of adhesion w and the place of
+the surface, and with them the zero of the force and its drift in time, which the end of the retraction, away from the
+sample, tells.
+
+The noise need not be white: it is taken for white noise and a wander that forgets itself within a correlation time,
+whose sizes are those of the greatest restricted likelihood (`correlated_noise`). The uncertainties are those of
+generalized least squares with that noise. They do not know of an error of the spring constant, of the modulus or of the
+model, and grow where the curve hardly tells R and w apart.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
+from telenano.numerics import compiled, compiled_form
+from telenano.wire import ConfigError
+from telenano_lab.microscopy.correlated_noise import Noise, correlated_noise
+from telenano_lab.microscopy.force_curve import Curve
+
+Array = npt.NDArray[np.float64]
+
+# The contact is thinned to this number of points.
+_MOST_POINTS = 200
+# The way from the sample after the contact is thinned to this number of points.
+_MOST_FREE_POINTS = 400
+# The fit needs this number of points in contact before the pull-off.
+_LEAST_POINTS = 12
+# A curve of the model is computed at this number of depths.
+_GRID = 600
+# The fit begins at each of these shifts of the contact point.
+_SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
+# next to the pull-off the contact may end a little earlier or later than the model's
+_LEFT_OUT = 0.03
+# The fit looks for values between these bounds.
+_RADII_M = (1e-10, 1e-4)
+_WORKS_J_PER_M2 = (1e-6, 10.0)
+# a fit this near to a bound has ended there, as a logarithm
+_AT_BOUND = 0.02
+# The free part is this share of the way after the last jump, at its end: nearer to the sample the tip is attracted.
+_FREE_SHARE = 0.6
+# The fit with the noise that was found ends after at most this number of steps.
+_MOST_STEPS = 24
+# The fit has ended when a step changes its parameters by less than this share of their errors.
+_ENOUGH = 0.02
+
+
+class Fitted(NamedTuple):
+    """The contact that was fitted: base [m], force as measured and of the model with the zero line [N], shape (n,)."""
+
+    base_m: Array
+    measured_n: Array
+    model_n: Array
+
+
+class AdhesionFit(NamedTuple):
+    """R [m] and w [J/m^2] with standard errors, scatter about the fit [N], points used, transition parameter lambda.
+
+    wander_n: standard deviation of the part of the noise that is correlated in time [N]; wander_points: over how many
+    points it is.
+    """
+
+    radius_m: float
+    radius_error_m: float
+    work_of_adhesion_j_per_m2: float
+    work_of_adhesion_error_j_per_m2: float
+    residual_n: float
+    points: int
+    transition: float
+    wander_n: float
+    wander_points: float
+    fitted: Fitted
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures by name, without the points."""
+        return {name: value for name, value in self._asdict().items() if name != "fitted"}
+
+
+class _Model(NamedTuple):
+    modulus_pa: float
+    contact_distance_m: float
+    # pull of the meniscus for a radius [N/m]
+    capillary_n_per_m: float
+
+
+@compiled
+def _forces(contact: Any, depths_m: Array, out: Array) -> None:
+    for i in range(depths_m.shape[0]):
+        out[i] = force_n(contact, depths_m[i])
+
+
+def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None = None) -> AdhesionFit:
+    """Fit radius and work of adhesion to the contact of a curve.
+
+    Args:
+        curve: The curve.
+        config: The moduli, Poisson ratios, sigma and meniscus that the contact is taken to have.
+        reduced_modulus: The reduced modulus [Pa], in the place of that of the moduli.
+
+    Raises:
+        ConfigError: The curve has too few points in contact, or has no such contact.
+    """
+    from scipy.optimize import least_squares
+
+    model = _model(config, reduced_modulus)
+    part = _contact_part(curve)
+    base, force = part.base_m, part.force_n
+    k, load_n = curve.stiffness_n_per_m, float(force.max())
+    radius = config.tip_sample.tip_radius_m
+    work = max(-(part.pull_n - model.capillary_n_per_m * radius), 0.05 * -part.pull_n) / (1.75 * math.pi * radius)
+    start = np.array([math.log(radius), math.log(work), 0.0])
+    # the point of the curve where it begins, by Hertz
+    indentation = (max(load_n, 1e-12) / (4.0 / 3.0 * model.modulus_pa * math.sqrt(radius))) ** (2.0 / 3.0)
+    origin = part.deepest_m - indentation
+    scale = max(float(np.ptp(force)), 1e-12) * 1e-3
+
+    def predicted(free: Array) -> Array:
+        """Return the model's forces in contact, and none away from the sample, in units of `scale`."""
+        return np.concatenate([_predicted(model, free, base - origin, k, load_n), np.zeros(len(part.free_n))]) / scale
+
+    def residuals(free: Array) -> Array:
+        return np.asarray(force / scale - predicted(free)[: len(base)])
+
+    bounds = (
+        [math.log(_RADII_M[0]), math.log(_WORKS_J_PER_M2[0]), -1e3],
+        [math.log(_RADII_M[1]), math.log(_WORKS_J_PER_M2[1]), 1e3],
+    )
+    # the end of the contact makes minima of its own where the surface is taken a little too high or too low
+    fits = [
+        least_squares(
+            residuals,
+            start + np.array([0.0, 0.0, shift]),
+            bounds=bounds,
+            x_scale=[0.1, 0.1, 0.1],
+            diff_step=1e-5,
+            ftol=1e-6,
+        )
+        for shift in _SHIFTS_NM
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    refusal = f"the reduced modulus {model.modulus_pa:.3g} Pa does not suit this curve: give the one of this sample"
+    _refuse_bounds(best.x, refusal)
+    if not best.success:
+        raise ConfigError(refusal)
+    try:
+        free, errors, noise = _with_noise(predicted, best.x, part, scale, refusal)
+    except np.linalg.LinAlgError as error:
+        raise ConfigError(refusal) from error
+    radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
+    drawn = Fitted(base, force, scale * (predicted(free) + noise.zero)[: len(base)])
+    scatter = float(np.sqrt(np.mean((drawn.measured_n - drawn.model_n) ** 2)))
+    contact = _contact(model, radius, work)
+    return AdhesionFit(
+        radius,
+        radius * float(errors[0]),
+        work,
+        work * float(errors[1]),
+        scatter,
+        len(base),
+        contact.transition,
+        scale * noise.wander,
+        noise.points,
+        drawn,
+    )
+
+
+def _with_noise(
+    predicted: Callable[[Array], Array], free: Array, part: "_Part", scale: float, refusal: str
+) -> tuple[Array, Array, Noise]:
+    """Return the free values in the noise that the curve has, with their standard errors, and that noise.
+
+    Each step finds the noise of what is left, and goes by generalized least squares with it; offset and drift of the
+    force are free in each. One that goes back goes half as far, and so do those after it: where the curve hardly tells
+    radius and work apart, whole steps go to and fro over the minimum, and where they end is chance.
+    """
+    measured = np.concatenate([part.force_n, part.free_n]) / scale
+    times = part.place / max(float(part.place[-1]), 1.0)
+    before, share = np.zeros(3), 1.0
+    for _ in range(_MOST_STEPS):
+        present = predicted(free)
+        columns = [np.ones_like(times), times - times.mean()]
+        for i in range(3):
+            ahead, behind = free.copy(), free.copy()
+            ahead[i], behind[i] = ahead[i] + 1e-4, behind[i] - 1e-4
+            columns.append((predicted(ahead) - predicted(behind)) / 2e-4)
+        noise = correlated_noise(measured - present, np.stack(columns, axis=1), part.place)
+        errors = np.sqrt(np.diag(noise.covariance))[2:]
+        noise = noise._replace(zero=columns[0] * noise.coefficients[0] + columns[1] * noise.coefficients[1])
+        # a step that is too long for the linear model is cut
+        move = np.clip(noise.coefficients[2:], -3.0 * errors, 3.0 * errors)
+        if (move / errors) @ (before / errors) < 0.0:
+            share *= 0.5
+        before = move
+        free = free + share * move
+        _refuse_bounds(free, refusal)
+        if np.all(np.abs(move) <= _ENOUGH * errors):
+            break
+    return free, errors, noise
+
+
+def _refuse_bounds(free: Array, refusal: str) -> None:
+    """Raise ConfigError where a fit ended at a bound, which it names."""
+    found = (("radius", _RADII_M, "m"), ("work of adhesion", _WORKS_J_PER_M2, "J/m^2"))
+    for value, (name, bounds, unit) in zip(free[:2].tolist(), found, strict=True):
+        low, high = math.log(bounds[0]) + _AT_BOUND, math.log(bounds[1]) - _AT_BOUND
+        if not low < value < high:
+            bound = bounds[0] if value <= low else bounds[1]
+            raise ConfigError(f"{refusal} (the fit ends at the bound of the {name}, {bound:g} {unit})")
+
+
+def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:
+    t = config.tip_sample
+    modulus = reduced_modulus or reduced_modulus_pa(
+        t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson
+    )
+    capillary = 4.0 * math.pi * t.liquid_energy_j_per_m2 if config.meniscus else 0.0
+    return _Model(modulus, config.to_params().plant.tip.contact_distance_m, -capillary)
+
+
+def _contact(model: _Model, radius_m: float, work: float) -> Any:
+    return MaugisDugdale.of(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
+
+
+class _Part(NamedTuple):
+    """The retraction from the load to shortly before the pull-off, and its end away from the sample.
+
+    base_m, force_n: of the contact; pull_n: the pull-off [N]; deepest_m: x_s - zeta at the greatest load [m]; free_n:
+    the force away from the sample; place: number of each of these points in the retraction, contact first.
+    """
+
+    base_m: Array
+    force_n: Array
+    pull_n: float
+    deepest_m: float
+    free_n: Array
+    place: Array
+
+
+def _contact_part(curve: Curve) -> _Part:
+    up = curve.retract
+    pull = int(np.argmin(up.force_n))
+    pull_n = float(up.force_n[pull])
+    last = max(round((1.0 - _LEFT_OUT) * pull), 0)
+    if last < _LEAST_POINTS or pull_n >= 0.0:
+        raise ConfigError(f"the retraction has {last} points in contact before a pull-off; {_LEAST_POINTS} are needed")
+    chosen = np.unique(np.linspace(0, last, min(last + 1, _MOST_POINTS)).astype(int))
+    count = len(up.force_n)
+    jump = pull + int(np.argmax(np.diff(up.force_n[pull:]))) if count - pull > 1 else pull
+    first = jump + max(round((1.0 - _FREE_SHARE) * (count - jump)), 1)
+    left = np.unique(np.linspace(first, count - 1, min(max(count - first, 0), _MOST_FREE_POINTS)).astype(int))
+    return _Part(
+        up.base_m[chosen],
+        up.force_n[chosen],
+        pull_n,
+        float(up.base_m[0] - up.deflection_m[0]),
+        up.force_n[left],
+        np.concatenate([chosen, left]).astype(np.float64),
+    )
+
+
+def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float) -> Array:
+    """Return the forces [N] in equilibrium with a spring k [N/m] at bases [m] whose zero is near the surface's."""
+    radius, work = math.exp(free[0]), math.exp(free[1])
+    contact = _contact(model, radius, work)
+    dry_n = max(load_n - model.capillary_n_per_m * radius, 0.0)
+    deepest = contact.indentation_m(1.2 * dry_n + 0.1 * contact.force_unit_n)
+    _, first = contact.pull_off()
+    # fine where the contact ends
+    depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
+    forces = np.empty(_GRID)
+    compiled_form(_forces)(contact, depths, forces)
+    forces += model.capillary_n_per_m * radius
+    bases = np.maximum.accumulate(depths + free[2] * 1e-9 + forces / k)
+    # beyond both ends along the spring, so that the fit is led back
+    predicted = np.interp(base, bases, forces)
+    predicted += np.where(base > bases[-1], (base - bases[-1]) * k, 0.0)
+    return np.asarray(predicted + np.where(base < bases[0], (base - bases[0]) * k, 0.0))

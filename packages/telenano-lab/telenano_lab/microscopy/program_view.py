@@ -1,0 +1,69 @@
+"""A program of the instrument of a running rig, as a person sees it: a bar, and the keys that pause and end it."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from telenano.cli import RawKeyboard, refuse_unused
+
+if TYPE_CHECKING:
+    from telenano.wire import AfmProgram, Scalar
+    from telenano_lab.microscopy.image_files import LiveImage
+    from telenano_lab.microscopy.live_program import LiveCurve
+
+_BAR = 30
+
+AfmOption = Annotated[
+    list[str] | None,
+    typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
+]
+LiveOption = Annotated[
+    bool, typer.Option("--live", help="By the instrument of the running rig, with its sample and cantilever.")
+]
+
+
+def refuse_foreign(options: Mapping[str, Any]) -> None:
+    """Raise ConfigError naming options that are given and mean nothing to a running rig."""
+    refuse_unused(options, "not with --live: the scenario of the rig decides it")
+
+
+def follow_program(
+    site_file: Path,
+    parameters: "Mapping[str, Scalar]",
+    collected: "LiveImage | LiveCurve",
+    *,
+    as_json: bool,
+    on_end: Callable[[], None] = lambda: None,
+) -> "AfmProgram":
+    """Run a program on the rig with a bar and keys: space pauses and resumes, q ends it; return its last report.
+
+    `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
+    """
+    from telenano_lab.microscopy.live_program import run_program
+
+    with RawKeyboard() as keyboard:
+
+        def on_report(report: "AfmProgram") -> str:
+            if report.state in ("finished", "ended"):
+                on_end()
+            if not as_json:
+                keyboard.show(bar_of(report))
+            for key in keyboard.pressed():
+                if key == "q":
+                    return "abort"
+                if key == "space" and report.program == "scan":
+                    return "resume" if report.state == "paused" else "pause"
+            return ""
+
+        return run_program(site_file, parameters, collected, on_report)
+
+
+def bar_of(report: "AfmProgram") -> str:
+    """Return a line of text: how far a program is, and the keys."""
+    full = round(_BAR * report.done_percent / 100.0)
+    count = f" {report.line}/{report.lines}" if report.lines else ""
+    keys = "space: pause, q: end" if report.program == "scan" else "q: end"
+    state = "paused" if report.state == "paused" else report.text
+    return f"{report.program} {'━' * full}{'╌' * (_BAR - full)}{count}  {state}  ({keys})"

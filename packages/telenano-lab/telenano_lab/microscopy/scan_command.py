@@ -1,0 +1,185 @@
+"""`telenano scan`: an image of a sample, in simulated time on this machine, or by a running rig."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from telenano.afm import ScanSettings
+from telenano.cli import (
+    EXIT_FAILED,
+    JsonOption,
+    SiteFileOption,
+    print_document,
+    progress,
+    refuse_unused,
+    report_errors,
+    results_in,
+    say,
+    validated,
+    with_options,
+)
+from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.signals import finishing
+from telenano.wire import RigError
+from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+from telenano_lab.microscopy.sample_options import (
+    ChannelOption,
+    SampleOption,
+    SampleSetOption,
+    SampleSizeOption,
+    sample_config,
+)
+
+if TYPE_CHECKING:
+    from telenano.wire import Scalar
+    from telenano_lab.microscopy.image_files import Image
+    from telenano_lab.microscopy.simulated_image import SimulatedImage
+
+# fields of the model for which the command has options of its own
+_OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
+
+
+@with_options(ScanSettings, _OWN)
+def scan(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png; packages add more.")
+    ],
+    given: dict[str, Any],
+    name: SampleOption = "dots",
+    size: SampleSizeOption = None,
+    channel: ChannelOption = None,
+    settings: SampleSetOption = None,
+    setpoint: Annotated[
+        float | None,
+        typer.Option("--setpoint", metavar="X", help="Share of the amplitude, or force [nN] in contact; 0.8 or 5."),
+    ] = None,
+    temperature: Annotated[
+        float, typer.Option("--temperature", metavar="K", help="Temperature of the thermal noise [K]; 0: none.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option("--noise-seed", min=0, metavar="N", help="Seed of the thermal noise.")] = 0,
+    afm: AfmOption = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
+    with report_errors(as_json):
+        mode = given.get("mode") or ("contact" if live else "tapping")
+        if setpoint is not None:
+            given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
+        if live and size is not None:
+            given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
+        wanted = validated(ScanSettings, given, _OWN)
+        if live:
+            foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
+                       "--temperature": temperature}  # fmt: skip
+            refuse_foreign(foreign)
+            _scan_live(out, site_file, wanted, given, as_json=as_json)
+            return
+        refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
+        from telenano.afm import AfmConfig
+        from telenano_lab.microscopy.image_output import write_images
+        from telenano_lab.microscopy.simulated_image import take_image
+
+        sample = sample_config(name, size, channel, settings)
+        model = "dynamic" if mode == "tapping" else "quasi_static"
+        keys_of_afm = [f"model={model}", f"disturbances.seed={seed}"]
+        if temperature:
+            keys_of_afm += ["disturbances.thermal.enabled=true", f"disturbances.thermal.temperature_k={temperature}"]
+        section = flag_overrides([*keys_of_afm, *(afm or ())])
+        # The instrument judges the sample as well, such as whether its base clears what lies there.
+        section["sample"] = sample.model_dump(mode="json", exclude_unset=True)
+        config = validate(AfmConfig, section, "--afm")
+        keys: dict[str, Scalar] = {"scan.mode": mode, **{f"scan.{key}": value for key, value in given.items()}}
+        with finishing() as finish, results_in(out) as folder:
+            with progress("lines", wanted.lines, shown=not as_json, counted=True) as show:
+
+                def advanced(n: int, of: int) -> bool:
+                    if n == of:
+                        finish()
+                    show(n)
+                    return True
+
+                image = take_image(config, keys, advanced)
+            finish()
+            is_reported = _say_if_interrupted(finish.exit_code, image.lines.partial)
+            files = write_images(folder, _images(image), mode, sample=sample.name)
+    document: dict[str, Any] = {
+        "sample": sample.name,
+        "mode": mode,
+        "lines": image.lines.finished,
+        "pixels": wanted.pixels,
+        "simulated_s": image.simulated_s,
+        "rms_error_m": image.rms_error_m,
+        "correlation": image.correlation,
+        "files": [str(out / name) for name in files],
+    }
+    if image.lines.partial:
+        document["partial"] = image.lines.partial
+    print_document(document, str(out), as_json=as_json)
+    _exit_if_interrupted(finish.exit_code, is_reported, image.lines.partial)
+
+
+def _scan_live(
+    out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
+) -> None:
+    """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    from telenano_lab.microscopy.image_files import LiveImage, images_of_lines
+    from telenano_lab.microscopy.image_output import write_images
+
+    image = LiveImage()
+    # The rig decides the values that were not given.
+    parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
+    failure: RigError | KeyboardInterrupt | None = None
+    is_reported, files = False, list[str]()
+    with finishing() as finish, results_in(out) as folder:
+        try:
+            report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
+        except (RigError, KeyboardInterrupt) as error:
+            # Lines that came before the instrument fell silent, or before a second signal, are kept as well.
+            failure = error
+        finish()
+        if count := image.finished:
+            is_reported = _say_if_interrupted(finish.exit_code, image.partial)
+            files = write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
+    if failure is not None:
+        raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
+    document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
+                "text": report.text, "files": [str(out / name) for name in files]}  # fmt: skip
+    if image.partial:
+        document["partial"] = image.partial
+    print_document(document, str(out), as_json=as_json)
+    # an image that has not begun does not know how many lines it is to have
+    _exit_if_interrupted(finish.exit_code, is_reported, image.partial if count else "no lines")
+    if report.state != "finished":
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _say_if_interrupted(code: int, partial: str) -> bool:
+    """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
+    if code:
+        say(f"interrupted: {partial or 'all lines'} are kept")
+    return bool(code)
+
+
+def _exit_if_interrupted(code: int, is_reported: bool, partial: str) -> None:
+    """Exit with the code of the signal that ended an image, or came while it was written."""
+    if code:
+        if not is_reported:
+            _say_if_interrupted(code, partial)
+        raise typer.Exit(code)
+
+
+def _images(image: "SimulatedImage") -> "dict[str, Image]":
+    """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
+    from telenano_lab.microscopy.image_files import Image, images_of_lines
+
+    lines, count = image.lines, image.lines.finished
+    images = images_of_lines(lines, count)
+    level_m, depth_m = float(image.truth_m[:count].mean()), lines.depth_m * count / len(lines.trace_m)
+    for name in ("height", "retrace"):
+        images[name] = images[name]._replace(values=images[name].values + level_m)
+    title = "Surface as the tip sees it"
+    images["truth"] = Image(title, "m", image.truth_m[:count], lines.width_m, depth_m, lines.partial)
+    return images

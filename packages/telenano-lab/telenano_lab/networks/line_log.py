@@ -1,0 +1,314 @@
+"""What was measured on a line: when each message was sent, and how long it took or that it was lost.
+
+Four kinds of log are read: what `ping` printed, a table of times of sending and of receiving (or of delays) under a
+line of headings, a recording with what a network or the link did to each message, and a trace of when a line could
+deliver. A log is cut where its clock steps back or where nothing was sent for a time; a log whose units are not said,
+whose clocks disagree, or whose delay is another one at its end than at its begin, is refused.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from telenano.files import Column as TableColumn
+from telenano.files import TextTable, decoded, read_regular
+from telenano.wire import ConfigError
+from telenano_lab.networks import ping_log
+from telenano_lab.networks.line_sources import Column, is_delivery_trace, of_recording, through_delivery_trace
+from telenano_lab.networks.network_trace import Direction
+
+UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# Fewer messages than this say nothing about rare events.
+FEWEST = 300
+# A log shorter than this says nothing about rare events.
+SHORTEST_S = 30.0
+# A pause in sending is longer than this number of periods, and than _PAUSE_S.
+_PAUSE_PERIODS = 20.0
+_PAUSE_S = 1.0
+# The median delay of a line lies between these; another one has a wrong unit.
+_SHORTEST_DELAY_S = 1e-6
+_LONGEST_DELAY_S = 100.0
+# The names of columns of times contain one of these.
+_SENT = ("sent", "send", "pub", "tx")
+_RECEIVED = ("rec", "sub", "rx", "arriv")
+_TIMES = ("time", "ts")
+# words of a heading that mean a round trip or a delay, wherever they stand, and those that mean another figure of it
+_ROUND_TRIP = re.compile(r"(?i)rtt|round|ping|(?:two|2).?way")
+_DELAY = re.compile(r"(?i)delay|latenc|owd|one.?way")
+_NO_DELAY = re.compile(r"(?i)drop|los[st]|rate|share|jitter|count|seq|dev|var|\bid\b")
+_LOST = "lost"
+_LARGEST_BYTES = 256_000_000
+# A longer time between two messages has a wrong unit.
+_LONGEST_PERIOD_S = 600.0
+# A longer log has times in a wrong unit.
+_LONGEST_LOG_S = 1e8
+# A step of one of two clocks is sought after each of this number of parts of a log.
+_PARTS = 20
+# The rows are not in the order of sending if more than this share of them go back in time.
+_MOST_BACK_SHARE = 0.01
+# This number of rows may go back in time in any log.
+_MOST_BACK = 3
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part without a pause: sent_s of shape (n,), not decreasing from 0 [s], and delay_s, nan where lost [s]."""
+
+    sent_s: Column
+    delay_s: Column
+
+
+@dataclass(frozen=True)
+class LineLog:
+    """What a log holds: its segments, whether the delays are round trips, and what was cut, in sentences.
+
+    resolution_s: what all delays are multiples of, where that is so coarse that it shows [s], else 0.
+    """
+
+    segments: tuple[Segment, ...]
+    round_trip: bool
+    resolution_s: float = 0.0
+    cuts: tuple[str, ...] = ()
+
+    @property
+    def period_s(self) -> float:
+        """The median time between two messages sent [s]."""
+        return float(np.median(np.concatenate([np.diff(part.sent_s) for part in self.segments])))
+
+    def halves(self) -> tuple["LineLog", "LineLog"]:
+        """Return the first half in time of each segment, and the second."""
+        both_halves: tuple[list[Segment], list[Segment]] = [], []
+        for part in self.segments:
+            middle = int(np.searchsorted(part.sent_s, 0.5 * part.sent_s[-1]))
+            for half, place in zip(both_halves, (slice(None, middle), slice(middle, None)), strict=True):
+                if len(part.sent_s[place]) > 1:
+                    half.append(Segment(part.sent_s[place] - part.sent_s[place][0], part.delay_s[place]))
+        return (
+            LineLog(tuple(both_halves[0]), self.round_trip, self.resolution_s),
+            LineLog(tuple(both_halves[1]), self.round_trip, self.resolution_s),
+        )
+
+
+def read_log(
+    paths: Sequence[Path],
+    unit: str | None = None,
+    *,
+    round_trip: bool = False,
+    direction: Direction = "forward",
+    period_s: float | None = None,
+) -> LineLog:
+    """Read logs of one line, each file as a segment of its own at least.
+
+    `unit` is that of the columns of a table whose headings name none; `round_trip` says that the delays of a table are
+    round trips, as those of `ping` are and those under a heading such as `rtt`; `direction` is that of a recording
+    which counts; `period_s` is the time between two messages of a log that has no times [s].
+
+    Raises:
+        ConfigError: A log cannot be used; the message names file, line or column, and what would be right.
+    """
+    segments: list[Segment] = []
+    cuts: list[str] = []
+    # whether the delays of each log are round trips
+    trips: list[bool] = []
+    for path in paths:
+        try:
+            parts, is_trip = _read(path, unit, direction, period_s, cuts)
+        except (ValueError, OverflowError, MemoryError) as error:
+            raise ConfigError(f"{path.name}: is no log of a line that can be read: {error}") from error
+        trips.append(is_trip or round_trip)
+        for sent_s, delay_s in parts:
+            segments += _cut(sent_s, delay_s, path.name, cuts)
+    if not segments:
+        raise ConfigError(f"{', '.join(path.name for path in paths)}: is a log of ping without an answer")
+    if any(trips) and not all(trips):
+        raise ConfigError("logs of ping are of round trips; give tables beside them with --round-trip if they are too")
+    log = LineLog(tuple(segments), any(trips), _resolution(segments), tuple(cuts))
+    _check(log)
+    return log
+
+
+Part = tuple[Column, Column]
+
+
+def _read(
+    path: Path, unit: str | None, direction: Direction, period_s: float | None, cuts: list[str]
+) -> tuple[list[Part], bool]:
+    """Return the parts of a log, and whether its delays are round trips."""
+    if path.suffix == ".mcap":
+        return [of_recording(path, direction, cuts)], False
+    try:
+        content = read_regular(path, _LARGEST_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    text = decoded(content, path.name)
+    if ping_log.is_ping_log(text):
+        log = ping_log.round_trips(text, path.name, period_s)
+        cuts += log.remarks
+        return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in log.parts], True
+    if is_delivery_trace(text) and period_s is None:
+        return [through_delivery_trace(text, path.name, cuts)], False
+    table = TextTable.parse(content, path.name)
+    cuts += [f"{path.name}: {remark}" for remark in table.remarks if "no number" not in remark]
+    return _of_table(table, unit, period_s, cuts)
+
+
+def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: list[str]) -> tuple[list[Part], bool]:
+    name, columns = table.name, table.columns
+    sent, received = table.find(*_SENT) or table.find(*_TIMES), table.find(*_RECEIVED)
+    delay = _delay_in(columns)
+    is_trip = delay is not None and _ROUND_TRIP.search(delay.name) is not None
+    if period_s and delay is not None and (sent is None or sent.bad) and received is None:
+        # dates are no times that are read, and the person says the time between two rows
+        sent = None
+    elif len(columns) == 1 and (period_s or delay is not None):
+        # a lone column of delays
+        delay = columns[0]
+        if period_s is None:
+            raise ConfigError(f"{name}: has delays and no times; give the time between two messages by --period S")
+        sent = None
+    elif not any(column.title for column in columns):
+        lone = "; of delays alone, give --period S" if len(columns) == 1 else ""
+        raise ConfigError(f"{name}, line 1: has no headings; name the columns, such as sent_s,received_s{lone}")
+    elif sent is None or (received is None and delay is None):
+        raise ConfigError(
+            f"{name}: has the columns {', '.join(column.title for column in columns)}; a column of times of sending"
+            " (sent_s) or --period S is needed, and one of receiving (received_s) or of delays (delay_s), empty where a"
+            " message was lost"
+        )
+    rows = len(table.lines)
+    if not table.ends_whole and rows > 1 and not any("no whole row" in remark for remark in table.remarks):
+        cuts.append(f"{name}: its last line has no end and may be a part of one; it is left out")
+        rows -= 1
+    lost_column = table.find(_LOST)
+    lost = np.zeros(rows, dtype=bool) if lost_column is None else table.numbers(lost_column)[:rows] == 1.0
+    if sent is None:
+        sent_s = (period_s or 0.0) * np.arange(rows)
+    else:
+        begins, scale = table.numbers(sent)[:rows], _scale_of(sent, table, unit)
+        if np.isnan(begins).any():
+            raise ConfigError(f"{name}, line {table.lines[int(np.isnan(begins).argmax())]}: has no time of sending")
+        # Times of an epoch keep their nanoseconds only as differences.
+        sent_s = (begins - begins[0]) * scale
+    if delay is not None:
+        delay_s = table.numbers(delay)[:rows] * _scale_of(delay, table, unit)
+    else:
+        assert received is not None and sent is not None
+        ends, of_ends = table.numbers(received)[:rows], _scale_of(received, table, unit)
+        same = of_ends == scale
+        delay_s = (ends - begins) * scale if same else ends * of_ends - begins * scale
+    early = (delay_s < 0.0) & ~lost
+    if early.any():
+        place = int(early.argmax())
+        raise ConfigError(
+            f"{name}, line {table.lines[place]}: was received {-delay_s[place]:.6g} s before it was sent; the two"
+            " clocks disagree"
+        )
+    if is_trip and delay is not None:
+        cuts.append(f"{name}: its heading {delay.title} means round trips")
+    delay_s = np.where(lost, np.nan, delay_s)
+    return [(np.asarray(sent_s, dtype=np.float64), delay_s)], is_trip
+
+
+def _delay_in(columns: Sequence[TableColumn]) -> TableColumn | None:
+    """Return the column of delays: one whose name says a delay, else a round trip, and of several one in a time."""
+    for words in (_DELAY, _ROUND_TRIP):
+        named = [one for one in columns if words.search(one.name) and not _NO_DELAY.search(one.name)]
+        in_time = [one for one in named if (unit := one.known) and unit.powers == (("s", 1.0),)]
+        if named:
+            return (in_time or named)[0]
+    return None
+
+
+def _scale_of(column: TableColumn, table: TextTable, unit: str | None) -> float:
+    named_unit = column.unit or unit
+    if not named_unit:
+        raise ConfigError(
+            f"{table.name}: the column {column.title or 'of delays'} does not say its unit; call it"
+            f" {column.title or 'delay'}_ms, or give --unit ms"
+        )
+    one = table.in_si(
+        column._replace(values=np.ones(1), bad=None), ("s",), named_unit, "--unit" if not column.unit else ""
+    )
+    assert one is not None
+    return float(one[0])
+
+
+def _cut(sent_s: Column, delay_s: Column, name: str, cuts: list[str]) -> list[Segment]:
+    if len(sent_s) < 2:
+        raise ConfigError(f"{name}: holds {len(sent_s)} messages, which are too few")
+    steps = np.diff(sent_s)
+    pause_s = max(_PAUSE_S, _PAUSE_PERIODS * float(np.median(np.abs(steps))))
+    back, paused = steps < 0.0, steps > pause_s
+    if back.any():
+        first = int(np.argmax(back))
+        cuts.append(
+            f"{name}: the clock stepped back {int(back.sum())} times, first after message {first + 1}; cut there"
+        )
+    if paused.any():
+        cuts.append(f"{name}: nothing was sent for more than {pause_s:.3g} s {int(paused.sum())} times; cut there")
+    if back.sum() > max(_MOST_BACK, _MOST_BACK_SHARE * len(sent_s)):
+        raise ConfigError(
+            f"{name}: the time of sending goes back {int(back.sum())} times; its rows are not in the order of sending,"
+            " so sort them by it"
+        )
+    edges = [0, *(np.flatnonzero(back | paused) + 1).tolist(), len(sent_s)]
+    return [
+        Segment(sent_s[begin:end] - sent_s[begin], delay_s[begin:end])
+        for begin, end in pairwise(edges)
+        if end - begin >= 2
+    ]
+
+
+def _resolution(segments: Sequence[Segment]) -> float:
+    delays = np.concatenate([part.delay_s[~np.isnan(part.delay_s)] for part in segments])
+    for step_s in (1e-2, 1e-3, 1e-4):
+        if len(delays) and np.abs(delays - np.rint(delays / step_s) * step_s).max() < 1e-3 * step_s:
+            return step_s
+    return 0.0
+
+
+def _check(log: LineLog) -> None:
+    count = sum(len(part.sent_s) for part in log.segments)
+    seconds = sum(float(part.sent_s[-1]) for part in log.segments)
+    if count < FEWEST or seconds < SHORTEST_S:
+        raise ConfigError(
+            f"{count} messages in {seconds:.3g} s are too few for a model, which needs {FEWEST} in {SHORTEST_S:g} s;"
+            " is the unit of the times right?"
+        )
+    if seconds > _LONGEST_LOG_S or log.period_s > _LONGEST_PERIOD_S:
+        raise ConfigError(
+            f"{count} messages in {seconds:.3g} s, one in {log.period_s:.3g} s, are no log of a line that a model"
+            " fits; is the unit of the times right?"
+        )
+    delays = np.concatenate([part.delay_s for part in log.segments])
+    if np.isnan(delays).mean() > 0.5:
+        raise ConfigError(f"{np.isnan(delays).mean():.0%} of the messages were lost; this is no line that a model fits")
+    median_s = float(np.nanmedian(delays))
+    if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
+        raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")
+    for part in log.segments:
+        # One clock that steps is seen as a step of sending; of two, the delays step, wherever in the log that is. The
+        # middle comes first.
+        places = [_PARTS // 2] if log.round_trip else sorted(range(1, _PARTS), key=lambda n: abs(n - _PARTS // 2))
+        for place in places:
+            _check_level(part, place / _PARTS)
+
+
+def _check_level(part: Segment, share: float) -> None:
+    """Refuse a part whose usual delays before this share of its time, and after it, have nothing in common."""
+    at_s = share * float(part.sent_s[-1])
+    place = int(np.searchsorted(part.sent_s, at_s))
+    halves = [half[~np.isnan(half)] for half in (part.delay_s[:place], part.delay_s[place:])]
+    if min(len(half) for half in halves) < FEWEST:
+        return
+    (low, below, high), (other_low, other, other_high) = (np.quantile(half, (0.1, 0.5, 0.9)) for half in halves)
+    if low > other_high or other_low > high:
+        raise ConfigError(
+            f"the log is not stationary: its median delay is {1e3 * below:.4g} ms in its first {at_s:.4g} s and"
+            f" {1e3 * other:.4g} ms after them, and hardly a delay of the one occurs in the other. The line changed"
+            " (give the parts as logs of their own), or one of two clocks stepped"
+        )

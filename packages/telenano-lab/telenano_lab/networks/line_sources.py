@@ -1,0 +1,147 @@
+"""What is no table of messages becomes times of sending and delays: recordings, delivery traces and histograms."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.files import TextTable
+from telenano.link import DirectionEngine, LinkSettings
+from telenano.recording import Recording
+from telenano.wire import ConfigError
+from telenano_lab.networks.network_trace import Direction, traces_of
+from telenano_lab.networks.report_command import fates_in
+
+Column = npt.NDArray[np.float64]
+# Messages of this size are sent through a delivery trace.
+_SIZE_BYTES = 200
+# They are sent at this interval.
+_PERIOD_S = 0.010
+# A trace gives the times of opportunities in this unit.
+_OPPORTUNITY_S = 1e-3
+# A trace has this number of opportunities at least.
+_FEWEST_OPPORTUNITIES = 100
+# A trace with fewer opportunities carries next to nothing.
+_MOST_SENT_FOR_EACH = 1000
+
+
+class Histogram(NamedTuple):
+    """Lower edges of the bins, and the upper edge of the last, shape (n + 1,) [s]; share of each bin, shape (n,)."""
+
+    edges_s: Column
+    shares: Column
+
+    def quantiles_s(self, shares: tuple[float, ...]) -> list[float]:
+        """Return the delays below which these shares lie [s]; within a bin all delays are alike."""
+        below = np.concatenate([[0.0], np.cumsum(self.shares)])
+        return [float(value) for value in np.interp(shares, below / below[-1], self.edges_s)]
+
+
+def of_recording(path: Path, direction: Direction, notes: list[str]) -> tuple[Column, Column]:
+    """Return sending times and delays [s] of what the network of a recording did, or else of what its link did.
+
+    Raises:
+        ConfigError: The recording has neither.
+        RecordingError: The file is no recording.
+        TelenanoError: There are too few datagrams.
+    """
+    reports = [message.decode() for message in Recording(path).messages(("link/network",))]
+    own = [report for report in reports if report.direction == direction and report.clock.valid]  # type: ignore[attr-defined]
+    if own:
+        trace = traces_of(reports)[direction]  # type: ignore[arg-type]
+        notes.append(
+            f"{path.name}: what the network between the sites did {direction}, from link/network; its clocks were"
+            f" compared to {1e3 * trace.uncertainty_s:.3g} ms"
+        )
+        return trace.sent_s, np.where(trace.lost, np.nan, trace.delay_s)
+    rows = fates_in(path)[direction]
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[row[0]] = counts.get(row[0], 0) + 1
+    if not counts:
+        raise ConfigError(f"{path.name}: has no link/network and no link/fates of the direction {direction}")
+    topic = max(counts, key=lambda name: counts[name])
+    notes.append(f"{path.name}: what the link did to {topic} {direction}, from link/fates")
+    chosen = [row for row in rows if row[0] == topic]
+    sent_s = np.array([1e-9 * (row[2] - chosen[0][2]) for row in chosen])
+    return sent_s, np.array([np.nan if row[5] else 1e-9 * row[3] for row in chosen])
+
+
+def is_delivery_trace(text: str) -> bool:
+    """Return whether a text is a whole number a line, never falling: mahimahi writes so when a line could deliver."""
+    words = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if len(words) < _FEWEST_OPPORTUNITIES or not all(word.isdecimal() and len(word) < 19 for word in words):
+        return False
+    return bool((np.diff(np.array(words, dtype=np.int64)) >= 0).all())
+
+
+def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Column, Column]:
+    """Return sending times and delays [s] of small messages that are sent through a delivery trace.
+
+    Raises:
+        ConfigError: The trace ends where it begins.
+    """
+    times = [int(word) for word in text.split() if word.isdecimal()]
+    if times[-1] == 0:
+        raise ConfigError(f"{name}: all opportunities of the trace are at time 0")
+    count = int(times[-1] * _OPPORTUNITY_S / _PERIOD_S)
+    if count > _MOST_SENT_FOR_EACH * len(times):
+        raise ConfigError(
+            f"{name}: its last opportunity is at {times[-1]} ms, {count / len(times):.3g} messages for each of its"
+            f" {len(times)}: is its last line right?"
+        )
+    folder, file = _written(text)
+    try:
+        way = {"delivery_trace": {"file": file}, "queue": {"limit_messages": None}}
+        sent_ns = [round(1e9 * _PERIOD_S * number) for number in range(count)]
+        settings = LinkSettings.of({"forward": way})
+        fates = DirectionEngine.fates(settings, "forward", "teleop/forward", sent_ns, _SIZE_BYTES, folder=folder)
+    finally:
+        (folder / file).unlink()
+        folder.rmdir()
+    notes.append(
+        f"{name}: the trace says when the line carried 1500 bytes, and nothing of the way behind it. Messages of"
+        f" {_SIZE_BYTES} bytes each {1e3 * _PERIOD_S:g} ms were sent through it; add the delay of the way, and expect"
+        " more delay for more messages"
+    )
+    return np.arange(count) * np.float64(_PERIOD_S), np.array([1e-9 * fate.delay_ns for fate in fates])
+
+
+def _written(text: str) -> tuple[Path, str]:
+    import tempfile
+
+    folder = Path(tempfile.mkdtemp())
+    (folder / "trace.txt").write_text(text, encoding="utf-8")
+    return folder, "trace.txt"
+
+
+def read_histogram(path: Path, unit_s: float | None) -> Histogram:
+    """Read rows of a bin's lower edge and its count, or its share; a line of headings may say the unit.
+
+    Raises:
+        ConfigError: Nobody says the unit, a row is no pair of numbers, the edges do not rise, or nothing is counted;
+            the message names file and line.
+    """
+    table = TextTable.read(path)
+    name = path.name
+    if len(table.columns) != 2:
+        raise ConfigError(
+            f"{name}: has {len(table.columns)} columns; a histogram has two, a bin's lower edge and its count"
+        )
+    bins, counted = table.columns
+    edges, counts = (table.numbers(column).tolist() for column in (bins, counted))
+    if bins.unit and unit_s is None:
+        table.in_si(bins, ("s",))
+        unit_s = bins.known.factor if bins.known else None
+    for place, (edge, count) in enumerate(zip(edges, counts, strict=True)):
+        if not (edge == edge and count >= 0.0) or (place and edge <= edges[place - 1]):
+            raise ConfigError(f"{name}, line {table.lines[place]}: the bins have to rise, and no count is below 0")
+    if unit_s is None:
+        raise ConfigError(f"{path.name}: does not say the unit of its bins; give --unit ms")
+    if len(edges) < 2 or sum(counts) <= 0.0:
+        raise ConfigError(
+            f"{path.name}: has {len(edges)} bins with {sum(counts):g} counts in all, which is no histogram"
+        )
+    edges.append(2.0 * edges[-1] - edges[-2])
+    return Histogram(unit_s * np.array(edges), np.array(counts) / sum(counts))

@@ -1,0 +1,255 @@
+"""Which law to take for a network and a sample: every law, tuned for it, tried with a constant force and with arms.
+
+The laws are tuned by one rule (`tuning`), and run in lockstep on the network and the instrument with several seeds and
+four hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same
+force if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these
+runs is stable by `telenano.analysis.verdict` and came to rest with the force that it should, unstruck. Those that are
+suited are ranked by a price, the sum of
+
+- the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
+- the share by which the greatest force at the tip exceeds the hand's, and
+- FREE_PRICE for each time that free motion is heavier than the default of 100 N s/m.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field, model_validator
+
+from telenano.link import profile_named
+from telenano.settings import Option
+from telenano.settings import Settings as StrictSettings
+from telenano.wire import ConfigError
+from telenano_lab.studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
+from telenano_lab.studies.loops.sweep import Sweep
+from telenano_lab.studies.loops.tuning import Settings, tuned
+from telenano_lab.studies.option_values import (
+    COMPARED_LAWS,
+    LONGEST_MS,
+    STIFFEST_N_PER_M,
+    Jitter,
+    disturbances_of,
+    jitters,
+    losses,
+)
+from telenano_lab.studies.repetitions import Statistic, share, statistic
+
+FREE_PRICE = 0.02
+# one-sided walls at the tip, in words
+WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
+_FREE_N_S_PER_M = 100.0
+_LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
+# every law, with the force clamp off and on
+CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in COMPARED_LAWS for clamp in (False, True))
+
+
+class Question(StrictSettings):
+    """The network, the sample, and what is tried."""
+
+    network: Annotated[str | None, Option(("--network",), "NAME")] = Field(
+        default=None,
+        description="Network of those that `telenano link profile` lists, in place of --delay, --jitter and --loss",
+    )
+    round_trip_ms: Annotated[float, Option(("--delay",), "MS", written="that of --network")] = Field(
+        default=math.nan, ge=0.0, le=LONGEST_MS, description="Round trip of the network [ms]"
+    )
+    jitter: Annotated[Jitter, Option(("--jitter",), "MS", lambda text: jitters(text)[0], written="0")] = Field(
+        default=Jitter(), description="Half-width of uniform jitter each way [ms], or n% of the delay"
+    )
+    loss: Annotated[float, Option(("--loss",), "SHARE", lambda text: losses(text)[0], written="0")] = Field(
+        default=0.0, description="Messages lost each way, 0 to 1, or n%"
+    )
+    environment: Environment = Field(default="wall", description=Conditions.model_fields["environment"].description)
+    sample: Literal["soft", "ordinary", "stiff"] = Field(
+        default="ordinary", description="soft: 5 N/m, ordinary: 20 N/m, stiff: 80 N/m at the tip"
+    )
+    stiffness_n_per_m: Annotated[float | None, Option(("--stiffness",), "N/M")] = Field(
+        default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
+    )
+    instrument: Annotated[str, Option(("--instrument",), "NAME")] = Field(
+        default="real", description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge"
+    )
+    seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network or instrument")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_network(cls, given: Any) -> Any:
+        """Take the mean round trip of a named network; ConfigError where there is neither, or both."""
+        name = given.get("network")
+        own = [key for key in ("round_trip_ms", "jitter", "loss") if given.get(key) is not None]
+        if name is None and "round_trip_ms" not in own:
+            raise ConfigError("--delay or --network is needed: the round trip [ms], or a network")
+        if name is None:
+            return given
+        if own:
+            raise ConfigError(
+                f"--network {name} has its own delay, jitter and loss; leave --delay, --jitter and --loss"
+            )
+        return {**given, "network": name.lower(), "round_trip_ms": profile_named(name).round_trip_ms}
+
+    @property
+    def tip_n_per_m(self) -> float:
+        """K of the sample, or k of the cantilever in the contact [N/m]."""
+        return WALLS_N_PER_M[self.sample] if self.stiffness_n_per_m is None else self.stiffness_n_per_m
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A law at its parameters, and what became of it."""
+
+    law: str
+    clamp: bool
+    settings: Settings
+    results: tuple[CellResult, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
+
+    def as_flags(self) -> str:
+        """Return the options with which `telenano up` runs this law so."""
+        keys = [("law", self.law), *self.settings]
+        values = ((key, str(value).lower() if isinstance(value, bool) else value) for key, value in keys)
+        return " ".join(f"--set controller.{key}={value}" for key, value in values)
+
+    @property
+    def failed(self) -> list[CellResult]:
+        return [result for result in self.results if result.outcome != "stable"]
+
+    @property
+    def free_n_s_per_m(self) -> float:
+        """Return the damping of free motion at the hand: B_v over the gain of the hand's force."""
+        section = self.results[0].cell.controller().law_config()
+        gain = getattr(section, "force_gain", 1.0) or 1.0
+        return float(section.damping_n_s_per_m / gain)
+
+    def force_share(self) -> float:
+        """Return the force at the tip in a hold, as a share of what it should be, that is furthest from 1."""
+        shares = [(r.tip_n or 0.0) / _LEVELS_N[r.cell.environment] for r in self.results]
+        return max(shares, key=lambda share: abs(share - 1.0))
+
+    def peak_share(self) -> float:
+        """Return the greatest force at the tip over that of the hand."""
+        return max((r.peak_n or 0.0) / _LEVELS_N[r.cell.environment] for r in self.results)
+
+    def lowest_energy_j(self) -> float:
+        return min(result.lowest_energy_j for result in self.results)
+
+    def price(self) -> float:
+        """Return the price by which suited laws are ranked; infinite for one that is not suited."""
+        if self.failed:
+            return math.inf
+        free = FREE_PRICE * (self.free_n_s_per_m / _FREE_N_S_PER_M - 1.0)
+        return abs(self.force_share() - 1.0) + max(self.peak_share() - 1.0, 0.0) + free
+
+    def over_seeds(self) -> dict[str, Statistic]:
+        """Return the figures over the seeds of a random network, of each seed the worst of its hands; empty for one."""
+        seeds = dict.fromkeys(result.cell.seed for result in self.results)
+        if len(seeds) < 2:
+            return {}
+        parts = [
+            Candidate(self.law, self.clamp, self.settings, tuple(r for r in self.results if r.cell.seed == seed))
+            for seed in seeds
+        ]
+        return {
+            "stable_share": share(sum(not part.failed for part in parts), len(parts)),
+            "force_share": statistic([part.force_share() for part in parts]),
+            "peak_share": statistic([part.peak_share() for part in parts]),
+            "lowest_energy_j": statistic([part.lowest_energy_j() for part in parts]),
+        }
+
+    def over_seeds_as_dict(self) -> dict[str, dict[str, Any]]:
+        """Return `over_seeds` for JSON and tables."""
+        return {name: over_seeds._asdict() for name, over_seeds in self.over_seeds().items()}
+
+    def as_dict(self) -> dict[str, Any]:
+        price = self.price()
+        return {
+            "law": self.law,
+            "clamp": self.clamp,
+            "settings": dict(self.settings),
+            "suited": not self.failed,
+            "price": price if math.isfinite(price) else None,
+            "stable_runs": len(self.results) - len(self.failed),
+            "runs": len(self.results),
+            "force_share": self.force_share(),
+            "peak_share": self.peak_share(),
+            "free_n_s_per_m": self.free_n_s_per_m,
+            "lowest_energy_j": self.lowest_energy_j(),
+            "over_seeds": self.over_seeds_as_dict(),
+            "reason": self.failed[0].reason if self.failed else "",
+        }
+
+
+def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
+    """Return the cells of a candidate: every hand with every seed, the law tuned for the network."""
+    jitter_ms = question.jitter.at_ms(question.round_trip_ms)
+    longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
+    settings: Settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
+    disturbances = disturbances_of(question.instrument)
+    random = jitter_ms > 0.0 or question.loss > 0.0 or question.network is not None or bool(disturbances)
+    return [
+        Cell(
+            law=law,
+            environment=question.environment,
+            hand=hand,
+            round_trip_ms=question.round_trip_ms,
+            stiffness_n_per_m=question.tip_n_per_m,
+            jitter_ms=jitter_ms,
+            loss=question.loss,
+            seed=seed,
+            network=question.network,
+            settings=settings,
+            disturbances=disturbances,
+        )
+        for hand in get_args(Hand)
+        for seed in range(question.seeds if random else 1)
+    ]
+
+
+def advise(question: Question, sweep: Sweep) -> list[Candidate]:
+    """Try every candidate, the one to take first; those that are not suited last, the least unsuited first."""
+    prepared = [(law, clamp, cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
+    results = iter(sweep.run([cell for *_, cells in prepared for cell in cells]))
+    candidates = [
+        Candidate(law, clamp, cells[0].settings, tuple(next(results) for _ in cells)) for law, clamp, cells in prepared
+    ]
+    return sorted(candidates, key=lambda candidate: (candidate.price(), len(candidate.failed)))
+
+
+def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
+    """Return the advice in three sentences: what to take, what comes next, and what not to take."""
+    network = f"{question.round_trip_ms:g} ms" if question.network is None else question.network
+    network += f", jitter {question.jitter}" if question.jitter.value else ""
+    network += f", {100.0 * question.loss:g} % loss" if question.loss else ""
+    where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m, instrument {question.instrument}"
+    best, *others = candidates
+    if best.failed:
+        return [
+            f"{where}: no law held in all of its runs.",
+            f"The nearest is {best.name}: {len(best.failed)} of {len(best.results)} runs failed,"
+            f" the first because {best.failed[0].reason}.",
+            "Take a shorter network or a softer sample.",
+        ]
+    words = [f"{where}: take {best.name}{_settings(best)}; all of its {len(best.results)} runs held, {_figures(best)}."]
+    suited = [f"{other.name}{_settings(other)}, {_figures(other)}" for other in others if not other.failed]
+    if suited:
+        words.append(f"Next come {'; '.join(suited[:2])}.")
+    unsuited = [f"{other.name} ({other.failed[0].reason})" for other in others if other.failed]
+    if unsuited:
+        words.append(f"Not suited: {'; '.join(unsuited)}.")
+    return words
+
+
+def _settings(candidate: Candidate) -> str:
+    keys = [f"{key}={value}" for key, value in candidate.settings if key != "clamp.enabled"]
+    return f" and {', '.join(keys)}" if keys else ""
+
+
+def _figures(candidate: Candidate) -> str:
+    return (
+        f"with {candidate.force_share():.2f} of the force in the worst hold, a peak of {candidate.peak_share():.2f},"
+        f" and {candidate.free_n_s_per_m:.3g} N s/m in free motion"
+    )

@@ -1,0 +1,296 @@
+"""Transparency: how much of the environment reaches the hand, law by law, over the delay and over frequency.
+
+The hand presses on a spring with a constant force and a small sine on top, once on the spring of the study, once on
+nothing. After the transient the fundamental of each signal is taken over whole periods, so that with X, F complex:
+
+- tracking error: RMS of x_s / alpha_p - x_m without their means, over the RMS of x_m, [%]
+- rendered stiffness: Re(F_m / X_m), what the hand feels of a spring [N/m], against the true alpha_f alpha_p K
+- perceived delay: the time by which the force that the law renders lags behind the hand's motion,
+  arg(X_m / F_r) / omega
+- contrast: |F_m / V_m| on the spring over that on nothing, in dB. It is no Z-width: a hand that is stuck has the
+  greatest contrast
+- hybrid matrix (B. Hannaford, IEEE Trans. Robotics and Automation 5, 1989), (F_m, -V_s) = H (V_m, F_s) at the hand's
+  scale: h11 and h21 from the run on nothing, h12 and h22 from the run on the spring. Ideal: h11 = h22 = 0, h12 = 1,
+  h21 = -1. Of a law that is not linear it is the matrix for this amplitude and this spring
+- Z-width (J. E. Colgate and J. M. Brown, Proc. IEEE Int. Conf. Robotics and Automation, 1994), the range of impedances
+  that the device can render passively: from free motion to the stiffest spring, up to STIFFEST_N_PER_M, on which
+  Re(F_m / V_m) >= 0 at every frequency measured. Only the band of the hand's motion is asked for, up to 10 Hz: from
+  26 Hz on the lag of the servo makes even free motion active, with every law
+
+What is unstable has no such numbers: they are None.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.lockstep import Trajectory
+from telenano_lab.studies.loops.cells import Cell, course_of, run_cell, scales_of
+
+FREQUENCY_HZ = 0.5
+# Each frequency has a period of whole milliseconds, so that whole periods are whole ticks.
+FREQUENCIES_HZ = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+STIFFEST_N_PER_M = 400.0
+_SOFTEST_N_PER_M = 0.5
+# Activity below this share of |Z| counts as passive, because the sums of a run leave so much.
+_PASSIVE_SHARE = 2e-3
+_HALVINGS = 7
+# The hand presses with this mean force, and swings about it by _AMPLITUDE_N.
+_MEAN_N = 1.0
+_AMPLITUDE_N = 0.3
+# The ramp to the mean force takes this time.
+_RAMP_S = 0.5
+# corners of the sine: straight lines between 200 points a period differ from it by 1e-4 of its amplitude
+_POINTS_PER_PERIOD = 200
+# At FREQUENCY_HZ this number of periods pass before the measurement.
+_SETTLE_PERIODS = 3
+# At FREQUENCY_HZ this number of periods are measured.
+_MEASURED_PERIODS = 3
+# At any other frequency the loop settles for this time at least.
+_LEAST_SETTLE_S = 2.0
+# At any other frequency the measurement lasts this long at least.
+_LEAST_MEASURED_S = 2.0
+# a spring that is not felt: its force over the motion of a run stays below a piconewton
+_NOTHING_N_PER_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Transparency:
+    """The numbers of one law at one delay; see the module's text. `verdict` is that of the hold on the spring."""
+
+    law: str
+    round_trip_ms: float
+    stiffness_n_per_m: float
+    verdict: str
+    tracking_error_percent: float | None
+    true_stiffness_n_per_m: float
+    rendered_stiffness_n_per_m: float | None
+    perceived_delay_ms: float | None
+    free_impedance_n_s_per_m: float | None
+    contrast_db: float | None
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A law at one delay over frequency. Every value is None at a frequency where the law did not hold.
+
+    hybrid: h11 [N s/m], h12, h21, h22 [m/(N s)]; rendered_n_per_m: Re(F_m / X_m) on the spring; free_n_s_per_m:
+    Re(F_m / V_m) on nothing; passive_n_per_m: stiffest spring at the tip that is rendered passively, None if none is;
+    z_width_db: |F_m / V_m| on that spring over that on nothing, at 1 Hz, or the frequency next to it.
+    """
+
+    law: str
+    round_trip_ms: float
+    stiffness_n_per_m: float
+    frequencies_hz: tuple[float, ...]
+    hybrid: tuple[tuple[complex, complex, complex, complex] | None, ...]
+    rendered_n_per_m: tuple[float | None, ...]
+    free_n_s_per_m: tuple[float | None, ...]
+    passive_n_per_m: float | None
+    z_width_db: float | None
+
+    def rows(self) -> list[dict[str, float | str | None]]:
+        """Return one flat row a frequency."""
+        table: list[dict[str, float | str | None]] = []
+        for n, frequency in enumerate(self.frequencies_hz):
+            row: dict[str, float | str | None] = {
+                "law": self.law,
+                "round_trip_ms": self.round_trip_ms,
+                "stiffness_n_per_m": self.stiffness_n_per_m,
+                "frequency_hz": frequency,
+                "rendered_n_per_m": self.rendered_n_per_m[n],
+                "free_n_s_per_m": self.free_n_s_per_m[n],
+            }
+            entries = self.hybrid[n]
+            for k, name in enumerate(("h11", "h12", "h21", "h22")):
+                row[f"{name}_re"] = None if entries is None else entries[k].real
+                row[f"{name}_im"] = None if entries is None else entries[k].imag
+            table.append(row)
+        return table
+
+
+class _Tones(NamedTuple):
+    """Complex amplitudes of the fundamental, at the hand's scale; RMS of x_s/alpha_p - x_m and of x_m [m].
+
+    hand_n: F_m; rendered_n: force that the law renders; hand_m: x_m; tip_n: alpha_f F_s; tip_m: x_s / alpha_p.
+    """
+
+    hand_n: complex
+    rendered_n: complex
+    hand_m: complex
+    tip_n: complex
+    tip_m: complex
+    error_rms_m: float
+    motion_rms_m: float
+
+
+def measure(cell: Cell) -> Transparency:
+    """Measure the law of a cell against its spring.
+
+    Raises:
+        ConfigError: The cell cannot be run.
+    """
+    scales = scales_of(cell.controller())
+    verdict = run_cell(cell).verdict
+    pressed = _tones(cell, _MEAN_N, FREQUENCY_HZ) if verdict == "stable" else None
+    free = _tones(_on_nothing(cell), 0.0, FREQUENCY_HZ)
+    omega = 2.0 * math.pi * FREQUENCY_HZ
+    free_impedance = abs(free.hand_n / (1j * omega * free.hand_m)) if free is not None else None
+    width, stiffness, delay, error = None, None, None, None
+    if pressed is not None:
+        impedance = abs(pressed.hand_n / (1j * omega * pressed.hand_m))
+        width = 20.0 * math.log10(impedance / free_impedance) if free_impedance else None
+        stiffness = (pressed.hand_n / pressed.hand_m).real
+        # within half a period either way; a law that leads has a negative delay
+        delay = 1e3 * float(np.angle(pressed.hand_m / pressed.rendered_n)) / omega if pressed.rendered_n else None
+        error = 100.0 * pressed.error_rms_m / pressed.motion_rms_m
+    return Transparency(
+        cell.law,
+        cell.round_trip_ms,
+        cell.stiffness_n_per_m,
+        verdict,
+        error,
+        scales.force_scale * scales.position_scale * cell.stiffness_n_per_m,
+        stiffness,
+        delay,
+        free_impedance,
+        width,
+    )
+
+
+def spectrum(cell: Cell, frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ) -> Spectrum:
+    """Measure hybrid matrix, impedances and Z-width of the law of a cell with its spring."""
+    free = [_tones(_on_nothing(cell), 0.0, frequency) for frequency in frequencies_hz]
+    stable = run_cell(cell).verdict == "stable"
+    pressed = [_tones(cell, _MEAN_N, frequency) if stable else None for frequency in frequencies_hz]
+    limit = passive_stiffness(cell, frequencies_hz)
+    width = None
+    middle = min(range(len(frequencies_hz)), key=lambda n: abs(math.log(frequencies_hz[n])))
+    if limit is not None and (loose := free[middle]) is not None:
+        stiffest = _tones(cell.model_copy(update={"stiffness_n_per_m": limit}), _MEAN_N, frequencies_hz[middle])
+        if stiffest is not None:
+            ratio = abs(stiffest.hand_n / stiffest.hand_m) / abs(loose.hand_n / loose.hand_m)
+            width = 20.0 * math.log10(ratio)
+    omegas = [2.0 * math.pi * frequency for frequency in frequencies_hz]
+    return Spectrum(
+        cell.law,
+        cell.round_trip_ms,
+        cell.stiffness_n_per_m,
+        frequencies_hz,
+        tuple(
+            None if a is None or b is None else _hybrid(a, b, w) for a, b, w in zip(free, pressed, omegas, strict=True)
+        ),
+        tuple(None if tones is None else (tones.hand_n / tones.hand_m).real for tones in pressed),
+        tuple(
+            None if tones is None else (tones.hand_n / (1j * omega * tones.hand_m)).real
+            for tones, omega in zip(free, omegas, strict=True)
+        ),
+        limit,
+        width,
+    )
+
+
+def passive_stiffness(cell: Cell, frequencies_hz: tuple[float, ...]) -> float | None:
+    """Return the stiffest spring [N/m] that the law of a cell renders passively; None if it does so with none."""
+
+    def passive(stiffness: float) -> bool:
+        pressed = cell.model_copy(update={"stiffness_n_per_m": stiffness})
+        found = (_tones(pressed, _MEAN_N, frequency) for frequency in frequencies_hz)
+        return all(tones is not None and _damping_share(tones) >= -_PASSIVE_SHARE for tones in found)
+
+    if passive(STIFFEST_N_PER_M):
+        return STIFFEST_N_PER_M
+    low, high = math.log(_SOFTEST_N_PER_M), math.log(STIFFEST_N_PER_M)
+    if not passive(_SOFTEST_N_PER_M):
+        return None
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if passive(math.exp(middle)) else (low, middle)
+    return math.exp(low)
+
+
+def _damping_share(tones: _Tones) -> float:
+    """Return Re Z / |Z| of the hand's port, Z = F_m / V_m."""
+    impedance = tones.hand_n / (1j * tones.hand_m)
+    return impedance.real / abs(impedance)
+
+
+def _hybrid(free: _Tones, pressed: _Tones, omega: float) -> tuple[complex, complex, complex, complex]:
+    h11, h21 = free.hand_n / (1j * omega * free.hand_m), -free.tip_m / free.hand_m
+    speed = 1j * omega * pressed.hand_m
+    h12 = (pressed.hand_n - h11 * speed) / pressed.tip_n
+    h22 = (-1j * omega * pressed.tip_m - h21 * speed) / pressed.tip_n
+    return h11, h12, h21, h22
+
+
+def _on_nothing(cell: Cell) -> Cell:
+    return cell.model_copy(update={"environment": "spring", "stiffness_n_per_m": _NOTHING_N_PER_M})
+
+
+def hand_force_profile(
+    mean_n: float,
+    settle_s: float,
+    frequency_hz: float = FREQUENCY_HZ,
+    cycles: int = _MEASURED_PERIODS,
+) -> tuple[list[tuple[float, float]], float]:
+    """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s].
+
+    Args:
+        mean_n: The force at the end of the ramp [N].
+        settle_s: The time that the rig has to settle [s].
+        frequency_hz: The frequency of the sine [Hz].
+        cycles: The number of periods that are measured.
+    """
+    begin = _RAMP_S + settle_s
+    before = _settle_periods(frequency_hz)
+    points = [(0.0, 0.0), (_RAMP_S, mean_n)]
+    # Two corners are at least two ticks apart.
+    each = min(_POINTS_PER_PERIOD, round(500.0 / frequency_hz))
+    for n in range((before + cycles) * each + 1):
+        time = n / (each * frequency_hz)
+        points.append((begin + time, mean_n + _AMPLITUDE_N * math.sin(2.0 * math.pi * frequency_hz * time)))
+    return points, begin + before / frequency_hz
+
+
+def _settle_periods(frequency_hz: float) -> int:
+    if frequency_hz == FREQUENCY_HZ:
+        return _SETTLE_PERIODS
+    return max(1, math.ceil(_LEAST_SETTLE_S * frequency_hz))
+
+
+def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
+    """Run and demodulate; None when the instrument's guard ended it."""
+    cycles = max(2, math.ceil(_LEAST_MEASURED_S * frequency_hz))
+    cycles = _MEASURED_PERIODS if frequency_hz == FREQUENCY_HZ else cycles
+    points, begin_s = hand_force_profile(mean_n, 0.5 + 20.0 * cell.round_trip_s, frequency_hz, cycles)
+    course = course_of(cell, points, begin_s + cycles / frequency_hz)
+    return _demodulated(course, begin_s, cell, frequency_hz) if _followed(course) else None
+
+
+def _followed(course: Trajectory) -> bool:
+    """Return whether the instrument followed throughout; a pause in the commands makes it hold for a moment."""
+    return bool((course.follows | course.held).all())
+
+
+def _demodulated(course: Trajectory, begin_s: float, cell: Cell, frequency_hz: float) -> _Tones:
+    scales = scales_of(cell.controller())
+    part = slice(int(np.searchsorted(course.time_s, begin_s - 1e-9)), None)
+    carrier = np.exp(-2j * math.pi * frequency_hz * course.time_s[part])
+
+    def tone(values: npt.NDArray[np.float64]) -> complex:
+        return complex(2.0 * np.mean((values - values.mean()) * carrier))
+
+    hand_m = course.hand_position_m[part]
+    tip_m = course.base_position_m[part] / scales.position_scale
+    return _Tones(
+        hand_n=tone(course.hand_force_n[part]),
+        rendered_n=tone(course.rendered_force_n[part]),
+        hand_m=tone(hand_m),
+        tip_n=tone(scales.force_scale * course.tip_force_n[part]),
+        tip_m=tone(tip_m),
+        error_rms_m=float((tip_m - hand_m).std()),
+        motion_rms_m=float(hand_m.std()),
+    )

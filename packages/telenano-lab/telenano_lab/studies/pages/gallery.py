@@ -1,0 +1,146 @@
+"""What a delay does to each law, for one slider: Nyquist curve, characteristic roots, course and energy of a session.
+
+The courses are those of the laws' own steps in lockstep, as in `study stability`: a hand presses with 1 N on a spring
+of 20 N/m. Curve and roots are those of the linear theory (`linear_loop.py`) for the laws that are linear.
+The data and what draws them lie in `services/viz_node/web/gallery`, so that the page of `telenano view` shows the same.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from telenano.serving import web_folder
+from telenano_lab.studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
+from telenano_lab.studies.loops.linear_cells import linear_loop, not_linear
+from telenano_lab.studies.option_values import COMPARED_LAWS
+
+STIFFNESS_N_PER_M = 20.0
+DELAYS_MS = tuple(5.0 * i for i in range(41))
+# The courses have this length from the session's first sample on.
+_LENGTH_S = 3.0
+# The force and the energy are sampled at these intervals.
+_FORCE_STEP_S = 0.01
+_ENERGY_STEP_S = 0.02
+# A unit of a number for a force in the file is this.
+_FORCE_N = 1e-3
+# The picture shows forces up to this.
+_MOST_N = 6.0
+# A unit of a number for an energy in the file is this.
+_ENERGY_J = 1e-6
+# The picture shows energies up to this.
+_MOST_J = 0.02
+# A unit of a number for a point of the Nyquist curve in the file is this.
+_CURVE = 1e-2
+# The picture shows the Nyquist curve up to this magnitude.
+_MOST_CURVE = 9.0
+# The Nyquist curve is computed at these frequencies.
+_FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
+
+FOLDER = web_folder() / "gallery"
+
+
+def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS_N_PER_M) -> Cell:
+    """Return what is run for a law at a round trip [ms] on a spring [N/m]."""
+    return Cell(law=law, environment="spring", stiffness_n_per_m=stiffness_n_per_m, round_trip_ms=round_trip_ms)
+
+
+def shown(cell: Cell) -> dict[str, Any]:
+    """Return what is drawn of a cell; series are differences from number to number."""
+    course, scales = trajectory_of(cell), scales_of(cell.controller())
+    hold = judged(cell, course)
+    force = scales.force_scale * course.tip_force_n
+    drawn = {
+        "verdict": hold.verdict,
+        "reason": hold.reason,
+        "lowest_mj": round(1e3 * hold.lowest_energy_j, 3),
+        "force": _kept(_every(course.time_s, force, _FORCE_STEP_S), _FORCE_N, _MOST_N),
+        "energy": _kept(
+            _every(course.time_s, energies_of(course, scales).stored_j, _ENERGY_STEP_S), _ENERGY_J, _MOST_J
+        ),
+    }
+    if not not_linear(cell):
+        loop = linear_loop(cell)
+        curve = loop.response(2.0 * np.pi * _FREQUENCIES_HZ)
+        # what is far away keeps its direction
+        curve = curve * np.minimum(1.0, _MOST_CURVE / np.abs(curve))
+        drawn["nyquist"] = [_kept(curve.real, _CURVE, _MOST_CURVE), _kept(curve.imag, _CURVE, _MOST_CURVE)]
+        drawn["roots"] = [[round(root.real, 4), round(root.imag, 4)] for root in loop.roots().tolist()]
+    return drawn
+
+
+def gallery(
+    stiffness_n_per_m: float = STIFFNESS_N_PER_M, progress: Callable[[int, int], None] = lambda n, of: None
+) -> dict[str, Any]:
+    """Return the document that the gallery draws: conditions, units, and each law at each delay on a spring [N/m]."""
+    laws, total = [], len(COMPARED_LAWS) * len(DELAYS_MS)
+    for number, law in enumerate(COMPARED_LAWS):
+        first, cells = cell_of(law, 0.0, stiffness_n_per_m), []
+        for place, delay_ms in enumerate(DELAYS_MS):
+            cells.append(shown(cell_of(law, delay_ms, stiffness_n_per_m)))
+            progress(number * len(DELAYS_MS) + place + 1, total)
+        critical_ms = None if not_linear(first) else 1e3 * linear_loop(first).critical_link_delay_s
+        laws.append({
+            "law": law,
+            "linear": not not_linear(first),
+            "critical_ms": critical_ms if critical_ms is not None and np.isfinite(critical_ms) else None,
+            "cells": cells,
+        })  # fmt: skip
+    return {
+        "stiffness_n_per_m": stiffness_n_per_m,
+        "delays_ms": list(DELAYS_MS),
+        "hand": [list(point) for point in first.hand_points()],
+        "force": {"step_s": _FORCE_STEP_S, "unit": _FORCE_N},
+        "energy": {"step_s": _ENERGY_STEP_S, "unit": 1e3 * _ENERGY_J},
+        "nyquist": {"unit": _CURVE},
+        "laws": laws,
+    }
+
+
+def fragment_of(document: dict[str, Any]) -> str:
+    """Return the gallery as a part of a page, with its style, its data and its code in it."""
+    style, code = ((FOLDER / name).read_text(encoding="utf-8") for name in ("gallery.css", "gallery.js"))
+    # nothing in a script may end it
+    data = json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
+    return (
+        f'<style>{style}</style>\n<div id="delay-gallery"></div>\n'
+        f'<script type="application/json" id="delay-gallery-data">{data}</script>\n'
+        f'<script type="module">{code}\n'
+        'new Gallery(document.getElementById("delay-gallery"), '
+        'JSON.parse(document.getElementById("delay-gallery-data").textContent));</script>\n'
+    )
+
+
+def page_of(document: dict[str, Any]) -> str:
+    """Return the gallery as one HTML file with everything in it."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width"><title>What a delay does</title></head>\n'
+        f'<body class="gallery-page"><main><h1>What a delay does</h1>\n{fragment_of(document)}</main></body></html>\n'
+    )
+
+
+def write_data(document: dict[str, Any], path: Path) -> None:
+    """Write the document, a law at a delay in each line."""
+    head = json.dumps({key: value for key, value in document.items() if key != "laws"})[:-1]
+    rows = []
+    for law in document["laws"]:
+        about = json.dumps({key: value for key, value in law.items() if key != "cells"})[:-1]
+        cells = ",\n".join(json.dumps(cell, separators=(",", ":")) for cell in law["cells"])
+        rows.append(f'{about}, "cells": [\n{cells}\n]}}')
+    laws = ",\n".join(rows)
+    path.write_text(f'{head}, "laws": [\n{laws}\n]}}\n', encoding="utf-8")
+
+
+def _every(time_s: Any, values: Any, step_s: float) -> Any:
+    at = np.arange(0.0, _LENGTH_S, step_s)
+    # a guard that acted early leaves a session that ends there
+    return values[np.minimum(np.searchsorted(time_s, at), len(values) - 1)]
+
+
+def _kept(values: Any, unit: float, most: float) -> list[int]:
+    """Return whole numbers of units, each less the one before."""
+    whole = np.rint(np.clip(values, -most, most) / unit).astype(int)
+    return [int(one) for one in np.diff(whole, prepend=0)]

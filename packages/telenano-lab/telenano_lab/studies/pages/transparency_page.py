@@ -1,0 +1,112 @@
+"""The page of transparency: what the hand feels of each law over the delay and over frequency."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from telenano.analysis import Page, cell_text
+from telenano.settings import Option
+from telenano_lab.studies.loops.cells import Cell
+from telenano_lab.studies.loops.stability import Axes, Line
+from telenano_lab.studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
+from telenano_lab.studies.loops.tuning import tuned
+from telenano_lab.studies.option_values import frequencies
+from telenano_lab.studies.pages.figures import hybrid_figure, impedance_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FREQUENCIES = "0.2,0.5,1,2,5,10"
+
+
+class Feel(Axes):
+    """What the transparency is measured for."""
+
+    frequencies_hz: Annotated[
+        tuple[float, ...], Option(("--frequency",), "LIST", frequencies, written=_FREQUENCIES)
+    ] = Field(default=frequencies(_FREQUENCIES), description="Sines of the hand [Hz], of a whole number of ms each")
+    tuned: Annotated[bool, Option(("--tuned",))] = Field(
+        default=False, description="Tune each law for each delay, by the rule of `study advise`"
+    )
+
+
+def cells_of(axes: Feel) -> list[Cell]:
+    """Return a cell for every law, on the first spring of the axes, and delay; tuned for the delay if asked."""
+    lines: dict[str, Line] = {}
+    for line in axes.lines():
+        lines.setdefault(line.law, line)
+    cells = [line.cell(delay) for line in lines.values() for delay in axes.delays_ms]
+    if not axes.tuned:
+        return cells
+    return [
+        cell.model_copy(
+            update={"settings": (*cell.settings, *tuned(cell.law, cell.stiffness_n_per_m, cell.round_trip_s))}
+        )
+        for cell in cells
+    ]
+
+
+def measure_all(axes: Feel) -> tuple[list[Transparency], list[Spectrum]]:
+    """Measure every law on the first spring of the axes at every delay: at one frequency, and over all of them."""
+    cells = cells_of(axes)
+    return [measure(cell) for cell in cells], [spectrum(cell, axes.frequencies_hz) for cell in cells]
+
+
+def z_width_of(spectrum: Spectrum) -> dict[str, float | None]:
+    """Return the stiffest spring that is rendered passively [N/m] and the width [dB]."""
+    return {"passive_n_per_m": spectrum.passive_n_per_m, "z_width_db": spectrum.z_width_db}
+
+
+def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":
+    """Draw what is measured over frequency: impedances at every delay, a hybrid matrix for each delay."""
+    figures = {"impedances": impedance_figure(spectra)}
+    for delay in sorted({row.round_trip_ms for row in spectra}):
+        some = [row for row in spectra if row.round_trip_ms == delay]
+        figures[f"hybrid-{delay:g}ms"] = hybrid_figure(some)
+    return figures
+
+
+def write_spectra(page: Page, spectra: Sequence[Spectrum], images: dict[str, bytes]) -> None:
+    """Add the Z-width and the figures over frequency."""
+    page.table(
+        ("law", "round trip [ms]", "stiffest spring rendered passively [N/m]", "Z-width at 1 Hz [dB]"),
+        [(s.law, s.round_trip_ms, _limit(s.passive_n_per_m), s.z_width_db) for s in spectra],
+    )
+    page.paragraph(
+        "Z-width after Colgate and Brown (1994): from free motion to the stiffest spring at the tip on which the"
+        " impedance at the device has no negative real part at any frequency of the figures. A law can be stable with a"
+        " hand of constant force beyond it; then an arm of some impedance exists that makes it unstable. A dash: none."
+    )
+    page.image(
+        images["impedances.png"],
+        f"What the hand feels over frequency, on a spring of {spectra[0].stiffness_n_per_m:g} N/m and on nothing; sines"
+        " of 0.3 N. A stiffness below zero: the mass of the law and of its device.",
+    )
+    for name, png in images.items():
+        if name.startswith("hybrid"):
+            delay = name.removeprefix("hybrid-").removesuffix("ms.png")
+            page.image(png, f"Hybrid matrix (Hannaford 1989) at a round trip of {delay} ms, at the hand's scale.")
+
+
+def _limit(value: float | None) -> str | None:
+    return f">= {STIFFEST_N_PER_M:g}" if value == STIFFEST_N_PER_M else cell_text(value)
+
+
+def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:
+    """Add the table of transparency and what its columns mean."""
+    page.table(
+        ("law", "round trip [ms]", "verdict", "tracking error [%]", "true stiffness [N/m]", "rendered [N/m]",
+         "perceived delay [ms]", "free |Z| [N s/m]", "contrast [dB]"),
+        [
+            (t.law, t.round_trip_ms, t.verdict, t.tracking_error_percent, t.true_stiffness_n_per_m,
+             t.rendered_stiffness_n_per_m, t.perceived_delay_ms, t.free_impedance_n_s_per_m, t.contrast_db)
+            for t in rows
+        ],
+    )  # fmt: skip
+    page.paragraph(
+        "A hand that presses with 1 N and a sine of 0.3 N at 0.5 Hz on the spring, and with the sine alone on nothing."
+        " Stiffness is at the hand: alpha_f alpha_p K. The perceived delay is that of the rendered force behind the"
+        " hand's motion; the device follows its reference about 11 ms late (its bandwidth is 30 Hz), so a law without"
+        " delay stands at -11 ms. A dash: the law is not stable there."
+    )

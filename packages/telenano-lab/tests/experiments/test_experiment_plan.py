@@ -1,0 +1,167 @@
+"""The plan of an experiment: the trials that follow from its file, and what is said of a wrong one."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from experiment_bench import plan_of
+from telenano_lab.experiments.plan import attempt_seed, load_plan
+from telenano_lab.experiments.plans import FOLDER
+from telenano_lab.experiments.summary import summary_of
+from telenano_lab.experiments.tasks import INSTALLED
+
+from telenano.wire import ConfigError
+
+
+def test_every_condition_comes_as_often_as_the_file_says(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, repetitions=3)
+    for participant in ("P01", "P02"):
+        trials = plan.trials(participant)
+        assert [trial.index for trial in trials] == list(range(18))
+        counts = Counter((trial.condition["law"], trial.condition["round_trip_ms"]) for trial in trials)
+        assert len(counts) == 6 and set(counts.values()) == {3}
+    assert plan.trials("P01") == plan.trials("P01")
+    assert [t.condition for t in plan.trials("P01")] != [t.condition for t in plan.trials("P02")]
+    seeds = [trial.seed for name in ("P01", "P02") for trial in plan.trials(name)]
+    assert len(set(seeds)) == 36
+
+
+def test_a_level_becomes_the_keys_that_it_means(tmp_path: Path) -> None:
+    levels = {"soft": {"controller.wave.damping_n_s_per_m": 40.0}, "firm": {"controller.wave.damping_n_s_per_m": 80.0}}
+    factors = {"law": ["wave"], "delay_ms": [20], "grip": {"levels": levels}, "task.length_s": [1.0, 3.0]}
+    plan = plan_of(tmp_path, factors=factors, settings={"controller": {"wave": {"mass_kg": 2.5}}}, order="factorial")
+    first = plan.trials("P01")[0]
+    assert first.condition == {"law": "wave", "delay_ms": 20, "grip": "soft", "task.length_s": 1.0}
+    assert first.settings == {
+        "controller.wave.mass_kg": 2.5,
+        "controller.law": "wave",
+        "delay_node.forward.delay_s": 0.02,
+        "delay_node.backward.delay_s": 0.02,
+        "controller.wave.damping_n_s_per_m": 40.0,
+    }
+    assert first.task_parameters["length_s"] == 1.0
+    assert {trial.task_parameters["length_s"] for trial in plan.trials("P01")} == {1.0, 3.0}
+
+
+def test_a_key_that_a_running_rig_does_not_take_is_held_for_a_block(tmp_path: Path) -> None:
+    factors = {"afm_node.cantilever.stiffness_n_per_m": [0.1, 1.0], "law": ["wave", "passivity"]}
+    plan = plan_of(tmp_path, factors=factors, repetitions=2)
+    assert plan.restarting == plan.block_factors == ("afm_node.cantilever.stiffness_n_per_m",)
+    trials = plan.trials("P01")
+    held = [trial.condition["afm_node.cantilever.stiffness_n_per_m"] for trial in trials]
+    assert len(set(held[:4])) == len(set(held[4:])) == 1 and held[0] != held[4]
+    assert [trial.block for trial in trials] == [0] * 4 + [1] * 4
+    assert summary_of(plan)["factors_that_start_the_rig"] == ["afm_node.cantilever.stiffness_n_per_m"]
+
+
+def test_tasks_and_practice_have_blocks_of_their_own(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, tasks=["tiny", "other"], practice={"trials": 2}, sessions=2)
+    trials = plan.trials("P02")
+    assert len(trials) == 2 * (2 * 6 + 2 * 2)
+    for session in (1, 2):
+        mine = [trial for trial in trials if trial.session == session]
+        blocks = {trial.block: (trial.phase, trial.task) for trial in mine}
+        assert sorted(blocks) == [0, 1, 2, 3]
+        assert [blocks[block][0] for block in sorted(blocks)] == ["practice", "main"] * 2
+        assert blocks[0][1] == blocks[1][1] != blocks[2][1] == blocks[3][1]
+
+
+def test_a_latin_square_is_balanced_over_the_participants_that_check_names(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, order="latin_square", participants=6, repetitions=1)
+    assert plan.complete_after == 6
+    assert plan.balance().over_places and plan.balance().over_carry
+    assert not summary_of(plan)["doubts"]
+    few = plan_of(tmp_path, order="latin_square", participants=4)
+    assert not few.balance().over_carry
+    assert summary_of(few)["doubts"] == ["the order is balanced over a multiple of 6 participants, and there are 4"]
+
+
+def test_practice_of_an_adaptive_factor_and_its_longest_run(tmp_path: Path) -> None:
+    method = {"method": "staircase", "start": 2.0, "steps": [0.5], "low": 0.0, "high": 4.0, "trials": 30}
+    plan = plan_of(tmp_path, factors={"law": ["wave", "passivity"], "task.level": {"adaptive": method}})
+    assert plan.adaptive == "task.level"
+    assert len(plan.trials("P01")) == 60
+    chosen = plan.with_level(plan.trials("P01")[0], 1.25)
+    assert chosen.condition["task.level"] == 1.25
+    assert chosen.task_parameters["level"] == 1.25
+
+
+def test_an_attempt_has_a_seed_of_its_own() -> None:
+    assert attempt_seed(7, 0) == 7
+    assert len({attempt_seed(7, attempt) for attempt in range(5)}) == 5
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"factor": {}}, "experiment.yaml: factor: unknown key"),
+    ({"factors": {"law": ["waves"]}}, r"experiment.yaml \(law = waves\): controller.law"),
+    (
+        {"factors": {"controller.wave.mas_kg": [1.0]}},
+        r"\(controller.wave.mas_kg = 1.0\): controller.wave.mas_kg: unknown",
+    ),
+    ({"factors": {"network": ["marsnet"]}}, "delay_node.profile: unknown profile 'marsnet'"),
+    ({"factors": {"law": []}}, "factors.law: levels: at least one is needed"),
+    ({"factors": {"law": ["wave", "wave"]}}, "factors.law: levels: each may be there once"),
+    ({"factors": {"law": 3}}, "factors.law: Input should be"),
+    ({"factors": {"law": {"levels": "wave"}}}, "factors.law.levels: levels have to be a list of values"),
+    ({"factors": {"delay_ms": [1], "round_trip_ms": [2]}}, "round_trip_ms and delay_ms are the same delay"),
+    (
+        {"factors": {"round_trip_ms": ["0ms", "60ms"]}},
+        "factors.round_trip_ms: '0ms' is no number; write it without a unit",
+    ),
+    ({"factors": {"delay_ms": [10, "a"]}}, "factors.delay_ms: 'a' is no number"),
+    ({"factors": {"round_trip_ms": [True]}}, "factors.round_trip_ms: True is no number"),
+    ({"tasks": ["tinny"]}, "experiment.yaml: tasks.0.name: tinny: is no task; .*tiny"),
+    (
+        {"tasks": [{"name": "tiny", "parameters": {"length_s": -1.0}}]},
+        "tasks.0.parameters.length_s: Input should be greater",
+    ),
+    ({"factors": {"task.lenght_s": [1.0]}}, r"tasks.0.parameters.lenght_s: unknown key.*\(task.lenght_s = 1.0\)"),
+    ({"participants": ["Anna"]}, "'Anna' is no pseudonym: it has to be P and a number"),
+    ({"participants": ["P01", "P01"]}, "participants: each may be there once"),
+    ({"pseudonym": "Miller"}, "pseudonym: String should match pattern"),
+    ({"blocks": {"factors": ["lawn"]}}, "blocks.factors: lawn is no factor; .*law"),
+    ({"order": "counterbalanced"}, "order: counterbalanced: 6 conditions have 720 orders; take latin_square"),
+    ({"scenario": "fig99"}, "unknown scenario 'fig99'"),
+    ({"ask": [{"instrument": "tlx"}]}, "ask: tlx is no instrument; .*nasa_tlx"),
+    ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
+    ({"factors": {"task.level": {"adaptive": {"method": "guess"}}}}, "factors.task.level.adaptive"),
+]
+
+
+@pytest.mark.parametrize(("changes", "complaint"), WRONG)
+def test_a_wrong_file_is_refused_with_file_and_key(tmp_path: Path, changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        plan_of(tmp_path, **changes)
+
+
+def test_why_a_task_of_a_package_cannot_be_used_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = "press of the package lab-tasks 0.1 cannot be used: a task has judge as well"
+    monkeypatch.setitem(INSTALLED.problems, "press", problem)
+    with pytest.raises(ConfigError, match=f"experiment.yaml: tasks.0.name: {problem}"):
+        plan_of(tmp_path, tasks=["press"])
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_experiments_that_come_with_the_project_are_sound(path: Path) -> None:
+    plan = load_plan(path)
+    assert plan.experiment.name == path.stem
+    assert summary_of(plan)["trials"] > 0
+
+
+def test_a_person_at_the_page_is_the_hand_of_a_simulated_device(tmp_path: Path) -> None:
+    person = plan_of(tmp_path, operator={"kind": "person"})
+    assert person.document({}, "")["haptic_node"]["operator"] == {"kind": "interactive"}
+    assert "operator" not in person.document({"haptic_node.driver": "haply"}, "")["haptic_node"] or (
+        person.document({"haptic_node.driver": "haply"}, "")["haptic_node"]["operator"]["kind"] != "interactive"
+    )
+    simulated = plan_of(tmp_path)
+    assert simulated.document({}, "")["haptic_node"]["operator"]["kind"] == "force_profile"
+
+
+def test_the_delay_of_the_picture_is_no_key_of_the_scenario(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, factors={"picture.delay_s": [0.0, 0.2], "round_trip_ms": [0, 40]})
+    trial = next(t for t in plan.trials("P01") if t.condition["picture.delay_s"] == 0.2)
+    assert trial.settings["picture.delay_s"] == 0.2
+    assert "picture" not in plan.document(trial.settings, "")
+    assert plan.restarting == ()

@@ -1,0 +1,249 @@
+"""The command line of the studies: what it reads, what it refuses and with which message."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from telenano_lab.studies import option_values
+from telenano_lab.studies.loops import advice
+from telenano_lab.studies.loops.advice import Candidate, Question, cells_of
+from telenano_lab.studies.loops.cells import CellResult
+from telenano_lab.studies.loops.sweep import Sweep
+from telenano_lab.studies.option_values import Jitter
+from telenano_lab.studies.study_command import app
+from typer.testing import CliRunner
+
+from telenano.testing import invoke
+from telenano.wire import ConfigError
+
+RUN = CliRunner()
+STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
+
+
+def test_numbers_are_lists_and_ranges() -> None:
+    assert option_values.numbers("--delay", "0:20:5", 0.0, 100.0, "ms") == (0.0, 5.0, 10.0, 15.0, 20.0)
+    assert option_values.numbers("--delay", "40,0:0.3:0.1,7", 0.0, 100.0, "ms") == (0.0, 0.1, 0.2, 0.3, 7.0, 40.0)
+    assert option_values.numbers("--delay", "3:3:1", 0.0, 100.0, "ms") == (3.0,)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("-1", "-1 ms is outside 0 to 100 ms"),
+        ("101", "outside"),
+        ("x", "'x' is not a number"),
+        ("", "is not a number"),
+        ("1:2", "start:stop:step"),
+        ("1:2:0", "step > 0"),
+        ("1:2:-1", "step > 0"),
+        ("5:1:1", "not below its start"),
+        ("nan", "not finite"),
+        ("0:inf:1", "not finite"),
+        ("0:100:0.001", "more than 10000"),
+    ],
+)
+def test_bad_numbers_name_option_and_remedy(text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        option_values.numbers("--delay", text, 0.0, 100.0, "ms")
+    assert str(caught.value).startswith("--delay")
+
+
+def test_frequencies_have_whole_periods() -> None:
+    assert option_values.frequencies("5,0.5") == (0.5, 5.0)
+    with pytest.raises(ConfigError, match=r"--frequency 3: a period of 333\.333 ms"):
+        option_values.frequencies("3")
+
+
+def test_laws_jitter_and_loss() -> None:
+    assert option_values.laws("all") == option_values.COMPARED_LAWS
+    assert option_values.laws("wave, smith,wave") == ("wave", "smith")
+    assert option_values.jitters("0,5,50%") == (Jitter(0.0), Jitter(5.0), Jitter(0.5, relative=True))
+    assert option_values.losses("20%,0") == (0.0, 0.2)
+    assert option_values.settings(["wave.filter_s=0.0", "deadband.enabled=true"]) == (
+        ("deadband.enabled", True), ("wave.filter_s", 0.0),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--law", "nonsense"], "unknown law 'nonsense', known are all, virtual_impedance"),
+        (["--delay", "-5"], "--delay -5"),
+        (["--loss", "1.5"], "--loss 1.5"),
+        (["--loss", "-0.1"], "--loss -0.1"),
+        (["--jitter", "-1"], "--jitter -1"),
+        (["--jitter", "120%"], "--jitter 120%"),
+        (["--stiffness", "0"], "--stiffness 0"),
+        (["--gain", "x"], "--gain"),
+        (["--duration", "-1"], "--duration"),
+        (["--duration", "1", "--delay", "200"], "leaves no hold"),
+        (["--set", "virtual_impedance.mass_kg"], "not of the form"),
+        (["--set", "virtual_impedance.mass_kg=-1"], "mass_kg"),
+        (["--set", "virtual_impedance.unknown=1"], "unknown"),
+        (["--mass", "0.1"], "--mass: spring has none; give --environment body"),
+        (["--environment", "body", "--mass", "1e-7"], "it must be at least"),
+    ],
+)
+def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[str], words: str) -> None:
+    result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "out"), "--json", *options])
+    assert result.exit_code == 2
+    assert words in json.loads(result.stdout)["error"]
+    assert words in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("plain_loop")
+def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
+    options = [
+        "stability",
+        "--law",
+        "wave",
+        "--environment",
+        "spring",
+        "--delay",
+        "0",
+        "--duration",
+        "2",
+        "--workers",
+        "1",
+    ]
+    result = RUN.invoke(app, [*options, "--stiffness", "20,500", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0
+    assert result.stderr.count("telenano: warning: law wave: 500 N/m is stiffer than the 444.4 N/m") == 1
+    assert "20 N/m is stiffer" not in result.stderr
+
+
+def test_a_cluster_without_dask_names_what_adds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dask.distributed", None)
+    options = ["--delay", "0", "--stiffness", "38", "--scheduler", "tcp://h:1", "--out", str(tmp_path / "out")]
+    result = invoke(["study", *STABILITY, *options])
+    assert result.exit_code == 2
+    assert "dask is not installed: pip install" in result.stderr
+
+
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "file" / "out")])
+    assert result.exit_code == 1
+    assert "cannot be made" in result.stderr
+
+
+def test_stability_prints_one_object(tmp_path: Path) -> None:
+    options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path), "--json"]
+    result = RUN.invoke(app, [*STABILITY, *options])
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["critical_delay_ms"]["38"] == pytest.approx(22.44, rel=2e-3, abs=0.0)
+    assert summary == json.loads((tmp_path / "stability.json").read_text())
+    assert {p.name for p in tmp_path.iterdir()} >= {"stability.html", "stability.png", "stability.parquet"}
+
+
+def test_loop_that_no_delay_upsets_ends_in_a_page(tmp_path: Path) -> None:
+    options = ["--delay", "0,20", "--stiffness", "5", "--hand", "stiff", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options, "--json"])
+    assert result.exit_code == 0, result.output
+    (line,) = json.loads(result.stdout)["lines"]
+    assert (line["hand"], line["theory_unlimited"], line["theory_delay_ms"]) == ("stiff", True, None)
+    assert "any" in (tmp_path / "stability.html").read_text()
+
+
+def test_stability_prints_a_table(tmp_path: Path) -> None:
+    options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options])
+    assert result.exit_code == 0, result.output
+    assert "22.45" in result.stdout or "22.44" in result.stdout
+    assert "stability.html" in result.stdout
+
+
+def test_a_table_tells_a_sweep_that_was_too_short_from_a_law_without_theory(tmp_path: Path) -> None:
+    options = ["--delay", "0,20", "--stiffness", "10", "--duration", "2", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, ["stability", "--law", "wave", "--environment", "spring", *options])
+    assert result.exit_code == 0, result.output
+    (row,) = (line for line in result.stdout.splitlines() if "wave" in line)
+    assert [cell.strip() for cell in row.split("│")[1:-1]] == ["wave", "K = 10 N/m", "no theory", "> 20", "> 20"]
+
+
+def test_transparency_prints_one_object(tmp_path: Path) -> None:
+    options = ["--law", "virtual_impedance", "--delay", "0,100", "--out", str(tmp_path), "--json"]
+    result = RUN.invoke(app, ["transparency", *options, "--frequency", "2,5"])
+    assert result.exit_code == 0, result.output
+    first, second = json.loads(result.stdout)["rows"]
+    assert first["verdict"] == "stable"
+    assert second["rendered_stiffness_n_per_m"] is None
+    # the delay takes stiffness from what can be rendered passively: B_v = 2000 N s/m over K_f + 1 and the delay
+    assert first["passive_n_per_m"] > 5.0 * second["passive_n_per_m"] > 0.0
+    assert "http" not in (tmp_path / "transparency.html").read_text()
+    assert {p.name for p in tmp_path.iterdir()} >= {"impedances.png", "hybrid-0ms.png", "spectra.parquet"}
+
+
+def test_help_is_there_at_once() -> None:
+    code = "import sys; import telenano_lab.studies.study_command; "
+    code += "bad = {'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
+    code += "print(sorted(bad & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    for command in ("stability", "transparency", "advise", "validate"):
+        assert RUN.invoke(app, [command, "--help"]).exit_code == 0
+
+
+def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def told(question: Question, sweep: Sweep) -> list[Candidate]:
+        asked.append(question)
+        found = []
+        for law, verdict in (("model_mediated", "stable"), ("smith", "diverged")):
+            cells = cells_of(question, law, clamp=False)
+            results = [
+                CellResult(
+                    cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, "it grows", 1.1, 0.97 + 0.01 * cell.seed, 1.0, 0.0
+                )
+                for cell in cells
+            ]
+            found.append(Candidate(law, False, cells[0].settings, tuple(results)))
+        return found
+
+    asked: list[Question] = []
+    monkeypatch.setattr(advice, "advise", told)
+    network = ["advise", "--delay", "120", "--loss", "3%", "--sample", "stiff", "--out", str(tmp_path)]
+    network += ["--table", "csv,parquet,mat"]
+    result = RUN.invoke(app, network)
+    assert result.exit_code == 0, result.output
+    assert asked == [Question(round_trip_ms=120.0, loss=0.03, sample="stiff")]
+    assert asked[0].tip_n_per_m == 80.0
+    assert result.stdout.startswith(
+        "120 ms, 3 % loss, wall of 80 N/m, instrument real: take model_mediated with the clamp off; all of its 12 "
+    )
+    assert "Not suited: smith with the clamp off (it grows)." in result.stdout
+    assert "set: --set controller.law=model_mediated --set controller.clamp.enabled=false\n" in result.stdout
+    summary = json.loads((tmp_path / "advise.json").read_text())
+    assert summary["take"] == "model_mediated"
+    assert summary["candidates"][1]["price"] is None
+    assert "take model_mediated" in (tmp_path / "advise.html").read_text()
+    # three seeds: 0.97, 0.98 and 0.99 of the force; 4.303 is Student's t of 95 % for them
+    force = summary["candidates"][0]["over_seeds"]["force_share"]
+    assert (force["n"], force["mean"], force["deviation"]) == pytest.approx((3, 0.98, 0.01), rel=1e-9)
+    assert (force["high"] - force["low"]) / 2.0 == pytest.approx(4.3027 * 0.01 / 3.0**0.5, rel=1e-4)
+    assert summary["candidates"][1]["over_seeds"]["stable_share"]["mean"] == 0.0
+    assert "0.98 ± 0.01 [0.955, 1]" in result.stdout
+    assert "0.98 ± 0.01 [0.955, 1]" in (tmp_path / "advise.html").read_text()
+    rows = list(csv.DictReader((tmp_path / "advise.csv").read_text().splitlines()))
+    assert float(rows[0]["over_seeds.force_share.mean"]) == pytest.approx(0.98, rel=1e-9)
+    assert {path.suffix for path in tmp_path.glob("advise.*")} == {".html", ".json", ".csv", ".parquet", ".mat"}
+    refused = RUN.invoke(app, [*network, "--table", "xlsx"])
+    assert str(refused.exception) == "--table xlsx: name one or more of csv, parquet, mat"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--delay", "120", "--stiffness", "-3"], "--stiffness = -3 must be above 0 to 100000"),
+        (["--delay", "1e9"], "--delay = 1e+09 must be 0 to 10000"),
+        (["--delay", "5", "--loss", "3"], "a share of the messages"),
+    ],
+)
+def test_advise_refuses_what_is_no_network(tmp_path: Path, options: list[str], words: str) -> None:
+    result = RUN.invoke(app, ["advise", *options, "--out", str(tmp_path)])
+    assert result.exit_code != 0
+    assert words in result.output

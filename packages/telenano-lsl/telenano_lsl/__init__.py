@@ -1,1 +1,0 @@
-"""The bridge of telenano to the Lab Streaming Layer."""

@@ -1,1 +1,0 @@
-"""Recordings and images of telenano as NeXus files."""

@@ -1,1 +1,0 @@
-"""Recordings of telenano as MCAP with protobuf."""

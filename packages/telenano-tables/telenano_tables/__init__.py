@@ -1,1 +1,0 @@
-"""Recordings as tables: Parquet, CSV and HDF5, in bounded memory."""
