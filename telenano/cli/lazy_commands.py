@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from telenano.cli.path_options import check_paths
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.settings import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES, without_extra
+from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, TelenanoError, probably_meant
 from telenano.wire.nodes import module_of
@@ -138,8 +138,7 @@ def function_of_package(words: str) -> Any:
     row = package_commands().get(tuple(words.split()))
     if row is None:
         package = KNOWN_PACKAGES[f"command {words}"]
-        text = f"the command {words!r} is in the package {without_extra(package)}: {how_to_add_package(package)}"
-        raise ConfigError(text)
+        raise ConfigError(f"the command {words!r} is in the package {package}: {how_to_add_package(package)}")
     return getattr(importlib.import_module(row.module), row.attribute)
 
 
@@ -291,7 +290,7 @@ class OpenGroup(TyperGroup):
             from telenano.wire.extras import how_to_add_package
 
             package, last = KNOWN_PACKAGES[f"command {words[0]}"], words[0].removeprefix(" ".join([*self.path, ""]))
-            ctx.fail(f"the command {last!r} is in the package {without_extra(package)}: {how_to_add_package(package)}")
+            ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
 

@@ -11,9 +11,9 @@ from telenano.files.held_files import standing
 from telenano.files.limited_child import Answer, Limits, read_in_child
 from telenano.files.regular_files import open_regular
 from telenano.settings import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES
 from telenano.wire.errors import ConfigError
-from telenano.wire.extras import how_to_add_package
+from telenano.wire.extras import how_to_add_package, missing
 
 _OTHER = "other"
 
@@ -71,8 +71,9 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
             try:
                 return read_in_child(function, path, *arguments, limits=reader.limits(path.stat().st_size))
             except ImportError as error:
-                text = f"{path}: needs {error.name} to be read: install {package} with its dependencies"
-                raise ConfigError(text) from error
+                own = package in OWN_PACKAGES
+                how = missing(error.name or "") if own else f"install {package} with its dependencies"
+                raise ConfigError(f"{path}: needs {error.name} to be read: {how}") from error
             except ValueError as error:
                 raise ValueError(f"{error} (as the package {package} reads it)") from error
     package = KNOWN_PACKAGES["reader other"]

@@ -1,5 +1,7 @@
 """The packages that this project keeps beside its core: the one table that suggests them where they are missing."""
 
+from telenano.wire.extras import OWN_PACKAGES as OWN_PACKAGES
+
 # A command, a format of `bag export`, a reader, or a name in a scenario or an experiment, and its distribution with the
 # extra that it needs.
 KNOWN_PACKAGES = {
@@ -86,19 +88,12 @@ KNOWN_PACKAGES = {
     "topic experiment/trial": "telenano-lab",
     "transport datagram": "telenano-wide-area",
 }
-# The distributions by their names.
-OWN_PACKAGES = frozenset(package.partition("[")[0] for package in KNOWN_PACKAGES.values())
 # Drivers of these packages that are simulated, for recordings where the package is not installed.
 SIMULATED_DRIVERS = ("simulated_impedance",)
 # what `link.transport: auto` of a site file takes where it is installed
 KNOWN_TRANSPORT = "datagram"
 # the laws of this table that close no loop through the instrument, of which a slow one needs one
 KNOWN_MODEL_LAWS = ("model_mediated", "bounded_model")
-
-
-def without_extra(package: str) -> str:
-    """Return the name of a distribution of `KNOWN_PACKAGES`."""
-    return package.partition("[")[0]
 
 
 def known_of(kind: str) -> dict[str, str]:
@@ -117,4 +112,4 @@ def where_it_is(words: str) -> str:
     from telenano.wire.extras import how_to_add_package
 
     package = KNOWN_PACKAGES.get(words, "")
-    return f"the {words} is in the package {without_extra(package)}: {how_to_add_package(package)}" if package else ""
+    return f"the {words} is in the package {package}: {how_to_add_package(package)}" if package else ""

@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 
 DISTRIBUTION = "telenano"
+# the distributions of the project beside it
+OWN_PACKAGES = ("telenano-bridges", "telenano-devices", "telenano-lab", "telenano-laws", "telenano-wide-area")
 # These distributions have another name than their module.
 _DISTRIBUTIONS = {"serial": "pyserial", "yaml": "pyyaml", "zmq": "pyzmq"}
 _EXTRA = re.compile(r"extra == ['\"]([^'\"]+)['\"]")
@@ -37,6 +39,11 @@ def how_to_add_package(package: str) -> str:
 
 def extra_of(module: str) -> str:
     """Return the smallest extra that a module comes with, `rig`, which has all that a rig uses, where none names it."""
+    return _extra_in(DISTRIBUTION, module) or "rig"
+
+
+def _extra_in(distribution: str, module: str) -> str:
+    """Return the smallest extra of a distribution that a module comes with; empty where none names it."""
     from packaging.requirements import Requirement
     from packaging.utils import canonicalize_name
 
@@ -44,7 +51,7 @@ def extra_of(module: str) -> str:
     wanted = canonicalize_name(_DISTRIBUTIONS.get(top, top))
     sizes: dict[str, int] = {}
     having: list[str] = []
-    for requirement in map(Requirement, _required()):
+    for requirement in map(Requirement, _required(distribution)):
         extra = extra_in(requirement.marker)
         if not extra:
             continue
@@ -52,7 +59,7 @@ def extra_of(module: str) -> str:
         if canonicalize_name(requirement.name) == wanted:
             having.append(extra)
     # Of two that bring the same the shorter name is the plainer one.
-    return min(having, key=lambda extra: (sizes[extra], len(extra), extra), default="rig")
+    return min(having, key=lambda extra: (sizes[extra], len(extra), extra), default="")
 
 
 def extra_in(marker: object) -> str:
@@ -64,14 +71,18 @@ def extra_in(marker: object) -> str:
 def missing(module: str) -> str:
     """Return that a package is missing and what adds it: `scipy is not installed: pip install 'telenano[studies]'`."""
     top = module.partition(".")[0]
+    if not _extra_in(DISTRIBUTION, top):
+        for package in OWN_PACKAGES:
+            if extra := _extra_in(package, top):
+                return f"{top} is not installed: {how_to_add_package(f'{package}[{extra}]')}"
     return f"{top} is not installed: {how_to_install(extra_of(top))}"
 
 
-def _required() -> list[str]:
+def _required(distribution: str) -> list[str]:
     from importlib import metadata
 
     try:
-        return metadata.requires(DISTRIBUTION) or []
+        return metadata.requires(distribution) or []
     except metadata.PackageNotFoundError:
         return []
 

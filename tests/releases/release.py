@@ -21,6 +21,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 REHEARSAL = Path(__file__).with_name("rehearsal.py")
+# What the inventory is made of: all but Gwyddion's converter, which is a program of its own.
+EXTRAS = {
+    "telenano": "rig",
+    "telenano_bridges": "foxglove,lsl,nexus,protobuf,ros2,tables",
+    "telenano_devices": "emulators",
+    "telenano_lab": "experiments,files,learning",
+}
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 # Words of the licences that ask something of who passes the package on, beside naming it.
 COPYLEFT = ("GPL", "MPL", "EPL", "CDDL", "GNU")
@@ -128,10 +135,10 @@ def check_source(source: Path) -> None:
 
 
 def installed(out: Path) -> Path:
-    """Install all wheels of a folder and the extra `rig` into an environment; return the interpreter there."""
+    """Install all wheels of a folder with the extras of EXTRAS into an environment; return the interpreter there."""
     run([sys.executable, "-P", "-m", "venv", str(out / "rig")])
     interpreter = (out / "rig" / "bin" / "python").absolute()
-    wheels = [f"{wheel}[rig]" if wheel.name.startswith("telenano-") else str(wheel) for wheel in out.glob("*.whl")]
+    wheels = [f"{wheel}[{EXTRAS.get(wheel.name.partition('-')[0], '')}]" for wheel in out.glob("*.whl")]
     run([str(interpreter), "-P", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *sorted(wheels)])
     return interpreter
 

@@ -27,7 +27,7 @@ def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 COMMANDS = command_page.commands()
 # the commands of the project's packages that stand in no group
-OF_PACKAGES = [words for words in known_of("command") if " " not in words]
+OF_PACKAGES = [words for words in known_of("command") if " " not in words] + ["conformance"]
 
 
 def test_results_go_below_out_where_no_folder_is_given() -> None:

@@ -12,9 +12,9 @@ from telenano.wire import ConfigError
 
 def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lacking(*arguments: Any, **options: Any) -> Any:
-        raise ImportError(name="gwyfile")
+        raise ImportError(name="afmformats")
 
     monkeypatch.setattr(file_readers, "read_in_child", lacking)
     (tmp_path / "map.spm").write_bytes(b"\\*File list")
-    with pytest.raises(ConfigError, match=r"needs gwyfile to be read: install telenano-lab with its"):
+    with pytest.raises(ConfigError, match=r"needs afmformats to be read: afmformats is not installed: .*"):
         read_surface(tmp_path / "map.spm")

@@ -317,7 +317,7 @@ def test_what_a_law_states_as_granted_may_come_out_and_no_more() -> None:
 def test_the_bench_is_at_the_door_for_packages() -> None:
     from telenano import testing
 
-    assert testing.law_balance is balance and testing.drawn is drawn
+    assert testing.balance is balance and testing.drawn is drawn
     with pytest.raises(AttributeError, match="has no balancing"):
         testing.balancing  # noqa: B018
 
