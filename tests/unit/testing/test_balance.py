@@ -318,7 +318,7 @@ def test_the_bench_is_at_the_door_for_packages() -> None:
     from telenano import testing
 
     assert testing.balance is balance and testing.drawn is drawn
-    with pytest.raises(AttributeError, match="has no balancing"):
+    with pytest.raises(AttributeError, match="no attribute 'balancing'"):
         testing.balancing  # noqa: B018
 
 
