@@ -323,14 +323,19 @@ def _parts(target: str) -> tuple[str, ...]:
     roots = _roots(top)
     if not inner or not any((root / inner[0]).is_dir() for root in roots):
         return (top,)
-    found, waiting = set[str](), {inner[0]}
+    # What the package runs whenever something of it is imported counts for each.
+    found, waiting = set[str](), {inner[0], "__init__"}
     named = re.compile(rf"\b{re.escape(top)}\.(\w+)")
-    while waiting:
+    imported = re.compile(rf"^\s*from {re.escape(top)} import \(?([\w, \n]+)", re.MULTILINE)
+    while waiting := {name for name in waiting - found if any(_place(root, name) for root in roots)}:
         found |= waiting
         texts = (path.read_text("utf-8", "replace") for part in waiting for name, path in _files(f"{top}.{part}")
                  if name.endswith(".py"))  # fmt: skip
-        mentioned = {name for text in texts for name in named.findall(text)}
-        waiting = {name for name in mentioned - found if any(_place(root, name) for root in roots)}
+        waiting = {
+            name
+            for text in texts
+            for name in (*named.findall(text), *re.findall(r"\w+", " ".join(imported.findall(text))))
+        }
     return tuple(f"{top}.{part}" for part in sorted(found))
 
 

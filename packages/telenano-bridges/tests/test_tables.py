@@ -171,7 +171,7 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
     # The writer holds the metadata of every row group in memory until the file is closed.
     assert once.metadata.num_row_groups == 1
     monkeypatch.setattr("telenano_bridges.tables._MOST_ROWS", 10)
-    monkeypatch.setattr("telenano_bridges.tables._MOST_ROWS", 100)
+    monkeypatch.setattr("telenano_bridges.tables._GROUP_ROWS", 100)
     monkeypatch.setattr("telenano_bridges.tables._MOST_PARTS", 4 * once.metadata.num_columns)
     export_recording(path, tmp_path / "parts", "parquet")
     names = [f"haptic_state{part}.parquet" for part in ("", ".2", ".3")]
@@ -188,7 +188,7 @@ def test_the_memory_of_an_export_does_not_grow_with_the_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.setattr("telenano_bridges.tables._MOST_ROWS", 50)
-    monkeypatch.setattr("telenano_bridges.tables._MOST_ROWS", 150)
+    monkeypatch.setattr("telenano_bridges.tables._GROUP_ROWS", 150)
     peaks = []
     for number, messages in enumerate((250, 250, 1250)):
         path = hand_recording(tmp_path / f"from{number}", messages)

@@ -14,23 +14,23 @@ COMMANDS = {
         "Run an emulated Inverse Service with an Inverse3, a VerseGrip and a hand on it.",
     ),
     "device simulate gwyscope": (
-        "telenano_devices.controllers.controller_commands:simulate_gwyscope",
+        "telenano_devices.gwyscope.gwyscope_commands:simulate_gwyscope",
         "Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0.",
     ),
     "device simulate nanonis": (
-        "telenano_devices.controllers.controller_commands:simulate_nanonis",
+        "telenano_devices.nanonis.nanonis_commands:simulate_nanonis",
         "Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it.",
     ),
     "device guard gwyscope": (
-        "telenano_devices.controllers.controller_commands:guard_gwyscope",
+        "telenano_devices.gwyscope.gwyscope_commands:guard_gwyscope",
         "Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted.",
     ),
     "device guard nanonis": (
-        "telenano_devices.controllers.controller_commands:guard_nanonis",
+        "telenano_devices.nanonis.nanonis_commands:guard_nanonis",
         "Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn.",
     ),
     "device approach": (
-        "telenano_devices.controllers.controller_commands:approach_nanonis",
+        "telenano_devices.nanonis.nanonis_commands:approach_nanonis",
         "Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input.",
     ),
     "device accept": (

@@ -107,6 +107,41 @@ def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: 
     assert plugins.modules(plugins.in_lockstep()) == ("pack_d.",)
 
 
+def test_an_edit_of_one_device_changes_no_other_one_and_that_of_a_shared_part_all_that_use_it(
+    entries: list[Any], tmp_path: Path
+) -> None:
+    files = {
+        "__init__.py": "",
+        "one/driver.py": "from pack_f.shared.wire import WIRE\n",
+        "two/driver.py": 'WIRE = "pack_f.helper:WIRE"\n',
+        "three/driver.py": "",
+        "three/data.csv": "1",
+        "shared/wire.py": "from pack_f import helper\nWIRE = 1\n",
+        "helper.py": "WIRE = 1\n",
+    }
+    for name, text in files.items():
+        (tmp_path / "pack_f" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "pack_f" / name).write_text(text)
+    entries += [entry("devices", name, f"pack_f.{name}.driver:DRIVER") for name in ("one", "two", "three")]
+
+    def changed_by(name: str) -> set[str]:
+        def digests() -> dict[str, str]:
+            plugins._digest.cache_clear()
+            plugins._parts.cache_clear()
+            return {name: row.digest for name, row in plugins.installed("devices").items()}
+
+        before = digests()
+        with (tmp_path / "pack_f" / name).open("a") as file:
+            file.write("# edited\n")
+        return {name for name, digest in digests().items() if digest != before[name]}
+
+    assert changed_by("one/driver.py") == {"one"}
+    assert changed_by("three/data.csv") == {"three"}
+    assert changed_by("shared/wire.py") == {"one"}
+    assert changed_by("helper.py") == {"one", "two"}
+    assert changed_by("__init__.py") == {"one", "two", "three"}
+
+
 def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_path: Path) -> None:
     (tmp_path / "soft.yaml").write_text("name: soft\n")
     (tmp_path / "pack_e.py").write_text(

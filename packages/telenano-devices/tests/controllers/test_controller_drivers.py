@@ -48,8 +48,8 @@ def test_it_is_imported_when_a_section_names_it() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
     before, simulated, after = json.loads(done.stdout)
     assert (before, simulated) == ([], False)
-    parts = ("", ".calibration", ".drivers", ".piezo_calibration")
-    assert after == [f"telenano_devices{part}" for part in parts]
+    parts = ("controllers", "controllers.piezo_calibration", "gwyscope", "gwyscope.gwyscope_calibration")
+    assert after == ["telenano_devices", *(f"telenano_devices.{part}" for part in (*parts, "gwyscope.gwyscope_device"))]
 
 
 @pytest.mark.parametrize("kind", KINDS)

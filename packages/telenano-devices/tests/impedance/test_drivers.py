@@ -1,4 +1,4 @@
-"""The entries of the package: its drivers with their settings, its command and its page."""
+"""The drivers of real devices that take a force: their settings, their page, and what declares them."""
 
 import json
 import subprocess
@@ -6,11 +6,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from telenano_devices.impedance import hand_drivers as drivers
-from telenano_devices.impedance.commands import COMMANDS
+from telenano_devices.force_dimension.dhd_device import DHD
+from telenano_devices.haply.haply_device import HAPLY
 from telenano_devices.impedance.impedance import takes_force
+from telenano_devices.touch.hd_device import HD
 
-DRIVERS = {driver.name: driver for driver in (drivers.HAPLY, drivers.DHD, drivers.HD)}
+DRIVERS = {driver.name: driver for driver in (HAPLY, DHD, HD)}
 PAGE = (Path(__file__).parents[2] / "docs" / "haptic-devices.md").read_text(encoding="utf-8")
 
 
@@ -37,10 +38,3 @@ print(json.dumps(sorted(sys.modules)))
     names = ("haply.haply", "force_dimension.dhd", "touch.hd", "impedance.servo_process", "impedance.impedance_device")
     wires = {f"telenano_devices.{name}" for name in names}
     assert not {"websockets", "ctypes.util", "numba", "services.afm_node", *wires} & modules
-
-
-def test_the_command_is_where_the_list_of_commands_has_it() -> None:
-    ((words, (target, about)),) = COMMANDS.items()
-    assert words == "device simulate haply" and about.endswith(".")
-    module, _, name = target.partition(":")
-    assert callable(getattr(__import__(module, fromlist=[name]), name))
