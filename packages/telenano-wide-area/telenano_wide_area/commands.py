@@ -5,5 +5,5 @@ COMMANDS = {
         "telenano_wide_area.fetch_command:fetch",
         "Fetch what the slave's site recorded of a session, and merge it with DIR.",
     ),
-    "relay": ("telenano_wide_area.relay.command:relay", "Run a relay between two sites that can only dial out."),
+    "relay": ("telenano_wide_area.relay.relay_command:relay", "Run a relay between two sites that can only dial out."),
 }
