@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import gwyfile
 import numpy as np
 import pytest
 from controller_faults import (
@@ -36,6 +35,8 @@ from telenano_devices.nanonis.nanonis_calibration import NanonisCalibration
 from telenano.extend.instruments import DeviceError
 from telenano.testing import afm_config, instrument_of, shorten_waits
 from telenano.wire import ConfigError, RefusedError
+
+gwyfile: Any = pytest.importorskip("gwyfile", reason="the messages are compared with those of gwyfile")
 
 MS = 1_000_000
 
