@@ -29,6 +29,8 @@ from telenano.analysis.verdict_thresholds import (
 )
 
 Series = npt.NDArray[np.float64]
+# from peak to peak over the root mean square [1]: a swing of twice the amplitude of the noise about it
+_SEEN_OVER_LEFT = 4.0
 
 
 class Fate(Enum):
@@ -74,6 +76,11 @@ class Window(NamedTuple):
         """The noise of the read-out [N], of which the step that it rounds to is a part."""
         return max(self.fit.noise_n, self.rounded_n / 1.5 / math.sqrt(12.0))
 
+    def is_noise(self, mode: Mode) -> bool:
+        """Return whether a mode has less than twice the amplitude of the coloured noise that it is in."""
+        is_part = mode.end_n < _SEEN_OVER_LEFT * self.left_n and self.fit.whole and not leaves_noise(self)
+        return is_part and coloured_share(self.fit.left) >= ERROR_SHARE
+
     def cycles(self, mode: Mode) -> float:
         """Return how often a mode turns within the window while it stands out of what the fit leaves."""
         change, seen = mode.growth_per_s * self.length_s, self.seen(mode)
@@ -116,6 +123,7 @@ def classify(mode: Mode, window: Window) -> Fate:
     | the mode                                                                            | is         |
     |---|---|
     | is below what a fit leaves that some line is left of                                | NEGLIGIBLE |
+    | is UNSURE by what follows, and has less than twice the amplitude of coloured noise  | NEGLIGIBLE |
     | surely grows by more than the least change, is seen to, and is or becomes large     | GROWING    |
     | surely grows, is large or may become so, and is not seen to                         | UNSURE     |
     | surely grows and neither is nor becomes large                                       | NEGLIGIBLE |
@@ -129,6 +137,12 @@ def classify(mode: Mode, window: Window) -> Fate:
     """
     if not window.fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * window.left_n:
         return Fate.NEGLIGIBLE
+    fate = _fate(mode, window)
+    return Fate.NEGLIGIBLE if fate is Fate.UNSURE and mode.frequency_hz and window.is_noise(mode) else fate
+
+
+def _fate(mode: Mode, window: Window) -> Fate:
+    """Return what a mode does: see `classify`."""
     change, error, cycles = *_change(mode, window), window.cycles(mode)
     is_swing = cycles >= 0.5
     # The growth of a swing that is seen once has to be as clear on either side.
@@ -270,18 +284,35 @@ def explains(window: Window, hand_force_n: float) -> bool:
 
 
 def coloured_share(left: Series) -> float:
-    """Return up to which share of the hand's force what a fit leaves is noise: less where an octave has most of it."""
+    """Return up to which share of the hand's force what a fit leaves is noise: less where it has a band.
+
+    A band is an octave that has most of it, or surely a greater density than all below it: the density of a hand, of a
+    drift and of a read-out is greatest where it begins.
+    """
     power = np.abs(np.fft.rfft(centred(left))) ** 2
     octaves = [float(np.cumsum(power[2**k : 2 ** (k + 1)])[-1]) for k in range(int(math.log2(len(power))))]
-    return SMALL_SHARE if max(octaves[:-1], default=0.0) > 0.5 * math.fsum(octaves) else ERROR_SHARE
+    if max(octaves[:-1], default=0.0) > 0.5 * math.fsum(octaves):
+        return SMALL_SHARE
+    below = 0.0
+    for k, own in enumerate(octaves):
+        # octave k has 2^k lines, and all below it one less; the logarithm of a mean of n errs by n^-1/2
+        density = own / 2**k / max(below / max(2**k - 1, 1), 1e-300)
+        if k > 1 and density > math.exp(SURE_ERRORS * math.sqrt(2.0**-k + 1.0 / (2**k - 1))):
+            return SMALL_SHARE
+        below += own
+    return ERROR_SHARE
 
 
-def cancels(window: Window) -> bool:
-    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone."""
+def cancels(window: Window, at_the_end: bool = False) -> bool:
+    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone.
+
+    What a motion is at its end is in doubt only by modes that are large there.
+    """
     large = sorted(
         (mode.frequency_hz, SURE_ERRORS * mode.error_per_s * window.length_s)
         for mode in window.fit.modes
-        if max(mode.begin_n, mode.end_n) > window.small_n and mode.frequency_hz * window.length_s > LEAST_TURNS
+        if max(0.0 if at_the_end else mode.begin_n, mode.end_n) > window.small_n
+        and mode.frequency_hz * window.length_s > LEAST_TURNS
     )
     return any(
         above - below < 1.0 / window.length_s and max(*errors) > LEAST_CHANGE

@@ -5,8 +5,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from telenano.analysis.findings import Cause, Finding, Kind
 from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from telenano.analysis.verdict import SMALL_SHARE, Cause, Finding, Kind, _sentence, judge
+from telenano.analysis.verdict import judge
+from telenano.analysis.verdict_sentences import sentence
+from telenano.analysis.verdict_thresholds import SMALL_SHARE
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]
@@ -293,4 +296,4 @@ def test_a_small_growth_beside_a_larger_way_that_is_not_known_is_no_growth() -> 
 
 def test_every_cause_has_a_sentence() -> None:
     for cause in Cause:
-        assert _sentence(Finding("cannot_say", cause), 0.1)
+        assert sentence(Finding("cannot_say", cause), 0.1)
