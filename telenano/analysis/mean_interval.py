@@ -94,15 +94,11 @@ _NEXT_BAND = 1.17
 # The number of middles of bands.
 _BANDS = 26
 # The middles of the waves that are longer than the window [cycles a window], of which it shows a trend or a bend.
-_WAVES = (0.025, 0.04, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.95)
+_WAVES = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.95)
 # The middle of such a wave is one of these multiples of its width.
 _WAVE_QUALITIES = (15.0, 100.0)
 # The white noise beside such a wave, as a part of its variance.
 _WAVE_WHITE_PARTS = (0.003, 0.03, 0.3, 3.0)
-# The variance of a tremor beside such a wave, as a part of its variance.
-_TREMOR_PARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
-# The variance of slow parts that leave the mean open beside a tremor, as a part of its variance.
-_SLOW_PARTS = (0.05, 0.2, 0.6)
 # The middle of a band is one of these multiples of its width.
 _QUALITIES = (4.0, 15.0, 100.0)
 # The white noise beside a band, as a part of its variance.
@@ -228,14 +224,14 @@ def _covariances(count: int) -> Iterator[tuple[bool, float, Series]]:
     waves = [(m, q, w) for m in _WAVES for q in _WAVE_QUALITIES for w in _WAVE_WHITE_PARTS]
     for middle, quality, part in waves:
         yield False, _WAVE / len(waves), _band(middle, quality, count) + part * white
-    trembling = [(m, b, w) for m in _WAVES[::2] for b in middles[4::2] for w in _TREMOR_PARTS]
+    trembling = [(m, b, w) for m in _WAVES[::2] for b in middles[4::2] for w in (0.3, 2.0)]
     for middle, band, part in trembling:
-        covariance = _band(middle, 50.0, count) + part * _band(band, 10.0, count) + 0.1 * part * white
-        yield False, 2.0 * _WAVE / len(trembling), covariance
-    mixed = [(m, s, e, c) for m in middles[2::2] for s in _SLOW_PARTS for e in (1.0, 2.0) for c in (0.1, 1.0)]
-    for middle, part, exponent, corner in mixed:
-        covariance = _band(middle, 10.0, count) + part * _slow(exponent, corner, count) + 0.1 * white
-        yield True, _BAND / len(mixed), covariance
+        covariance = _band(middle, 50.0, count) + part * _band(band, 10.0, count) + 0.05 * white
+        yield False, _WAVE / len(trembling), covariance
+    mixed = [(m, q, e, c) for m in middles[::2] for q in _QUALITIES[:2] for e in (1.0, 2.0) for c in (0.1, 1.0)]
+    for middle, quality, exponent, corner in mixed:
+        covariance = _band(middle, quality, count) + 0.5 * _slow(exponent, corner, count) + 0.05 * white
+        yield True, 0.5 * _BAND / len(mixed), covariance
     mixed = [(m, q, 2.0, c) for m in middles[8::2] for q in _QUALITIES[:2] for c in (8.0, 20.0)]
     for middle, quality, exponent, corner in mixed:
         covariance = _band(middle, quality, count) + 0.7 * _slow(exponent, corner, count) + 0.05 * white

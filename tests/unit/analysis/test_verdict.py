@@ -94,7 +94,7 @@ def test_series_whose_fate_is_known(name: str) -> None:
 
 def test_what_cannot_be_said_comes_with_what_would_decide() -> None:
     slow = judge(SHORT_S, ringing(0.0, 0.2, 0.5, SHORT_S), 1.0)
-    hidden = judge(SHORT_S, ringing(0.0, 5.0, 0.06, SHORT_S) + noise(0.08, 1400, 1), 1.0)
+    hidden = judge(SHORT_S, ringing(0.0, 5.0, 0.06, SHORT_S) + noise(0.08, 1400, 2), 1.0)
     short = judge(TIME_S[:15], TIME_S[:15], 1.0)
     causes = (Cause.ON_ITS_WAY, Cause.CHANGE_UNKNOWN, Cause.FEW_SAMPLES)
     for found, cause in zip((slow, hidden, short), causes, strict=True):
