@@ -79,6 +79,15 @@ def wave(frequency_hz: float, overtones: tuple[float, ...] = (), beside: float =
     return made
 
 
+def scaled(maker: Maker, size: float) -> Maker:
+    """Return a maker of the same records, so many times as large."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        return size * maker(random, count, samples)
+
+    return made
+
+
 def together(*makers: Maker) -> Maker:
     """Return a maker of the sums of records."""
 
@@ -100,4 +109,11 @@ RECORDS: dict[str, Maker] = {
     "breathing, 0.25 Hz": wave(0.25),
     "drift, 0.05 Hz, and tremor": together(wave(0.05, beside=0.0), tremor(beside=0.3)),
     "breathing and tremor": together(wave(0.25, beside=0.0), tremor(beside=0.3)),
+    "hand, 3 Hz": hand(3.0),
+    "tremor and 1/f": together(tremor(beside=0.3), scaled(power_law(1.0), 0.5)),
 }
+# What a hand that holds a force does, of which the interval of its mean should cover in 92 to 98 % of the sessions.
+HANDS = (
+    *("white", "tremor, 9 Hz", "tremor and 1/f", "hand, 3 Hz"),
+    *("pulse, 1.2 Hz", "breathing, 0.25 Hz", "breathing and tremor", "drift, 0.05 Hz, and tremor"),
+)

@@ -60,7 +60,25 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/recording/test_verify_missing.py",
         "tests/unit/recording/test_odd_times.py",
     ),
-    "telenano/analysis/verdict.py": (
+    "telenano/analysis/motion_fit.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/envelope.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/decision.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/read_out.py": (
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
@@ -234,10 +252,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
         " [True => False]": "there are three of each",
     },
-    "telenano/analysis/verdict.py": {
+    "telenano/analysis/motion_fit.py": {
         "Window.cycles: return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
         " [change > seen => change >= seen]": "where both are equal their ratio is 1",
-        "_has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
+    },
+    "telenano/analysis/envelope.py": {
+        "has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
         " which three are never left beside one and its neighbours",
     },
     "telenano/analysis/holds.py": {

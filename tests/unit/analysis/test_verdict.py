@@ -5,8 +5,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from telenano.analysis.findings import Cause, Finding, Kind
 from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from telenano.analysis.verdict import SMALL_SHARE, Cause, Finding, Kind, _sentence, judge
+from telenano.analysis.verdict import judge
+from telenano.analysis.verdict_sentences import sentence
+from telenano.analysis.verdict_thresholds import SMALL_SHARE
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]
@@ -91,7 +94,7 @@ def test_series_whose_fate_is_known(name: str) -> None:
 
 def test_what_cannot_be_said_comes_with_what_would_decide() -> None:
     slow = judge(SHORT_S, ringing(0.0, 0.2, 0.5, SHORT_S), 1.0)
-    hidden = judge(SHORT_S, ringing(0.0, 5.0, 0.06, SHORT_S) + noise(0.08, 1400, 1), 1.0)
+    hidden = judge(SHORT_S, ringing(0.0, 5.0, 0.06, SHORT_S) + noise(0.08, 1400, 2), 1.0)
     short = judge(TIME_S[:15], TIME_S[:15], 1.0)
     causes = (Cause.ON_ITS_WAY, Cause.CHANGE_UNKNOWN, Cause.FEW_SAMPLES)
     for found, cause in zip((slow, hidden, short), causes, strict=True):
@@ -293,4 +296,4 @@ def test_a_small_growth_beside_a_larger_way_that_is_not_known_is_no_growth() -> 
 
 def test_every_cause_has_a_sentence() -> None:
     for cause in Cause:
-        assert _sentence(Finding("cannot_say", cause), 0.1)
+        assert sentence(Finding("cannot_say", cause), 0.1)

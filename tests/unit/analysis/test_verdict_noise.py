@@ -8,8 +8,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from telenano.analysis.envelope import falls_as_noise
 from telenano.analysis.holds import judge_holds
-from telenano.analysis.verdict import Verdict, _falls_as_noise, judge
+from telenano.analysis.verdict import Verdict, judge
 
 DT, HOLD_S, FORCE_N = 1e-3, 6.0, 1.0
 SEEDS = range(40)
@@ -74,14 +75,14 @@ def test_a_cycle_over_the_smallest_noise_is_no_noise() -> None:
     generator = np.random.Generator(np.random.PCG64(3))
     time_s = DT * np.arange(6000)
     noise = pink(generator, 6000)
-    assert _falls_as_noise(noise, 0.0)
-    assert _falls_as_noise(noise + 0.05 * generator.normal(size=6000), 0.05)
-    assert not _falls_as_noise(noise + 1.5 * np.sin(2.0 * np.pi * 7.0 * time_s), 0.0)
+    assert falls_as_noise(noise, 0.0)
+    assert falls_as_noise(noise + 0.05 * generator.normal(size=6000), 0.05)
+    assert not falls_as_noise(noise + 1.5 * np.sin(2.0 * np.pi * 7.0 * time_s), 0.0)
     # its phase wanders by a turn within a second
     irregular = np.sin(2.0 * np.pi * 7.0 * time_s + np.cumsum(0.1 * generator.normal(size=6000)))
-    assert not _falls_as_noise(irregular + 0.1 * noise, 0.0)
-    assert not _falls_as_noise(generator.normal(size=6000), 1.0)
-    assert not _falls_as_noise(np.exp(-time_s / 0.3), 0.0)
+    assert not falls_as_noise(irregular + 0.1 * noise, 0.0)
+    assert not falls_as_noise(generator.normal(size=6000), 1.0)
+    assert not falls_as_noise(np.exp(-time_s / 0.3), 0.0)
 
 
 def test_a_blow_is_not_what_noise_reaches() -> None:

@@ -6,30 +6,26 @@ import math
 import numpy as np
 import pytest
 
+from telenano.analysis.decision import approaching, beside, shown_beside
+from telenano.analysis.envelope import by_envelope, falls_as_noise, has_line, sizes_of
+from telenano.analysis.findings import Cause, Finding
 from telenano.analysis.modes import Fit, Mode
-from telenano.analysis.verdict import (
-    Cause,
+from telenano.analysis.motion_fit import (
     Fate,
-    Finding,
+    Motion,
     Window,
-    _approaching,
-    _beside,
-    _by_envelope,
-    _decided,
-    _even,
-    _falls_as_noise,
-    _gone,
-    _has_line,
-    _Motion,
-    _rises,
-    _sentence,
-    _shown_beside,
-    _sizes,
-    _undecided,
-    _until,
+    cancels,
     classify,
-    judge,
+    coloured_share,
+    decided_by_modes,
+    rises,
+    time_until,
+    undecided,
 )
+from telenano.analysis.read_out import even, gone_of
+from telenano.analysis.verdict import judge
+from telenano.analysis.verdict_sentences import sentence
+from telenano.analysis.verdict_thresholds import ERROR_SHARE, SMALL_SHARE
 
 PERIOD_S = 1e-3
 SMALL_N = 0.05
@@ -44,12 +40,12 @@ def windows(*sizes_n: float) -> np.ndarray:
     return np.concatenate([0.5 * size * turns / np.abs(turns).max() for size in sizes_n])
 
 
-def motion(values: np.ndarray, small_n: float = SMALL_N) -> _Motion:
-    return _Motion(values, PERIOD_S, 7.0, small_n / 0.05, 0.0, 0.0, None)
+def motion(values: np.ndarray, small_n: float = SMALL_N) -> Motion:
+    return Motion(values, PERIOD_S, 7.0, small_n / 0.05, 0.0, 0.0, None)
 
 
 def by_windows(*sizes_n: float) -> Finding:
-    return _by_envelope(motion(windows(*sizes_n)))
+    return by_envelope(motion(windows(*sizes_n)))
 
 
 def line(**changes: object) -> Mode:
@@ -70,7 +66,7 @@ def window(mode: Mode, left: np.ndarray = NOTHING_LEFT, length_s: float = 1.0, u
 def by_modes(
     mode: Mode, left: np.ndarray = NOTHING_LEFT, length_s: float = 1.0, unrounded_n: float = SMALL_N
 ) -> Finding:
-    return _decided(window(mode, left, length_s, unrounded_n))
+    return decided_by_modes(window(mode, left, length_s, unrounded_n))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +99,7 @@ def test_the_largest_mode_of_the_first_fate_decides() -> None:
 
     def decided(*modes: Mode) -> str:
         own = window(modes[0])
-        return _decided(own._replace(fit=own.fit._replace(modes=list(modes)))).kind
+        return decided_by_modes(own._replace(fit=own.fit._replace(modes=list(modes)))).kind
 
     assert decided(lasting, growing) == "diverged"
     assert decided(lasting, growing._replace(end_n=0.2)) == "limit_cycle"
@@ -115,7 +111,7 @@ def test_the_largest_mode_of_the_first_fate_decides() -> None:
 
 def test_what_a_growth_stands_out_of_is_left_at_the_end() -> None:
     grows = line(growth_per_s=1.0, error_per_s=0.0, thirds_n=(0.1, 0.15, 0.25))
-    for sizes_n, kind in (((0.2, 0.0), "diverged"), ((0.0, 0.2), "cannot_say")):
+    for sizes_n, kind in (((0.07, 0.0), "diverged"), ((0.0, 0.07), "cannot_say")):
         left = np.concatenate([np.full(150, sizes_n[0]), np.full(150, sizes_n[1])])
         assert by_modes(grows, left).kind == kind
 
@@ -162,14 +158,14 @@ def test_a_cycle_has_the_size_of_its_last_turn() -> None:
     time_s = PERIOD_S * np.arange(1000)
     values = np.where(time_s < 0.5, 3.0, 0.2) * np.sin(2.0 * np.pi * 5.0 * time_s)
     cycles = Fit([line(growth_per_s=0.0, error_per_s=0.0)], 1.0, NOTHING_LEFT, NOTHING_LEFT, 0.0, True)
-    found = _decided(Window(1.0, 7.0, SMALL_N, 0.0, SMALL_N, values, cycles))
+    found = decided_by_modes(Window(1.0, 7.0, SMALL_N, 0.0, SMALL_N, values, cycles))
     assert (found.kind, found.size_n) == ("limit_cycle", pytest.approx(0.4, rel=1e-3))
 
 
 def test_a_rest_of_less_than_a_millionth_of_a_newton_is_not_told() -> None:
     dying = Finding("stable", Cause.DIES_OUT, growth_per_s=-1.0)
-    assert _sentence(dying._replace(decisive_n=1e-6), 0.0) != _sentence(dying._replace(decisive_n=0.9e-6), 0.0)
-    assert _sentence(dying._replace(decisive_n=0.9e-6), 0.0) == _sentence(dying, 0.0)
+    assert sentence(dying._replace(decisive_n=1e-6), 0.0) != sentence(dying._replace(decisive_n=0.9e-6), 0.0)
+    assert sentence(dying._replace(decisive_n=0.9e-6), 0.0) == sentence(dying, 0.0)
 
 
 def falling(exponent: float) -> np.ndarray:
@@ -183,28 +179,28 @@ def falling(exponent: float) -> np.ndarray:
     ("exponent", "is_noise"), [(0.36, False), (0.65, True), (1.0, True), (1.7, True), (2.4, False)]
 )
 def test_noise_falls_by_a_quarter_of_the_steepest_at_least(exponent: float, is_noise: bool) -> None:
-    assert _falls_as_noise(falling(exponent), 0.0) is is_noise
+    assert falls_as_noise(falling(exponent), 0.0) is is_noise
 
 
 def test_noise_that_is_just_small_is_rest() -> None:
     values = falling(1.0)
-    sizes = _sizes(motion(values))
+    sizes = sizes_of(motion(values))
     for small_n, kind in ((max(sizes[-2:]), "stable"), (0.999 * max(sizes[-2:]), "cannot_say")):
-        assert _by_envelope(motion(values, small_n)).kind == kind
+        assert by_envelope(motion(values, small_n)).kind == kind
 
 
 def test_a_line_stands_out_of_all_others_but_its_two_neighbours() -> None:
     power = np.ones(16)
     power[8] = 40.0
-    assert _has_line(power)
-    for beside, is_line in ((7, True), (9, True), (6, False), (10, False)):
+    assert has_line(power)
+    for other, is_line in ((7, True), (9, True), (6, False), (10, False)):
         wide = power.copy()
-        wide[beside] = 35.0
-        assert _has_line(wide) is is_line
+        wide[other] = 35.0
+        assert has_line(wide) is is_line
 
 
 def test_how_far_a_force_goes_is_taken_in_eight_windows() -> None:
-    assert _sizes(motion(windows(*range(1, 9)))) == pytest.approx(range(1, 9), rel=0.03)
+    assert sizes_of(motion(windows(*range(1, 9)))) == pytest.approx(range(1, 9), rel=0.03)
 
 
 def test_noise_adds_nothing_to_an_envelope_and_hides_no_swing_of_its_size() -> None:
@@ -212,8 +208,8 @@ def test_noise_adds_nothing_to_an_envelope_and_hides_no_swing_of_its_size() -> N
     noise = 0.1 * generator.standard_normal(4000)
     swing = 0.15 * np.sin(2.0 * np.pi * np.arange(4000) / 50.0)
     noisy = motion(noise)._replace(noise_n=0.1)
-    assert max(_sizes(noisy)) < 0.1
-    assert _sizes(noisy._replace(values=noise + swing)) == pytest.approx([0.3] * 8, rel=0.25)
+    assert max(sizes_of(noisy)) < 0.1
+    assert sizes_of(noisy._replace(values=noise + swing)) == pytest.approx([0.3] * 8, rel=0.25)
 
 
 @pytest.mark.parametrize("factor", [1.5, 1.2])
@@ -266,18 +262,18 @@ def test_an_irregular_motion_is_at_rest_from_the_window_on_in_which_it_is_small(
 def test_a_line_rises_where_each_third_is_larger_than_the_one_before() -> None:
     # by half of what a growth by a factor of e in all says: a twelfth root and more from third to third
     least = math.exp(1.0 / 6.0)
-    assert _rises(fit(), line(thirds_n=(1.0, 1.01 * least, 1.03 * least**2)), 1.0)
-    assert not _rises(fit(), line(thirds_n=(1.0, 0.99 * least, 2.0)), 1.0)
-    assert not _rises(fit(), line(thirds_n=(1.0, 2.0, 1.99)), 1.0)
+    assert rises(fit(), line(thirds_n=(1.0, 1.01 * least, 1.03 * least**2)), 1.0)
+    assert not rises(fit(), line(thirds_n=(1.0, 0.99 * least, 2.0)), 1.0)
+    assert not rises(fit(), line(thirds_n=(1.0, 2.0, 1.99)), 1.0)
     # a third that does not stand out of what the fit leaves says nothing
-    assert _rises(fit(left_n=3.0), line(thirds_n=(1.0, 0.5, 2.0)), 1.0)
+    assert rises(fit(left_n=3.0), line(thirds_n=(1.0, 0.5, 2.0)), 1.0)
 
 
 def test_a_mode_is_small_from_when_it_has_died_out_to_that() -> None:
-    assert _until(line(growth_per_s=-2.0, begin_n=1.0), SMALL_N) == pytest.approx(math.log(20.0) / 2.0, rel=1e-12)
-    assert _until(line(growth_per_s=-2.0, begin_n=0.04), SMALL_N) == 0.0
-    assert _until(line(growth_per_s=2.0, begin_n=1.0), SMALL_N) == 0.0
-    assert _until(line(growth_per_s=0.0, begin_n=1.0), SMALL_N) == 0.0
+    assert time_until(line(growth_per_s=-2.0, begin_n=1.0), SMALL_N) == pytest.approx(math.log(20.0) / 2.0, rel=1e-12)
+    assert time_until(line(growth_per_s=-2.0, begin_n=0.04), SMALL_N) == 0.0
+    assert time_until(line(growth_per_s=2.0, begin_n=1.0), SMALL_N) == 0.0
+    assert time_until(line(growth_per_s=0.0, begin_n=1.0), SMALL_N) == 0.0
 
 
 def test_what_makes_half_a_swing_or_more_has_a_frequency() -> None:
@@ -289,15 +285,15 @@ def test_what_makes_half_a_swing_or_more_has_a_frequency() -> None:
 @pytest.mark.parametrize(("frequency_hz", "needs_s"), [(0.25, 8.0), (0.125, 16.0), (0.12, 8.0), (0.0, 8.0)])
 def test_a_force_on_its_way_needs_two_turns_or_four_such_holds(frequency_hz: float, needs_s: float) -> None:
     mode = line(frequency_hz=frequency_hz)
-    found = _undecided(mode, window(mode, length_s=2.0), mode.end_n)
+    found = undecided(mode, window(mode, length_s=2.0), mode.end_n)
     assert (found.cause, found.needs_s, found.decisive_n) == (Cause.ON_ITS_WAY, needs_s, 0.3)
 
 
 def test_a_swing_that_is_not_told_needs_twice_the_hold_or_half_the_noise() -> None:
     own = window(line(), length_s=2.0)
-    found = _undecided(line(), own, 0.3)
+    found = undecided(line(), own, 0.3)
     assert (found.cause, found.needs_s, found.needs_noise_n) == (Cause.CHANGE_UNKNOWN, 4.0, 0.0)
-    noisy = _undecided(line(), own._replace(fit=own.fit._replace(noise_n=0.1)), 0.3)
+    noisy = undecided(line(), own._replace(fit=own.fit._replace(noise_n=0.1)), 0.3)
     assert noisy.needs_noise_n == pytest.approx(0.05)
 
 
@@ -306,29 +302,29 @@ def test_a_swing_that_is_not_told_needs_twice_the_hold_or_half_the_noise() -> No
 )
 def test_a_force_on_its_way_is_stable_where_that_is_to_the_rest_of_the_law(end_n: float, kind: str) -> None:
     found = Finding("cannot_say", Cause.ON_ITS_WAY, 1.0)
-    after = _approaching(found, np.linspace(2.0, end_n, 1000), 1.0)
+    after = approaching(found, np.linspace(2.0, end_n, 1000), 1.0)
     assert after.kind == kind
     assert (after == found) is (kind == "cannot_say")
     assert kind == "cannot_say" or after.decisive_n == pytest.approx(end_n - 1.0, abs=0.05)
 
 
 def test_the_ends_of_a_short_force_on_its_way_are_single_samples() -> None:
-    found = _approaching(Finding("cannot_say", Cause.ON_ITS_WAY), np.linspace(2.0, 1.1, 20), 1.0)
+    found = approaching(Finding("cannot_say", Cause.ON_ITS_WAY), np.linspace(2.0, 1.1, 20), 1.0)
     assert (found.cause, found.decisive_n) == (Cause.TO_THE_REST, pytest.approx(0.1))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_how_far_a_force_goes_that_does_not_slow_down(sign: float) -> None:
     # from the mean of the first eighth, 1/192, to that of the last, 169/192
-    assert _gone(sign * np.linspace(0.0, 1.0, 801) ** 2) == pytest.approx(0.875, rel=0.01)
-    assert _gone(sign * (1.0 - np.exp(-np.linspace(0.0, 5.0, 801)))) == 0.0
+    assert gone_of(sign * np.linspace(0.0, 1.0, 801) ** 2) == pytest.approx(0.875, rel=0.01)
+    assert gone_of(sign * (1.0 - np.exp(-np.linspace(0.0, 5.0, 801)))) == 0.0
     # fewer samples than eighths
-    assert _gone(sign * np.linspace(0.0, 1.0, 5) ** 2) == pytest.approx(1.0)
+    assert gone_of(sign * np.linspace(0.0, 1.0, 5) ** 2) == pytest.approx(1.0)
 
 
 def test_the_period_of_an_even_grid_is_the_time_over_the_steps_between_the_samples() -> None:
     for times, apart_s in itertools.product(([0.0, 1.0, 2.0], [0.0, 0.9, 2.0]), (1.0, 2.0**-10)):
-        values, period_s = _even(apart_s * np.array(times), np.array([0.0, 1.0, 2.0]))
+        values, period_s = even(apart_s * np.array(times), np.array([0.0, 1.0, 2.0]))
         assert period_s == apart_s
         assert len(values) == 3
         # a tenth of a period of 1.1 periods after the second sample
@@ -354,11 +350,11 @@ def test_a_swing_would_be_seen_beside_less_than_it_is_or_where_nothing_is_at_its
     bare = 0.1 * np.random.default_rng(1).standard_normal(400)
     line_n = 0.15 * np.sin(2.0 * np.pi * 5.0 * np.arange(400) / 399.0)
     # 0.1 N is 0.28 N from peak to peak
-    assert _shown_beside(0.5, 5.0, bare, 1.0)
-    assert _shown_beside(0.3, 5.0, bare, 1.0)
-    assert not _shown_beside(0.15, 5.0, bare, 1.0)
-    assert not _shown_beside(0.3, 5.0, bare + line_n, 1.0)
-    assert not _shown_beside(0.3, 0.5, bare, 1.0)
+    assert shown_beside(0.5, 5.0, bare, 1.0)
+    assert shown_beside(0.3, 5.0, bare, 1.0)
+    assert not shown_beside(0.15, 5.0, bare, 1.0)
+    assert not shown_beside(0.3, 5.0, bare + line_n, 1.0)
+    assert not shown_beside(0.3, 0.5, bare, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -373,5 +369,52 @@ def test_a_short_part_says_only_what_it_surely_tells_otherwise(
     before = Window(8.0, 8.0, 0.05, 0.0, 0.05, values, fit()._replace(modes=[line(growth_per_s=-0.2, end_n=0.3)]))
     found = Finding("limit_cycle", Cause.GOES_ON, 0.3, later_growth, 0.3, later_error, 5.0)
     window = Window(1.0, 8.0, 0.05, 0.0, 0.05, values, fit())
-    said = _beside([before], found, window, motion(values))
+    said = beside([before], found, window, motion(values))
     assert said is not None and said.kind == kind
+
+
+def octaves(*powers: float) -> np.ndarray:
+    """Return a series of 1024 samples whose density is as given in each octave from the first line on."""
+    size = np.zeros(513)
+    for k, power in enumerate(powers):
+        size[2**k : 2 ** (k + 1)] = math.sqrt(power)
+    return np.fft.irfft(size * np.exp(2j * np.pi * np.random.default_rng(3).random(513)), 1024)
+
+
+def test_a_band_is_no_noise_of_a_read_out_and_what_a_mode_took_below_it_makes_none() -> None:
+    falling_power = [2.0**-k for k in range(9)]
+    assert coloured_share(octaves(*falling_power)) == ERROR_SHARE
+    band = [0.01, 0.01, 0.01, 0.01, 1.0, 0.01, 0.01, 0.01, 0.01]
+    assert coloured_share(octaves(*band)) == SMALL_SHARE
+    # the lowest octave has most of a drift, and nothing is below it
+    assert coloured_share(octaves(1.0, *[1e-3] * 8)) == ERROR_SHARE
+    taken = [0.0, 0.0, *falling_power[2:]]
+    assert coloured_share(octaves(*taken)) == SMALL_SHARE
+    assert coloured_share(octaves(*taken), (1.0, 2.0, 3.0)) == ERROR_SHARE
+
+
+def test_a_swing_that_is_not_known_is_noise_below_twice_the_amplitude_of_coloured_noise() -> None:
+    mode = line(growth_per_s=0.1, error_per_s=1.0, end_n=0.3)
+    coloured = octaves(*[2.0**-k for k in range(9)])
+    coloured = coloured / np.sqrt(np.mean(coloured[-256:] ** 2))
+    for left_n, fate in ((0.3 / 3.9, Fate.NEGLIGIBLE), (0.3 / 4.1, Fate.UNSURE)):
+        assert classify(mode, window(mode, left_n * coloured)) is fate
+    # beside white noise a line is one that stands out of the noise at its frequency
+    white = window(mode, 0.3 / 3.9 * coloured)
+    assert classify(mode, white._replace(fit=white.fit._replace(noise_n=0.1))) is Fate.UNSURE
+
+
+def test_two_modes_that_are_small_alone_are_no_rest_where_the_end_is_large() -> None:
+    """A swing that has grown to 0.065 N from peak to peak, which two lines within a turn of each other make."""
+    time_s = 1e-3 * np.arange(4000)
+    size = 0.0325 / np.sqrt(1.0 + 99.0 * np.exp(-5.0 * time_s))
+    values = 1.0 + size * np.cos(18.0 * np.pi * time_s)
+    assert judge(time_s, values, 1.0).kind == "limit_cycle"
+    assert judge(time_s, 1.0 + 0.7 * (values - 1.0), 1.0).kind == "stable"
+
+
+def test_modes_cancel_at_the_end_only_where_both_are_large_there() -> None:
+    near = [line(error_per_s=1.0), line(frequency_hz=5.5, error_per_s=1.0, end_n=1e-9)]
+    own = window(near[0])._replace(fit=Fit(near, 1.0, NOTHING_LEFT, NOTHING_LEFT, 0.0, True))
+    assert cancels(own)
+    assert not cancels(own, at_the_end=True)

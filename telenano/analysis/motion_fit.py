@@ -1,0 +1,359 @@
+"""The modes of a part of a motion: whether they explain it, and what each of them does.
+
+`Motion.last` fits the modes of the last share of a motion (`telenano.analysis.modes`). `explains` tells whether the fit
+is believed: it leaves noise alone, or a small share of the motion, and no mode bends away from its exponential.
+`classify` says of one mode what it does, and `decided_by_modes` what the part does by the largest mode of the first
+kind that occurs: grows, goes on, is not known. Else the force is at rest.
+"""
+
+import math
+from enum import Enum, auto
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.analysis.findings import Cause, Finding, Kind, on_its_way
+from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, rms
+from telenano.analysis.read_out import moved_of, noise_of
+from telenano.analysis.verdict_thresholds import (
+    ERROR_SHARE,
+    FLOOR_SHARE,
+    LEAST_CHANGE,
+    LEAST_TURNS,
+    LEFT_SHARE,
+    ONE_SIDED_CHANGE,
+    SMALL_SHARE,
+    SURE_ERRORS,
+)
+
+Series = npt.NDArray[np.float64]
+# from peak to peak over the root mean square [1]: a swing of twice the amplitude of the noise about it
+_SEEN_OVER_LEFT = 4.0
+# lines [1] on either side of a mode that it takes from a spectrum
+_TAKEN_LINES = 1.5
+
+
+class Fate(Enum):
+    """What a mode, or an envelope, does."""
+
+    GROWING = auto()
+    LASTING = auto()
+    FALLING = auto()
+    NEGLIGIBLE = auto()
+    UNSURE = auto()
+
+
+MAY_LAST = (Fate.LASTING, Fate.GROWING, Fate.UNSURE)
+
+
+class Window(NamedTuple):
+    """The stretch that a mode is classified within.
+
+    length_s, end_s: its length and end [s]; small_n: what is small [N]; rounded_n: what rounding makes [N];
+    unrounded_n: what is small without rounding [N]; values: the force [N]; fit: its fit, which leaves left_n [N] in its
+    last quarter.
+    """
+
+    length_s: float
+    end_s: float
+    small_n: float
+    rounded_n: float
+    unrounded_n: float
+    values: Series
+    fit: Fit
+
+    @property
+    def left_n(self) -> float:
+        return rms(self.fit.left[-max(2, len(self.fit.left) // 4) :])
+
+    @property
+    def last(self) -> Series:
+        """The force in the last quarter [N]."""
+        return self.values[-max(2, len(self.values) // 4) :]
+
+    @property
+    def noise_n(self) -> float:
+        """The noise of the read-out [N], of which the step that it rounds to is a part."""
+        return max(self.fit.noise_n, self.rounded_n / 1.5 / math.sqrt(12.0))
+
+    @property
+    def coloured_share(self) -> float:
+        """Return up to which share of the hand's force what the fit leaves is noise."""
+        return coloured_share(self.fit.left, tuple(mode.frequency_hz * self.length_s for mode in self.fit.modes))
+
+    def is_noise(self, mode: Mode) -> bool:
+        """Return whether a mode has less than twice the amplitude of the coloured noise that it is in."""
+        is_part = mode.end_n < _SEEN_OVER_LEFT * self.left_n and self.fit.whole and not leaves_noise(self)
+        return is_part and self.coloured_share >= ERROR_SHARE
+
+    def cycles(self, mode: Mode) -> float:
+        """Return how often a mode turns within the window while it stands out of what the fit leaves."""
+        change, seen = mode.growth_per_s * self.length_s, self.seen(mode)
+        return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)
+
+    def seen(self, mode: Mode) -> float:
+        """Return by how much a mode stands out of what the fit leaves at its end [1, logarithm]."""
+        return math.log(max(mode.end_n / max(SURE_ERRORS * self.left_n, 1e-300), 1.0))
+
+
+class Motion(NamedTuple):
+    """The force of an episode [N] at even times, the hand's, the step and the noise of its read-out, and its rest."""
+
+    values: Series
+    period_s: float
+    end_s: float
+    hand_n: float
+    step_n: float
+    noise_n: float
+    rest_n: float | None
+
+    @property
+    def small_n(self) -> float:
+        # One step of a read-out that rounds is no motion.
+        return max(SMALL_SHARE * self.hand_n, 1.5 * self.step_n)
+
+    def last(self, share: float) -> Window | None:
+        """Return the last share of the motion with its fit; None where it has too few samples."""
+        tail = self.values[len(self.values) - round(share * len(self.values)) :]
+        if len(tail) < LEAST_SAMPLES:
+            return None
+        fit = fitted(tail, self.period_s, FLOOR_SHARE * self.hand_n)
+        least = (self.small_n, 1.5 * self.step_n, SMALL_SHARE * self.hand_n)
+        return Window(self.period_s * len(tail), self.end_s, *least, tail, fit)
+
+
+def classify(mode: Mode, window: Window) -> Fate:
+    """Return what a mode does in a window. `change` is its growth times the length, `error` 2.5 of its standard errors.
+
+    | the mode                                                                            | is         |
+    |---|---|
+    | is below what a fit leaves that some line is left of                                | NEGLIGIBLE |
+    | is UNSURE by what follows, and has less than twice the amplitude of coloured noise  | NEGLIGIBLE |
+    | surely grows by more than the least change, is seen to, and is or becomes large     | GROWING    |
+    | surely grows, is large or may become so, and is not seen to                         | UNSURE     |
+    | surely grows and neither is nor becomes large                                       | NEGLIGIBLE |
+    | surely dies out by more than the least change                                       | FALLING    |
+    | turns twice, surely changes by less than 0.3, is large and falls not in each third  | LASTING    |
+    | the same, and small only beside the step of the read-out                            | UNSURE     |
+    | is small, or drifts by less than an instrument errs                                 | NEGLIGIBLE |
+    | is anything else                                                                    | UNSURE     |
+
+    The least change is LEAST_CHANGE of what turns twice, and ONE_SIDED_CHANGE, or twice that, of what does not.
+    """
+    if not window.fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * window.left_n:
+        return Fate.NEGLIGIBLE
+    fate = _fate(mode, window)
+    return Fate.NEGLIGIBLE if fate is Fate.UNSURE and mode.frequency_hz and window.is_noise(mode) else fate
+
+
+def _fate(mode: Mode, window: Window) -> Fate:
+    """Return what a mode does: see `classify`."""
+    change, error, cycles = *_change(mode, window), window.cycles(mode)
+    is_swing = cycles >= 0.5
+    # The growth of a swing that is seen once has to be as clear on either side.
+    least = LEAST_CHANGE if cycles >= LEAST_TURNS else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
+    falls_by = LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE
+    if change - error > least:
+        return _growing(mode, window, change, cycles, least)
+    if change + error < -falls_by:
+        return Fate.FALLING
+    if (
+        cycles >= LEAST_TURNS
+        and abs(change) + error + window.rounded_n / mode.end_n / 3.0 < 2.0 * LEAST_CHANGE
+        and -change < max(error, LEFT_SHARE * LEAST_CHANGE)
+    ):
+        # friction makes of one swing that dies out a swing that does, less one that stays
+        falls = all(after < before * math.exp(-LEAST_CHANGE) for before, after in pairwise(mode.thirds_n))
+        if mode.end_n > window.small_n and not falls:
+            return Fate.LASTING
+        return Fate.UNSURE if mode.end_n > window.unrounded_n else Fate.NEGLIGIBLE
+    drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * window.small_n / SMALL_SHARE
+    # a swing within a step of the read-out may grow or die out unseen
+    within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
+    is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
+    is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= within_n
+    return Fate.NEGLIGIBLE if is_small else Fate.UNSURE
+
+
+def _change(mode: Mode, window: Window) -> tuple[float, float]:
+    """Return by how much a mode changes over a window, and SURE_ERRORS of its standard errors [1, logarithm]."""
+    if 0.0 < mode.frequency_hz * window.length_s < 0.5:
+        # less than half a swing looks like an exponential: what counts is how far it goes in either half
+        return 2.0 * math.log(max(mode.end_n, 1e-300) / max(mode.begin_n, 1e-300)), 0.0
+    return mode.growth_per_s * window.length_s, SURE_ERRORS * mode.error_per_s * window.length_s
+
+
+def _growing(mode: Mode, window: Window, change: float, cycles: float, least: float) -> Fate:
+    """Return what a mode does whose fit surely grows."""
+    # A growth is seen over the residue, and from each part to the next if it turns often enough.
+    is_rising = window.seen(mode) > least and (cycles < LEAST_TURNS or rises(window.fit, mode, change))
+    # what has been seen for two swings is said to go on for a stretch more
+    own = window.values[-max(2, math.ceil(len(window.values) * min(1.0, max(cycles, 1.0) / change))) :]
+    # in the time of its growth, or of a turn that is seen, it goes as far as more than half of what it is
+    end_n = min(mode.end_n, 2.0 * float(np.ptp(own)))
+    reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= LEAST_TURNS else 1.0) > window.small_n
+    if is_rising and reaches and end_n > max(2.0 * SURE_ERRORS * window.left_n, window.rounded_n):
+        return Fate.GROWING
+    # what may only just be seen is not said to be at rest
+    within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
+    is_near = end_n > within_n or (is_rising and reaches and cycles >= 0.5 and end_n > window.rounded_n)
+    return Fate.UNSURE if is_near else Fate.NEGLIGIBLE
+
+
+def rises(fit: Fit, mode: Mode, change: float) -> bool:
+    """Return whether a line grows from each third of a stretch to the next by half of what its fit says."""
+    least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), LEFT_SHARE**2 * mode.thirds_n[-1])
+    factor = math.exp(change / 6.0)
+    return all(after >= before * factor or before <= least_n for before, after in pairwise(mode.thirds_n))
+
+
+def time_until(mode: Mode, small_n: float) -> float:
+    """Return after which time a mode that dies out is small [s]."""
+    if mode.growth_per_s >= 0.0 or mode.begin_n <= small_n:
+        return 0.0
+    return math.log(mode.begin_n / small_n) / -mode.growth_per_s
+
+
+def decided_by_modes(window: Window) -> Finding:
+    """Decide by the largest mode of the first fate that occurs: growth, what lasts, doubt; else the force is at rest.
+
+    A growth is as large as what lasts, and a doubt is about more than twice as much.
+    """
+    modes = sorted(window.fit.modes, key=lambda one: one.end_n, reverse=True)
+    fates = [(classify(mode, window), mode) for mode in modes]
+    first = {fate: next((mode for own, mode in fates if own is fate), None) for fate in Fate}
+    growing, lasting, unsure = first[Fate.GROWING], first[Fate.LASTING], first[Fate.UNSURE]
+    is_doubt = unsure is not None and growing is not None and unsure.end_n > 2.0 * growing.end_n
+    if growing is not None and (lasting is None or growing.end_n >= lasting.end_n) and not is_doubt:
+        return _finding("diverged", Cause.GROWS, growing, window)
+    if lasting is not None and (unsure is None or unsure.end_n < 2.0 * lasting.end_n):
+        lowest_hz = min(mode.frequency_hz for fate, mode in fates if fate is Fate.LASTING)
+        return _finding("limit_cycle", Cause.GOES_ON, lasting, window)._replace(
+            size_n=_cycle_size_n(lasting, lowest_hz, window)
+        )
+    if unsure is not None:
+        return undecided(unsure, window, modes[0].end_n)
+    return _at_rest(modes, window)
+
+
+def _finding(kind: Kind, cause: Cause, mode: Mode, window: Window) -> Finding:
+    turns = mode.frequency_hz if mode.frequency_hz * window.length_s >= 0.5 else 0.0
+    return Finding(kind, cause, mode.end_n, mode.growth_per_s, mode.end_n, mode.error_per_s, turns)
+
+
+def _cycle_size_n(mode: Mode, lowest_hz: float, window: Window) -> float:
+    """Return how far a cycle goes [N], whose harmonics make it another motion than its largest mode."""
+    values, noise_n = window.values, noise_of(window.values, window.rounded_n / 1.5)
+    size_n = moved_of(values[-math.ceil(len(values) / (window.length_s * lowest_hz)) :], noise_n)
+    return size_n if size_n > 0.5 * mode.end_n else mode.end_n
+
+
+def undecided(mode: Mode, window: Window, size_n: float) -> Finding:
+    """Return what is not known of a mode, and what would decide it."""
+    found, cycles = _finding("cannot_say", Cause.CHANGE_UNKNOWN, mode, window), mode.frequency_hz * window.length_s
+    if cycles < 1.0:
+        need_s = LEAST_TURNS / mode.frequency_hz if cycles >= 0.25 else 4.0 * window.length_s
+        return on_its_way(found._replace(size_n=size_n), mode.end_n, need_s)
+    noise_n = window.fit.noise_n / 2.0 if window.fit.noise_n > ERROR_SHARE * mode.end_n else 0.0
+    return found._replace(size_n=size_n, needs_s=2.0 * window.length_s, needs_noise_n=noise_n)
+
+
+def _at_rest(modes: list[Mode], window: Window) -> Finding:
+    """Return that a force is at rest, or comes to it, whose modes die out or are small."""
+    size_n = max((mode.end_n for mode in modes), default=0.0)
+    rate = max((mode.growth_per_s for mode in modes if mode.end_n > 0.0), default=None)
+    rest_s = window.end_s - window.length_s + max((time_until(mode, window.small_n) for mode in modes), default=0.0)
+    rest_from_s = min(rest_s, window.end_s) if size_n <= window.small_n else None
+    nothing = size_n <= FLOOR_SHARE * window.unrounded_n / SMALL_SHARE or rate is None
+    is_dying, is_large = rate is not None and rate < 0.0, size_n > window.small_n
+    cause = Cause.DIES_OUT if is_dying and not nothing else Cause.MOVED if is_large and not nothing else Cause.AT_REST
+    decisive_n = 0.0 if nothing else size_n
+    return Finding("stable", cause, size_n, rate, decisive_n, rest_from_s=rest_from_s)
+
+
+def explains(window: Window, hand_force_n: float) -> bool:
+    """Return whether modes that do not bend leave of the motion, and of its last quarter, noise or a small share."""
+    fit = window.fit
+    for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
+        moved = rms(centred(fit.motion[part]))
+        noise = 1.5 * fit.noise_n
+        coloured_n = hand_force_n if fit.whole else 0.0
+        seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + max(noise, ERROR_SHARE * coloured_n))
+        left_n = max(
+            noise, window.coloured_share * coloured_n, LEFT_SHARE * moved, LEFT_SHARE**2 * SMALL_SHARE * hand_force_n
+        )
+        # large modes that cancel are no motion
+        if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
+            return False
+    return leaves_noise(window) or not any(_bends(mode, window) for mode in fit.modes)
+
+
+def coloured_share(left: Series, turns: tuple[float, ...] = ()) -> float:
+    """Return up to which share of the hand's force what a fit leaves is noise: less where it has a band.
+
+    A band is an octave with a greater density than all below it, surely so or with most of what is left: the density of
+    a hand, of a drift and of a read-out is greatest where it begins. A mode that turns so often has taken its lines.
+    """
+    power = np.abs(np.fft.rfft(centred(left))) ** 2
+    is_left = np.ones(len(power), dtype=np.bool_)
+    for mode_turns in turns:
+        is_left[max(0, math.ceil(mode_turns - _TAKEN_LINES)) : math.floor(mode_turns + _TAKEN_LINES) + 1] = False
+    octaves = [power[2**k : 2 ** (k + 1)][is_left[2**k : 2 ** (k + 1)]] for k in range(int(math.log2(len(power))))]
+    sums = [float(np.cumsum(own)[-1]) if len(own) else 0.0 for own in octaves]
+    all_of_it, below_n2, lines = math.fsum(sums), 0.0, 0
+    for k, (own, own_n2) in enumerate(zip(octaves, sums, strict=True)):
+        if lines and len(own):
+            density = own_n2 / len(own) / max(below_n2 / lines, 1e-300)
+            is_most = own_n2 > 0.5 * all_of_it and k < len(octaves) - 1 and density > 1.0
+            # the logarithm of a mean of n lines errs by n^-1/2
+            if is_most or density > math.exp(SURE_ERRORS * math.sqrt(1.0 / len(own) + 1.0 / lines)):
+                return SMALL_SHARE
+        below_n2, lines = below_n2 + own_n2, lines + len(own)
+    return ERROR_SHARE
+
+
+def cancels(window: Window, at_the_end: bool = False) -> bool:
+    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone.
+
+    What a motion is at its end is in doubt only by modes that are large there.
+    """
+    large = sorted(
+        (mode.frequency_hz, SURE_ERRORS * mode.error_per_s * window.length_s)
+        for mode in window.fit.modes
+        if max(0.0 if at_the_end else mode.begin_n, mode.end_n) > window.small_n
+        and mode.frequency_hz * window.length_s > LEAST_TURNS
+    )
+    return any(
+        above - below < 1.0 / window.length_s and max(*errors) > LEAST_CHANGE
+        for (below, *first), (above, *then) in pairwise(large)
+        for errors in [(*first, *then)]
+    )
+
+
+def _bends(mode: Mode, window: Window) -> bool:
+    """Return whether the amplitude of a large swing is, in a third, not what its exponential has there."""
+    if mode.frequency_hz * window.length_s < 3.0 * LEAST_TURNS or mode.end_n <= window.small_n:
+        return False
+    error_n = SURE_ERRORS * rms(window.fit.left) * math.sqrt(12.0 / len(window.fit.left))
+    least_n = LEFT_SHARE * max(mode.thirds_n) + error_n
+    factor = math.exp(min(max(mode.growth_per_s * window.length_s / 3.0, -50.0), 50.0))
+    first_n, middle_n, last_n = mode.thirds_n
+    return abs(middle_n - first_n * factor) > least_n or abs(last_n - middle_n * factor) > least_n * max(factor, 1.0)
+
+
+def leaves_noise(window: Window) -> bool:
+    """Return whether the modes leave the white noise of the read-out alone, or next to nothing of the motion."""
+    moved_n = rms(centred(window.fit.motion[-max(2, len(window.fit.motion) // 4) :]))
+    return window.left_n <= max(1.5 * window.noise_n, LEFT_SHARE**2 * moved_n)
+
+
+def fits_to_the_end(window: Window) -> bool:
+    """Return whether the modes leave of the last quarter noise, which has no line where it is not white."""
+    return leaves_noise(window) or (window.fit.whole and window.left_n <= window.unrounded_n)
+
+
+def modes_near(window: Window, frequency_hz: float, apart_hz: float) -> list[Mode]:
+    """Return the modes that are less than that apart from a frequency."""
+    return [mode for mode in window.fit.modes if abs(mode.frequency_hz - frequency_hz) < apart_hz]
