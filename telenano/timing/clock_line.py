@@ -27,6 +27,8 @@ MOST_DRIFT = 2e-3
 LEAST_GAIN_NS = 500_000.0
 # Of the clocks of a session, chance has no greater share that are said to have changed and have not.
 _BY_CHANCE = 0.01
+# Bounds that scatter by less are as exact as stamps are, and what is left of them is rounding [ns].
+_EXACT_NS = 1_000.0
 # Of this number of points on each side, chance brings the lines apart by about what the points scatter; of more that do
 # not follow from their neighbours, by less.
 _FEW = 8
@@ -144,7 +146,7 @@ def _correlation_times(parts: Sequence[tuple[ClockLine, Bounds]]) -> float:
         square = sum(value * value for course in courses for value in course)
         count = sum(map(len, courses))
         times = 1.0
-        for lag in range(1, count // 4 if square > 0.0 else 0):
+        for lag in range(1, count // 4 if square > count * _EXACT_NS**2 else 0):
             share = sum(sum(map(operator.mul, course, course[lag:])) for course in courses) / square
             if share < 1.0 / math.sqrt(count):
                 break

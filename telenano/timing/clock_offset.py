@@ -27,8 +27,8 @@ BLOCK_NS = 1_000_000_000
 # Parts of this number of seconds show a change of the rate.
 _LEAST_PART = 4
 _TURN_NS = 100_000_000
-# The clock is looked at each second, of which those of some ten are of other exchanges: in an hour so often.
-_LOOKS = 300
+# The clock is looked at each second, mostly by the same exchanges: of an hour so many looks count.
+_LOOKS = 150
 
 
 class Offset(NamedTuple):
