@@ -74,6 +74,8 @@ def states_of(reports: Iterable[Said], end_s: float) -> list[dict[str, float]]:
         if not states or one.at_s - others[0].at_s >= _LASTS_S:
             states.append(others)
             others = []
+    if not states:
+        return []
     # What has changed is known some time after it has.
     begins_s = [0.0, *(max(state[0].since_s, before[0].at_s) for before, state in pairwise(states))]
     ends_s = [*begins_s[1:], end_s]
