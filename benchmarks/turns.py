@@ -3,10 +3,10 @@
     python benchmarks/turns.py [--before FOLDER] [--pairs N] [--smoke] [--json] [PART ...]
 
 A worker in this checkout and one in FOLDER, an earlier version (this one again without it, which shows the noise), take
-turns, A B A B: each runs the same session in virtual time (`telenano.virtual`) and then has a part of it go
+turns, A B B A: each runs the same session in virtual time (`telenano.virtual`) and then has a part of it go
 through what its node received, over and over. PART is a node, or `receive` (from a socket to a message), `record` (the
-recorder's intake) or `show` (the feed of a page). A figure is the median of the ratios of all pairs, with the interval
-that holds it with 95 % (bootstrap).
+recorder's intake) or `show` (the feed of a page). A figure is the mean of the ratios of all pairs, with the interval
+in which those of all parts are with 95 % (`versions.py`); a part whose interval is without 1 is said to differ.
 """
 
 import argparse
@@ -14,7 +14,6 @@ import gc
 import itertools
 import json
 import os
-import random
 import statistics
 import subprocess
 import sys
@@ -269,8 +268,8 @@ class Worker:
         self._process.communicate()
 
 
-def compare(part: str, before: Path, pairs: int) -> dict[str, float]:
-    """Return the time of a part here [us], its ratio to that in another checkout, and the ends of its interval."""
+def pairs_of(part: str, before: Path, pairs: int) -> list[tuple[float, float]]:
+    """Return pairs of the time of a part here and of that in another checkout, taken one after the other [us]."""
     here, other = Worker(HERE, part), Worker(before, part)
     found: list[tuple[float, float]] = []
     for number in range(pairs + 1):
@@ -280,11 +279,7 @@ def compare(part: str, before: Path, pairs: int) -> dict[str, float]:
     here.end()
     other.end()
     # The first pair finds the caches empty.
-    ratios = [mine / theirs for mine, theirs in found[1:]]
-    draw = random.Random(0)
-    drawn = sorted(statistics.median(draw.choices(ratios, k=len(ratios))) for _ in range(1000))
-    us = statistics.median(mine for mine, _ in found[1:])
-    return {"us": us, "ratio": statistics.median(ratios), "low": drawn[25], "high": drawn[975]}
+    return found[1:]
 
 
 def main() -> None:
@@ -302,14 +297,17 @@ def main() -> None:
         return
     if given.smoke:
         given.parts, given.pairs = ("controller@master", "show"), 1
-    found = {}
-    for part in given.parts:
-        found[part] = compare(part, given.before.resolve(), given.pairs)
-        if not given.json:
-            us, ratio, low, high = found[part].values()
-            print(f"{part}: {us:.2f} us, {ratio:.3f} of before ({low:.3f} to {high:.3f})")
+    # A worker runs in another checkout, which may not have the module.
+    from versions import compared, shown
+
+    measured = {part: pairs_of(part, given.before.resolve(), given.pairs) for part in given.parts}
+    ratios = compared(measured)
+    us = {part: statistics.median(mine for mine, _ in pairs) for part, pairs in measured.items()}
     if given.json:
-        print(json.dumps({"parts": found}))
+        print(json.dumps({"parts": {part: {"us": us[part], **shown(ratio)} for part, ratio in ratios.items()}}))
+        return
+    for part, ratio in ratios.items():
+        print(f"{part}: {us[part]:.2f} us, {ratio.told()} of before")
 
 
 if __name__ == "__main__":

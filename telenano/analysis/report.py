@@ -39,6 +39,7 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import Interruption, ModeReport, in_words, interruptions_of
 from telenano.analysis.intervals import half_width, with_error
+from telenano.analysis.line_states import line_states
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import recording_facts
 from telenano.analysis.summary import Summary
@@ -360,6 +361,8 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     facts = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         facts["lines"] = lines
+    if states := line_states(recording, timeline, start_ns, end_ns):
+        facts["line_states"] = states
     ends = ends_of(recording, hand, running)
     seconds = (end_ns - start_ns) * 1e-9
     # a hand that falls silent is due until its force profile or the recording is over

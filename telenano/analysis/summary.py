@@ -168,6 +168,16 @@ class LineSummary(_Part):
     )
 
 
+class LineStateSummary(_Part):
+    """A time in which the line between two sites was as long, from one lasting change to the next."""
+
+    from_s: float = Field(description="Start in the session [s]")
+    to_s: float = Field(description="End in the session [s]")
+    round_trip_ms: float = Field(description="Least round trip of the line in it [ms]")
+    low_ms: float = Field(description="Lower end of the interval of `round_trip_ms` [ms]")
+    high_ms: float = Field(description="Upper end of the interval of `round_trip_ms` [ms]")
+
+
 class IntervalsSummary(_Part):
     """Intervals of the figures that are means or percentiles of samples; null where a figure has too few of them."""
 
@@ -304,6 +314,11 @@ class Summary(_Part):
     )
     lines: list[LineSummary] = Field(
         default=[], description="Each direction of the line between two sites; the key is absent without one"
+    )
+    line_states: list[LineStateSummary] = Field(
+        default=[],
+        description="How long the line between two sites was before and after each change that lasted; the key is "
+        "absent without one",
     )
     recording: RecordingSummary = Field(description="The account of the recording")
 

@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -198,6 +199,8 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
             typer.echo(line)
     if text := clock_warning(summary):
         say(f"warning: {text}")
+    for text in line_changes(summary):
+        say(text)
     if interrupted := in_words([Interruption(**one) for one in summary.get("interruptions", ())]):
         say(f"warning: this session is not its law alone: {interrupted}")
     missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))
@@ -278,6 +281,20 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
         f"the clocks of the sites may not be synchronised: {clocks['reason']}; uncorrected, the session is "
         f"{summary['verdict']}, corrected for it {other['verdict']}"
     )
+
+
+def line_changes(summary: Mapping[str, Any]) -> list[str]:
+    """Return in words each change of the line between two sites that lasted, with what it took before and after."""
+    states = summary.get("line_states", ())
+    return [
+        f"the way between the sites became {'longer' if now['round_trip_ms'] > before['round_trip_ms'] else 'shorter'}"
+        f" at {now['from_s']:.1f} s: its round trip was {_round_trip(before)} and is {_round_trip(now)} from then on"
+        for before, now in pairwise(states)
+    ]
+
+
+def _round_trip(state: Mapping[str, Any]) -> str:
+    return f"{state['round_trip_ms']:.3g} ms ({state['low_ms']:.3g} to {state['high_ms']:.3g} ms)"
 
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:

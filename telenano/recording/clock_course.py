@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
-from telenano.timing.clock_line import Bound, ClockLine, are_apart
+from telenano.timing.clock_line import Bound, Bounds, ClockLine, are_apart
 
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.
@@ -14,13 +14,6 @@ _LONGEST_NS = 600 * _BLOCK_NS
 _SET_NS = 2_000_000.0
 # The time at which the clock was set is sought to this.
 _SOUGHT_NS = 200_000_000
-
-
-class Bounds(NamedTuple):
-    """Bounds of what the other clock is ahead in a short time, from above and from below; neither is empty."""
-
-    upper: list[Bound]
-    lower: list[Bound]
 
 
 class Stretch(NamedTuple):
@@ -51,19 +44,52 @@ def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
 
 
 def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
-    """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits."""
+    """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits.
+
+    What is held against the pieces before are the newest one, the newest two, four and so on: few show a clock that was
+    set by much, more show one that was set by little.
+    """
     found_stretches: list[Stretch] = []
-    upper, lower = list(pieces[0].upper), list(pieces[0].lower)
-    line = ClockLine.through(upper, lower)
-    for piece in pieces[1:]:
-        both = ClockLine.through(upper + piece.upper, lower + piece.lower, line.drift)
-        alone = ClockLine.through(piece.upper, piece.lower, line.drift)
-        if are_apart(both, line, alone) or piece.upper[0][0] - upper[0][0] > _LONGEST_NS:
-            found_stretches.append(_stretch(upper, lower, line))
-            upper, lower, line = list(piece.upper), list(piece.lower), alone
-        else:
-            upper, lower, line = upper + piece.upper, lower + piece.lower, both
-    return [*found_stretches, _stretch(upper, lower, line)]
+    run: list[Bounds] = []
+    drift = 0.0
+    for piece in pieces:
+        if len(pieces) > 1 and ClockLine.through(*piece, drift).round_trip_ns < 0.0:
+            # The clock was set within it.
+            continue
+        if run and piece.upper[0][0] - run[0].upper[0][0] > _LONGEST_NS:
+            found_stretches.append(_stretch(run, drift))
+            run = []
+        run.append(piece)
+        if (newest := _newest_apart(run, drift, len(pieces))) > 0:
+            found_stretches.append(_stretch(_older(run, newest), drift))
+            run = run[-newest:]
+        drift = _line_of(run, drift).drift
+    return [*found_stretches, _stretch(run or pieces, drift)]
+
+
+def _newest_apart(run: Sequence[Bounds], drift: float, pieces: int) -> int:
+    """Return how many of the newest pieces are apart from those before; 0 where one line fits all of them."""
+    whole = _line_of(run, drift)
+    newest = 1
+    while newest < len(run):
+        parts = [(_line_of(part, drift), _joined(part)) for part in (_older(run, newest), run[-newest:])]
+        if are_apart(whole, parts, pieces):
+            return newest
+        newest *= 2
+    return 0
+
+
+def _older(run: Sequence[Bounds], newest: int) -> Sequence[Bounds]:
+    """Return the pieces before the newest, without the last of them, within which the clock may have been set."""
+    return run[: -newest - 1] or run[:-newest]
+
+
+def _joined(run: Sequence[Bounds]) -> Bounds:
+    return Bounds([bound for piece in run for bound in piece.upper], [bound for piece in run for bound in piece.lower])
+
+
+def _line_of(run: Sequence[Bounds], drift: float) -> ClockLine:
+    return ClockLine.through(*_joined(run), drift)
 
 
 def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
@@ -99,9 +125,10 @@ def mean_drift(parts: Sequence[Stretch]) -> float:
     return sum(length * part.line.drift for length, part in zip(lengths, parts, strict=True)) / sum(lengths)
 
 
-def _stretch(upper: Sequence[Bound], lower: Sequence[Bound], line: ClockLine) -> Stretch:
-    times = [at_ns for at_ns, _ in (*upper, *lower)]
-    return Stretch(min(times), max(times), line)
+def _stretch(run: Sequence[Bounds], drift: float) -> Stretch:
+    bounds = _joined(run)
+    times = [at_ns for at_ns, _ in (*bounds.upper, *bounds.lower)]
+    return Stretch(min(times), max(times), _line_of(run, drift))
 
 
 def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:

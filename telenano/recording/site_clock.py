@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.recording.arrays import replay_shifts
-from telenano.recording.clock_course import Bounds, bounds_of, knots, mean_drift, stretches
+from telenano.recording.clock_course import bounds_of, knots, mean_drift, stretches
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource
-from telenano.timing.clock_line import Bound
+from telenano.timing.clock_line import Bound, Bounds
 from telenano.wire.errors import RecordingError
 from telenano.wire.nodes import LINK, name_of, site_of
 

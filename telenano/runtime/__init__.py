@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from telenano.runtime.security.access_control import AccessControl as AccessControl
     from telenano.runtime.security.keyring import KeyPair as KeyPair
     from telenano.runtime.security.keyring import Keyring as Keyring
+    from telenano.runtime.wiring.descriptors import check_descriptors as check_descriptors
     from telenano.runtime.wiring.link_transports import LinkSide as LinkSide
     from telenano.runtime.wiring.link_transports import LinkTransport as LinkTransport
     from telenano.runtime.wiring.main import beside_the_loop as beside_the_loop

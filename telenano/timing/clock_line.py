@@ -13,6 +13,8 @@ distance, which is half of the shortest round trip, bounds its error: no exchang
 """
 
 import itertools
+import math
+import operator
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -23,8 +25,12 @@ Bound = tuple[int, int]
 MOST_DRIFT = 2e-3
 # A drift that brings the lines apart by no more than this [ns] is not shown.
 LEAST_GAIN_NS = 500_000.0
-# Of this number of points on each side, chance brings the lines apart by about what the points scatter; of more, by
-# less.
+# Of the clocks of a session, chance has no greater share that are said to have changed and have not.
+_BY_CHANCE = 0.01
+# Bounds that scatter by less are as exact as stamps are, and what is left of them is rounding [ns].
+_EXACT_NS = 1_000.0
+# Of this number of points on each side, chance brings the lines apart by about what the points scatter; of more that do
+# not follow from their neighbours, by less.
 _FEW = 8
 
 
@@ -70,20 +76,83 @@ class ClockLine(NamedTuple):
         widest = max((expected_drift, *slopes), key=distance_ns)
         scatter_ns = _scatter(above, highs, widest) + _scatter(below, lows, -widest)
         expected_ns = distance_ns(expected_drift)
-        chance_ns = max(LEAST_GAIN_NS, scatter_ns * _FEW / len(upper))
-        is_shown = expected_ns < 0.0 or distance_ns(widest) - expected_ns > chance_ns
+        gain_ns, chance_ns = distance_ns(widest) - expected_ns, max(LEAST_GAIN_NS, scatter_ns * _FEW / len(upper))
+        if gain_ns > chance_ns:
+            shown = ClockLine(origin_ns, float(base_ns), widest, 0.0, 0.0)
+            times = _correlation_times([(shown, Bounds(upper, lower))])
+            chance_ns = max(LEAST_GAIN_NS, scatter_ns * _FEW * times / len(upper))
+        is_shown = expected_ns < 0.0 or gain_ns > chance_ns
         drift = widest if is_shown else expected_drift
         ahead_ns = base_ns + 0.5 * (_least(highs, drift) - _least(lows, -drift))
         return ClockLine(origin_ns, ahead_ns, drift, distance_ns(drift), chance_ns)
 
 
-def are_apart(whole: ClockLine, *parts: ClockLine) -> bool:
-    """Return whether a line for each part of some points fits them better than one for all of them.
+class Bounds(NamedTuple):
+    """Bounds of what the other clock is ahead in some time, from above and from below; neither is empty."""
+
+    upper: Sequence[Bound]
+    lower: Sequence[Bound]
+
+
+def are_apart(whole: ClockLine, parts: Sequence[tuple[ClockLine, Bounds]], looks: int = 1) -> bool:
+    """Return whether a line for each of two parts fits them better than one for both, by more than chance.
 
     The other clock has changed its rate or was set in between then; a network that has become slower does not do that.
+    What chance does has the uncertainty of both parts: if the clock stays as it is, its lowest bounds from above and
+    its highest from below may be in either part, as often as that has bounds. So it is counted how many of the ones
+    are lower than all in the other part, and how many of the others, there, are higher than all in the first, in
+    correlation times of the bounds about their own line (the tails of Tukey's quick test, Technometrics 1, 1959).
+
+    Args:
+        whole: The line of both parts.
+        parts: The line of the older part, then that of the newer one, each with the bounds that it is of.
+        looks: How many comparisons of a session are made, of which hardly any is to be wrong.
     """
-    shared_ns = min(part.round_trip_ns for part in parts)
-    return whole.round_trip_ns < 0.0 or shared_ns - whole.round_trip_ns > LEAST_GAIN_NS + whole.chance_ns
+    if whole.round_trip_ns < 0.0:
+        return True
+    if min(line.round_trip_ns for line, _ in parts) - whole.round_trip_ns <= LEAST_GAIN_NS:
+        return False
+    uppers, lowers = (
+        [[sign * (value - whole.at(at_ns)) for at_ns, value in bounds[side]] for _, bounds in parts]
+        for side, sign in ((0, 1), (1, -1))
+    )
+    times = _correlation_times(parts)
+    chance = min(_tails(uppers, lowers[::-1], times), _tails(uppers[::-1], lowers, times))
+    return 2 * looks * chance <= _BY_CHANCE
+
+
+def _tails(first: Sequence[Sequence[float]], second: Sequence[Sequence[float]], times: float) -> float:
+    """Return the chance that the least of both are where they are: of the first of each, so many below all others."""
+    chance = 1.0
+    for ours, others in (first, second):
+        below = sum(value < min(others) for value in ours) / times
+        chance *= (len(ours) / (len(ours) + len(others))) ** below
+    return chance
+
+
+def _correlation_times(parts: Sequence[tuple[ClockLine, Bounds]]) -> float:
+    """Return how many neighbouring bounds are as good as one, of those from above or below, whichever is more.
+
+    Each part has a line of its own, so that a change between parts is no correlation. It is the sum of the correlations
+    at all lags either way, up to the first that could be chance.
+    """
+    most = 1.0
+    for side in (0, 1):
+        courses = []
+        for line, bounds in parts:
+            values = [value - line.at(at_ns) for at_ns, value in bounds[side]]
+            mean = sum(values) / len(values)
+            courses.append([value - mean for value in values])
+        square = sum(value * value for course in courses for value in course)
+        count = sum(map(len, courses))
+        times = 1.0
+        for lag in range(1, count // 4 if square > count * _EXACT_NS**2 else 0):
+            share = sum(sum(map(operator.mul, course, course[lag:])) for course in courses) / square
+            if share < 1.0 / math.sqrt(count):
+                break
+            times += 2.0 * share
+        most = max(most, times)
+    return most
 
 
 def _hull(points: Iterable[Bound]) -> list[Bound]:

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from telenano.timing.clock_line import MOST_DRIFT, ClockLine, are_apart
+from telenano.timing.clock_line import MOST_DRIFT, Bounds, ClockLine, are_apart
 from telenano.timing.line_present import LinePresent
 from telenano.wire.messages import LinkClock
 
@@ -27,6 +27,8 @@ BLOCK_NS = 1_000_000_000
 # Parts of this number of seconds show a change of the rate.
 _LEAST_PART = 4
 _TURN_NS = 100_000_000
+# The clock is looked at each second, mostly by the same exchanges: of an hour so many looks count.
+_LOOKS = 150
 
 
 class Offset(NamedTuple):
@@ -179,16 +181,21 @@ class OffsetFilter:
         half = len(self.blocks) // 2
         if whole.round_trip_ns < 0.0:
             return half
-        # To try both parts at once would take a millisecond.
-        newest = half if self._newest_ns // _TURN_NS % 2 else _LEAST_PART
+        # To try all parts at once would take milliseconds.
+        sizes = [_LEAST_PART << n for n in range(half.bit_length()) if _LEAST_PART << n < half] + [half]
+        newest = sizes[self._newest_ns // _TURN_NS % len(sizes)]
         if min(newest, len(self.blocks) - newest - 1) < _LEAST_PART:
             return 0
         # The second before the newest part may have exchanges of both.
         blocks = list(self.blocks)
-        older, newer = (self._fitted(part) for part in (blocks[: -newest - 1], blocks[-newest:]))
-        return newest if are_apart(whole, older, newer) else 0
+        parts = [(self._fitted(part), _bounds_of(part)) for part in (blocks[: -newest - 1], blocks[-newest:])]
+        return newest if are_apart(whole, parts, _LOOKS) else 0
 
     def _fitted(self, blocks: Iterable[Block]) -> ClockLine:
-        kept = tuple(blocks)
-        upper = [(block.asked_ns, block.high_ns) for block in kept]
-        return ClockLine.through(upper, [(block.answered_ns, block.low_ns) for block in kept], self._drift)
+        return ClockLine.through(*_bounds_of(blocks), self._drift)
+
+
+def _bounds_of(blocks: Iterable[Block]) -> Bounds:
+    kept = tuple(blocks)
+    upper = [(block.asked_ns, block.high_ns) for block in kept]
+    return Bounds(upper, [(block.answered_ns, block.low_ns) for block in kept])

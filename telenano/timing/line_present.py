@@ -93,8 +93,8 @@ class Way(msgspec.Struct, array_like=True):
     """The present of one way: the least that a message takes, with what the clocks are apart in it [ns].
 
     least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so,
-    by that clock; jumped_ns: by how much it became longer last, from one message to the next as a route does; 0 where
-    it did so by and by; newest: when those of the last second were sent, and what they took.
+    by that clock; jumped_ns: by how much it became longer last; newest: when those of the last second were sent, and
+    what they took.
     """
 
     least_ns: int
@@ -166,7 +166,7 @@ class Way(msgspec.Struct, array_like=True):
         self.least_ns, self.at_ns = self.least_ns + longer_ns, now_ns
         if rise_ns < _CHANGE_NS:
             return 0
-        self.since_ns, self.jumped_ns = run[0][0], longer_ns if is_jump else 0
+        self.since_ns, self.jumped_ns = run[0][0], longer_ns
         return longer_ns
 
     def _jumps(self, first: int, rise_ns: int) -> bool:
@@ -185,7 +185,7 @@ class LinePresent(msgspec.Struct, array_like=True):
 
     there, back: the ways, None before the first exchange; since_ns: since when the round trip is so; told_ns: the round
     trip that was told of last; both_ns: the round trips of the newest exchanges; jumped_ns: by how much each way became
-    longer at the last change, from one message to the next as a route does.
+    longer at the last change.
     """
 
     there: Way | None = None

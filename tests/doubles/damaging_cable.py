@@ -11,10 +11,10 @@ import contextlib
 import random
 import socket
 import struct
-import threading
 from collections import Counter
 from collections.abc import Mapping
-from types import TracebackType
+
+from loop_thread import LoopThread
 
 # Greeting, handshake and the first messages of a connection are within these bytes of a direction.
 _HANDSHAKE_BYTES = 700
@@ -36,7 +36,7 @@ _COMMANDS = (
 )
 
 
-class DamagingCable:
+class DamagingCable(LoopThread):
     """Carries the connections to some ports, and damages them, while the block runs."""
 
     def __init__(self, targets: Mapping[int, int], seed: int, *, early: float = 0.2, flood_per_s: float = 20.0) -> None:
@@ -48,42 +48,24 @@ class DamagingCable:
             early: Share of the directions that are altered in their handshake.
             flood_per_s: Connections of its own with garbage to each target [1/s].
         """
+        super().__init__()
         self.done: Counter[str] = Counter()
         self._targets, self._draw = dict(targets), random.Random(seed)
         self._early, self._flood_per_s = early, flood_per_s
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._floods: list[asyncio.Task[None]] = []
         self._open: list[asyncio.StreamWriter] = []
 
-    def __enter__(self) -> "DamagingCable":
-        self._thread.start()
-        asyncio.run_coroutine_threadsafe(self._begin(), self._loop).result(10.0)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(10.0)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
-
-    async def _begin(self) -> None:
-        self._servers = [
+    async def begin(self) -> None:
+        """Stand before the ports."""
+        self.servers += [
             await asyncio.start_server(lambda near, out, port=target: self._join(near, out, port), "127.0.0.1", port)
             for port, target in self._targets.items()
         ]
         if self._flood_per_s:
-            self._floods = [self._loop.create_task(self._flood(target)) for target in self._targets.values()]
+            self._floods = [self.loop.create_task(self._flood(target)) for target in self._targets.values()]
 
-    async def _end(self) -> None:
-        for server in self._servers:
-            server.close()
-        others = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in others:
-            task.cancel()
-        await asyncio.gather(*others, return_exceptions=True)
+    async def ended(self) -> None:
+        """Abort every connection."""
         for writer in self._open:
             writer.transport.abort()
         # What was aborted is closed in the next round.
@@ -98,7 +80,7 @@ class DamagingCable:
             to_near.close()
             return
         self._open.append(to_far)
-        until_s = self._loop.time() + self._draw.uniform(0.1, 1.0) * self._draw.choice((0.1, 1.0)) * _LONGEST_S
+        until_s = self.loop.time() + self._draw.uniform(0.1, 1.0) * self._draw.choice((0.1, 1.0)) * _LONGEST_S
         ways = self._carry(near, to_far, until_s), self._carry(far, to_near, until_s)
         with contextlib.suppress(OSError, TimeoutError):
             await asyncio.gather(*ways)
@@ -114,7 +96,7 @@ class DamagingCable:
     async def _carry(self, source: asyncio.StreamReader, target: asyncio.StreamWriter, until_s: float) -> None:
         draw, passed = self._draw, 0
         next_at = draw.randrange(_HANDSHAKE_BYTES if draw.random() < self._early else _STREAM_BYTES)
-        while (left_s := until_s - self._loop.time()) > 0:
+        while (left_s := until_s - self.loop.time()) > 0:
             piece = await asyncio.wait_for(source.read(draw.choice((7, 64, 4096))), left_s)
             if not piece:
                 return

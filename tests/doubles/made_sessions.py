@@ -56,7 +56,8 @@ class Made:
     time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
     run, until anew_s if that is given; set_back_s: when the one clock of both sites is set back, and by how much, both
     in [s]; silent: topic and session time of what is not sent at all; anew_tip_s: when the process of the instrument is
-    another one, whose numbers begin anew [s].
+    another one, whose numbers begin anew [s]; longer_s: when the way there becomes longer for good, and by how much,
+    both in [s], which the link of two machines tells.
     """
 
     ahead_s: float = 0.0
@@ -83,6 +84,7 @@ class Made:
     set_back_s: tuple[float, float] | None = None
     silent: Callable[[str, float], bool] = lambda topic, time_s: False
     anew_tip_s: float | None = None
+    longer_s: tuple[float, float] | None = None
 
     def hand_at(self, time_s: float) -> tuple[float, float]:
         """Return session_s [s], and F_m [N], of the hand at a session time."""
@@ -208,6 +210,8 @@ class Made:
             asked_s = 0.1 * tenth - 0.08 - self.there_s - self.back_s
             there, back = (way + dice.expovariate(1.0 / self.jitter_s) for way in (self.there_s, self.back_s))
             there += self.queue_s * (asked_s + 1.0)
+            if self.longer_s is not None and asked_s >= self.longer_s[0]:
+                there += self.longer_s[1]
             stamps = (self.slave_ns(asked_s + there), self.slave_ns(asked_s + there + 1e-4))
             back_ns = BEGAN_NS + round((asked_s + there + 1e-4 + back) * NS)
             asked_ns = BEGAN_NS + round(asked_s * NS)
@@ -218,6 +222,7 @@ class Made:
             assert estimate is not None and math.isfinite(estimate.offset_s)
             told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
             clock = msgspec.structs.replace(example("link/status").clock, **told)
+            clock = clock if self.longer_s is None else found.report()
             answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns}
             # an earlier version tells no answers
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))

@@ -114,6 +114,10 @@ class Way:
         self._let_others(now_ns)
         return max(0, self.free_ns - now_ns)
 
+    def waited_ns(self, now_ns: int) -> int:
+        """Return the longest that a datagram of the last second waited [ns]."""
+        return max((wait for sent, wait in self.waits if now_ns - SECOND <= sent), default=0)
+
     def base_ns(self, now_ns: int) -> float:
         return at(self.of.delay_ms, now_ns * 1e-9) * MS
 
@@ -351,9 +355,10 @@ class _Run:
         true_ns = self.there.base_ns(self.now) + self.back.base_ns(self.now)
         ends = self.pair.master.end, self.pair.slave.end
         queues = []
+        # A datagram waits in the queue that it tells of, and what was seen of it in that of the other way.
+        lag_ns = true_ns + sum(way.waited_ns(self.now) for way in (self.there, self.back))
         for way, end in ((self.there, ends[0]), (self.back, ends[1])):
             said = end.outgoing.line.there_ns
-            lag_ns = way.base_ns(self.now) + (self.back if way is self.there else self.there).base_ns(self.now)
             waits = [wait for sent, wait in way.waits if self.now - lag_ns - 400 * MS <= sent]
             queues.append((None if said is None else said / MS, min(waits, default=0) / MS, max(waits, default=0) / MS))
         capacities = tuple(

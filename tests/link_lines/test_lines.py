@@ -5,6 +5,8 @@ from line_judge import OFF_MS, judge
 from lines import LineOf, Piece, Seen, Session, WayOf, draw_line, run
 from lines_confusion import Counted, Figures, figures
 
+from telenano.analysis.line_states import Said, states_of
+
 LEVEL = (Piece(0.0, 20.0),)
 # Of the lines: capacities that are wrong at most, and that are not known where a queue limits the line at most.
 WRONG, NULL = 0.05, 0.30
@@ -33,6 +35,27 @@ def test_of_four_hundred_lines_what_is_said_is_right() -> None:
     assert found.null_of_limited.share <= NULL, found
     assert found.round_trip_wrong.share <= ROUND_TRIP_WRONG, found
     assert found.late.share <= LATE, found
+
+
+@pytest.mark.check("takes 10 s")
+def test_a_report_tells_what_lines_took_before_and_after_a_change_that_lasts() -> None:
+    seeds = [seed for seed in range(23_000, 23_040) if draw_line(seed).kind in ("step", "reorders", "jitters in order")]
+    wrong = []
+    for seed in seeds[:10]:
+        line = draw_line(seed)
+        session = run(line, str(seed))
+        said = [
+            Said(one.at_s, one.round_trip_ms, one.low_ms, one.high_ms, one.at_s) for one in session.seen if one.at_s > 1
+        ]
+        states = states_of(said, line.seconds)
+        true_ms = [session.seen[0].true_ms, session.seen[-1].true_ms]
+        expected = true_ms if abs(true_ms[1] - true_ms[0]) > max(6.0, 0.12 * true_ms[0]) else true_ms[:1]
+        slack_ms = 2.0 + 2.0 * (line.there.jitter[1] + line.back.jitter[1])
+        right = len(states) == len(expected) and all(
+            abs(state["round_trip_ms"] - value) <= slack_ms for state, value in zip(states, expected, strict=True)
+        )
+        wrong += [] if right else [(seed, line.kind, states, expected)]
+    assert len(wrong) <= 1, wrong
 
 
 def step(after_ms: float, hz: int = 500, from_s: float = 3.0) -> LineOf:

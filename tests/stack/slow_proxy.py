@@ -2,13 +2,13 @@
 
 import asyncio
 import contextlib
-import threading
-from types import TracebackType
+
+from loop_thread import LoopThread
 
 _HEAD_END = b"\r\n\r\n"
 
 
-class SlowProxy:
+class SlowProxy(LoopThread):
     """Serves a server of this machine at `http://127.0.0.1:PORT/FOLDER/` while the block runs.
 
     It passes `Host`, `Origin` and the upgrade of a connection on as they are, and what a page sends after `delay_s`
@@ -16,44 +16,20 @@ class SlowProxy:
     """
 
     def __init__(self, target_port: int, folder: str) -> None:
+        super().__init__()
         self.delay_s = 0.0
         self.port = 0
         self.refused = 0
         self._target_port, self._folder = target_port, folder.encode()
-        self._loop = asyncio.new_event_loop()
-        self._ready = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
 
     def address(self, of_server: str) -> str:
         """Return an address of the server as it is behind the proxy, with its token."""
         return f"http://127.0.0.1:{self.port}/{self._folder.decode()}/#{of_server.partition('#')[2]}"
 
-    def __enter__(self) -> "SlowProxy":
-        self._thread.start()
-        assert self._ready.wait(10.0)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(10.0)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
-
-    async def _end(self) -> None:
-        self._server.close()
-        left = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in left:
-            task.cancel()
-        await asyncio.gather(*left, return_exceptions=True)
-
-    def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._server = self._loop.run_until_complete(asyncio.start_server(self._connection, "127.0.0.1", 0))
-        self.port = self._server.sockets[0].getsockname()[1]
-        self._ready.set()
-        self._loop.run_forever()
+    async def begin(self) -> None:
+        """Listen at a free port."""
+        self.servers.append(await asyncio.start_server(self._connection, "127.0.0.1", 0))
+        self.port = self.servers[0].sockets[0].getsockname()[1]
 
     async def _connection(self, page: asyncio.StreamReader, to_page: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError, asyncio.IncompleteReadError):
@@ -83,7 +59,7 @@ class SlowProxy:
         async def hand_over() -> None:
             while True:
                 at_s, data = await queue.get()
-                await asyncio.sleep(at_s - self._loop.time())
+                await asyncio.sleep(at_s - self.loop.time())
                 if not data:
                     to_server.close()
                     return
@@ -95,7 +71,7 @@ class SlowProxy:
         while data:
             with contextlib.suppress(OSError):
                 data = await page.read(65536)
-            newest_s = max(newest_s, self._loop.time() + self.delay_s)
+            newest_s = max(newest_s, self.loop.time() + self.delay_s)
             queue.put_nowait((newest_s, data))
         await handing
 

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import math
 import os
+import socket
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from datetime import date
@@ -22,7 +23,7 @@ from telenano_wide_area.sealed import RejectedError
 
 from telenano.runtime import AccessControl, AddressBook, StructuredLog
 from telenano.testing import free_ports
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, EndpointError
 
 pytestmark = pytest.mark.anyio
 PATIENCE_S = 30.0
@@ -545,3 +546,39 @@ async def test_a_channel_refuses_what_is_too_long(rig: Bench) -> None:
     found.close()
     assert channels.HELLO_S > site_end._NODE_S
     assert issubclass(RejectedError, Gone)
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, more: int) -> None:
+    """Let this process open so many more files than it has open."""
+    taken = sum(1 for _ in Path("/dev/fd").iterdir()) - 1
+    monkeypatch.setattr("telenano.runtime.wiring.descriptors.open_descriptors", lambda: taken)
+    monkeypatch.setattr("telenano.runtime.wiring.descriptors.descriptor_limit", lambda: taken + more)
+
+
+async def test_a_relay_that_may_open_too_few_files_says_so_before_it_listens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    limited(monkeypatch, 60)
+    with pytest.raises(EndpointError, match=r"a relay needs \d+ open files, and may have \d+: raise `ulimit -n`"):
+        await bench.start_relay()
+    with contextlib.closing(socket.socket()) as free:
+        free.bind((HOST, bench.port))
+
+
+async def test_strangers_leave_a_session_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(tmp_path)
+    limited(monkeypatch, 100)
+    relay = await bench.start_relay()
+    crowd = [await asyncio.open_connection(HOST, bench.port) for _ in range(30)]
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while sum(reader.at_eof() for reader, _ in crowd) < 20:
+                for reader, _ in crowd:
+                    with contextlib.suppress(TimeoutError, ConnectionError):
+                        await asyncio.wait_for(reader.read(1), 0.01)
+    finally:
+        for _, writer in crowd:
+            writer.close()
+        await bench.stop_relay()
+    assert relay.sites == {}

@@ -52,6 +52,29 @@ def descriptors_free() -> int | None:
     return None if taken is None or limit is None else limit - taken
 
 
+def check_descriptors(owner: str, needed: int) -> int | None:
+    """Return how many more files this process may open than it needs beside those that are open; None: unknown.
+
+    It is for a process that counts its connections itself.
+
+    Raises:
+        EndpointError: It may open fewer; the message names the owner, what it needs and what it may have.
+    """
+    taken, limit = open_descriptors(), descriptor_limit()
+    if taken is None or limit is None:
+        return None
+    _check(owner, taken + needed, limit)
+    return limit - taken - needed
+
+
+def _check(owner: str, needed: int, limit: int) -> None:
+    if needed > limit:
+        raise EndpointError(
+            f"{owner} needs {needed} open files, and may have {limit}: raise `ulimit -n` (LimitNOFILE of a "
+            "unit, `ulimits: {nofile: 1024}` of a container)"
+        )
+
+
 class Descriptors:
     """What the sockets of one process take, added up as they are opened."""
 
@@ -71,11 +94,8 @@ class Descriptors:
     def check(self, owner: str) -> None:
         """Raise EndpointError, which names the owner, where there is no room for what was added."""
         limit = descriptor_limit()
-        if self._held is not None and limit is not None and self.needed > limit:
-            raise EndpointError(
-                f"{owner} needs {self.needed} open files, and may have {limit}: raise `ulimit -n` (LimitNOFILE of a "
-                "unit, `ulimits: {nofile: 1024}` of a container)"
-            )
+        if self._held is not None and limit is not None:
+            _check(owner, self.needed, limit)
 
 
 def readers_of(book: AddressBook, key: str) -> int:

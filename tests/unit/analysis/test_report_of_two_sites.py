@@ -12,7 +12,7 @@ from telenano_lab.studies.plot import read_traces
 import telenano
 from telenano.analysis.recording_document import judged_recording
 from telenano.analysis.report import write_report
-from telenano.cli.output import clock_warning, closing_lines
+from telenano.cli.output import clock_warning, closing_lines, line_changes
 from telenano.recording.reader import Recording
 from telenano.recording.sender_time import SenderClock
 from telenano.recording.site_clock import read_site_clock
@@ -457,3 +457,23 @@ def test_recordings_of_both_sites_tell_silence_from_loss_alone_and_together(
         summary = telenano.open(path).summary
         assert summary["verdict"] == verdict
         assert summary["recording"]["complete"] is verify([path]).sound is (what == "silent")
+
+
+@pytest.mark.parametrize("by_s", [0.03, 0.2])
+def test_the_line_before_and_after_a_lasting_change_is_told(tmp_path: Path, by_s: float) -> None:
+    summary = report(tmp_path, longer_s=(5.0, by_s))
+    before, after = summary["line_states"]
+    assert before["to_s"] == after["from_s"] == pytest.approx(5.0, abs=0.5)
+    for state, true_ms in ((before, 40.0), (after, 40.0 + 1e3 * by_s)):
+        assert state["low_ms"] <= true_ms <= state["high_ms"]
+        assert state["round_trip_ms"] == pytest.approx(true_ms, abs=1.0)
+    (told,) = line_changes(summary)
+    assert told.startswith("the way between the sites became longer at ")
+    assert f"is {after['round_trip_ms']:.3g} ms" in told
+
+
+def test_a_line_that_stays_and_one_machine_have_no_change_to_tell_of(
+    tmp_path: Path, with_one_clock: dict[str, Any]
+) -> None:
+    assert len(report(tmp_path, longer_s=(5.0, 0.0))["line_states"]) == 1
+    assert "line_states" not in with_one_clock and line_changes(with_one_clock) == []

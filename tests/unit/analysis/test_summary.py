@@ -25,6 +25,7 @@ from telenano.recording.rewrite import filter_recording
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one
 MADE: dict[str, Made] = {
+    "longer": Made(longer_s=(5.0, 0.03)),
     "stable": Made(),
     "of_two_clocks": Made(ahead_s=0.3, drift=1e-5),
     "of_two_readings": Made(told_s=0.02),

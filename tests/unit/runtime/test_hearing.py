@@ -21,6 +21,7 @@ from network_bench import AFM, TURN_NS, Machine, payload, two_machine_book, unti
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.hearing import BEACON
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.wiring.transport import Transport, open_context
 from telenano.settings import DEFAULT_SITE_FILE
@@ -54,9 +55,9 @@ class Reader:
         self.events: list[ConnectionEvent] = []
 
     def connect(self, book: AddressBook, kind: str) -> list[Subscriber]:
-        if kind == "observer":
+        if kind in OBSERVERS:
             plan = book.observed("", ("master", "slave"))
-            return self.network.subscribers(plan, apart=True)
+            return self.network.subscribers(plan, apart=True, shared=kind == SHARED)
         if kind == "link":
             return self.network.subscribers(book.bridged_from("master"), newest_only=False)
         return self.network.subscribers(book.sources(*READERS[kind]), newest_only=kind != "console")
@@ -92,7 +93,10 @@ READERS: Mapping[str, tuple[str, Sequence[str]]] = {
     "launcher": ("launcher@master", ("session/event", BEACON)),
     "console": ("console@master", ("session/event", BEACON)),
 }
-KINDS = (*READERS, "link", "observer")
+# An observer reads each node by itself, or what the process of the rig hands on that reads each node once for all.
+SHARED = "observer of what is handed on"
+OBSERVERS = ("observer", SHARED)
+KINDS = (*READERS, "link", *OBSERVERS)
 
 
 class Sender:
@@ -146,6 +150,29 @@ def garbage(sender: Sender) -> None:
     sender.bind()
 
 
+_GREETING = bytes((0xFF, 0, 0, 0, 0, 0, 0, 0, 0, 0x7F, 3, 0)) + b"NULL".ljust(20, b"\0") + bytes(32)
+_READY = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03PUB"
+
+
+def malformed(sender: Sender) -> None:
+    """Have something stand at the path that breaks the protocol only after its handshake."""
+    sender.close()
+    with sockets.socket(sockets.AF_UNIX) as listening, contextlib.ExitStack() as accepted:
+        listening.bind(str(sender.path))
+        listening.listen(100)
+        listening.settimeout(0.3)
+        with contextlib.suppress(TimeoutError):
+            while True:
+                connection = accepted.enter_context(listening.accept()[0])
+                with contextlib.suppress(BrokenPipeError):
+                    connection.sendall(_GREETING + bytes((4, len(_READY))) + _READY)
+                    time.sleep(0.1)
+                    connection.sendall(b"\x02" + b"\xff" * 8)
+        time.sleep(0.05)
+    sender.path.unlink()
+    sender.bind()
+
+
 def file_removed(sender: Sender) -> None:
     assert sender.publisher is not None
     sender.path.unlink()
@@ -191,6 +218,7 @@ def left_after_it(sender: Sender) -> None:
 WAYS: Mapping[str, Callable[[Sender], None]] = {
     "a frame that is too large": too_large,
     "garbage": garbage,
+    "a frame of no known length behind a handshake": malformed,
     "the file removed and made again": file_removed,
     "ended and started again": restarted,
     "broken by one that ended": left_after_it,
@@ -227,12 +255,12 @@ def settled(reader: Reader, *senders: Sender) -> None:
         missing = {node for node in missing if not reader.heard(node)}
 
 
-def looks_until_heard(reader: Reader, sender: Sender, *others: Sender) -> int:
+def looks_until_heard(reader: Reader, sender: Sender, *others: Sender, apart_s: float = 0.16) -> int:
     """Return after how many looks a reader hears a sender, which sends a beacon before each."""
     for look in range(3 * LOOKS):
         for each in (sender, *others):
             each.send()
-        time.sleep(0.06)
+        time.sleep(apart_s - 0.1)
         if reader.hears(sender.node):
             reader.look()
             return look
@@ -245,7 +273,7 @@ def looks_until_heard(reader: Reader, sender: Sender, *others: Sender) -> int:
 def reads(kind: str, node: str) -> bool:
     """Return whether a kind of process connects to a node."""
     book = AddressBook.load(DEFAULT_SITE_FILE)
-    if kind == "observer":
+    if kind in OBSERVERS:
         return node in book.observed("", ("master", "slave"))
     return node in (book.bridged_from("master") if kind == "link" else book.sources(*READERS[kind]))
 
@@ -255,6 +283,18 @@ CASES = [case for case in product(KINDS, SENDERS, WAYS) if reads(*case[:2])]
 DRAWN = random.Random(95).sample(CASES, 12)
 
 
+@contextlib.contextmanager
+def handed_on(*endpoints: str) -> Iterator[None]:
+    """Run the process that reads nodes once for all observers."""
+    command = [sys.executable, "-m", "telenano.runtime.bus.fan_out", *endpoints]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        while not all(is_bound(fan_out_endpoint(endpoint)) for endpoint in endpoints):
+            assert process.poll() is None
+            time.sleep(0.02)
+        yield
+        process.communicate()
+
+
 def mended(context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, kind: str, node: str, way: str) -> None:
     """Have a connection lost in a way; raise unless it is made again in time and nothing else is lost by it."""
     other = next(each for each in SENDERS if each != node and name_of(each) != "delay_node" and reads(kind, each))
@@ -262,12 +302,16 @@ def mended(context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, kind: s
         sender, beside = (Sender(context, book, each) for each in (node, other))
         for each in (sender, beside):
             stack.callback(each.close)
+        if kind == SHARED:
+            stack.enter_context(handed_on(sender.endpoint, beside.endpoint))
         reader = Reader(context, book, kind)
         stack.callback(reader.close)
         settled(reader, sender, beside)
         before = lost(reader, but=node)
         WAYS[way](sender)
-        assert 0 <= looks_until_heard(reader, sender, beside) <= LOOKS
+        # The process that hands on has a clock of its own, and what it was deaf to the observer was as well.
+        apart_s, looks = (0.5, 2 * LOOKS) if kind == SHARED else (0.16, LOOKS)
+        assert 0 <= looks_until_heard(reader, sender, beside, apart_s=apart_s) <= looks
         assert lost(reader, but=node) == before
         assert not reader.network.hearing.deaf()
 
@@ -280,7 +324,15 @@ def test_a_reader_hears_who_sends_within_two_seconds(
     mended(context, book, kind, node, way)
 
 
-@pytest.mark.endurance("takes 2 min")
+@pytest.mark.check("takes 15 s")
+@pytest.mark.parametrize("way", WAYS)
+def test_an_observer_hears_again_what_is_handed_on(
+    context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, way: str
+) -> None:
+    mended(context, book, SHARED, "launcher@master", way)
+
+
+@pytest.mark.endurance("takes 4 min")
 def test_every_reader_hears_every_publisher_again(context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook) -> None:
     for case in CASES:
         mended(context, book, *case)

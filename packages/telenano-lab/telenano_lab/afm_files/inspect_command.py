@@ -65,7 +65,8 @@ def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     if not content.strip():
         raise ConfigError(f"{path}: is empty")
     is_wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if _BINARY.search(content[:_BEGIN]) and not is_wide:
+    # The head of an instrument's file may be a text of many kilobytes, and a text has no zero byte anywhere.
+    if (_BINARY.search(content[:_BEGIN]) or b"\0" in content) and not is_wide:
         return _of_instrument(path)
     if _PING.search(decoded(content[:200_000], str(path))):
         return {"format": "what ping printed", "takes_it": f"telenano link fit {_quoted(path)}"}

@@ -178,7 +178,7 @@ def _known(value: Any) -> Any:
 
 
 def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
-    from telenano_lab.networks.line_fit import lasting_s
+    from telenano_lab.networks.line_halves import lasting_s
 
     messages = sum(len(part.sent_s) for part in log.segments)
     groups = _grouped(log.cuts)

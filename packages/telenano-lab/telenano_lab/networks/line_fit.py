@@ -17,9 +17,10 @@ from scipy import special
 
 from telenano.link import LinkSettings
 from telenano_lab.networks.line_draws import delays_ns
+from telenano_lab.networks.line_halves import COUNTED, compared_halves
 from telenano_lab.networks.line_log import LineLog, Segment
 from telenano_lab.networks.line_sources import Column
-from telenano_lab.networks.line_tally import Numbers, Scale, Tally, blocks_in, correlation_of, scale_of, tally_of
+from telenano_lab.networks.line_tally import Numbers, Scale, Tally, correlation_of, scale_of, statistics_of, tally_of
 
 # Between two shares the quantiles are linear, and the tail needs them close.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
@@ -52,17 +53,6 @@ _MOST_OVERTAKEN = 1e-3
 MOST_HELD = 20_000
 # The line holds this number of bytes at the same time.
 MOST_HELD_BYTES = 4 << 20
-# The blocks of a log are dealt to two halves this number of times, for what chance makes between them.
-_DEALS = 300
-# Of what chance makes, this share stays within the interval: more than 95 %, because the correlation time that the
-# blocks follow from is itself estimated.
-_SURE = 0.97
-# A block has this number of correlation times, if a half then has as many blocks as this, and no more than that.
-_BLOCK_TIMES = 5.0
-_FEWEST_BLOCKS = 6.0
-_MOST_BLOCKS = 40.0
-# Correlations from the first that is smaller on count as none.
-_LITTLE_CORRELATION = 0.05
 # The statistics of the model are those of this number of logs that it generates.
 _DRAWS = 25
 # Messages of this size are sent through the model of the line.
@@ -73,7 +63,6 @@ SPREAD = "spread of its logarithm"
 # At these lags the correlation of the delay is compared, where the log has this many of them.
 _LAGS_S = (1.0, 10.0, 60.0)
 _FEWEST_LAGS = 5.0
-_COUNTED = 0.995
 # Losses are compared over windows of this length, of this number of messages and this number of windows at least.
 _WINDOW_S = 10.0
 _FEWEST_IN_WINDOW = 5
@@ -350,7 +339,7 @@ def courses(log: LineLog) -> dict[str, float]:
     A delay counts up to the share of 99.5 % of its own log, so that a few stalls are not all of the correlation.
     """
     delays = np.concatenate([part.delay_s for part in log.segments])
-    high = float(np.nanquantile(delays, _COUNTED)) if (~np.isnan(delays)).any() else math.nan
+    high = float(np.nanquantile(delays, COUNTED)) if (~np.isnan(delays)).any() else math.nan
     parts = [Segment(part.sent_s, np.minimum(part.delay_s, high)) for part in log.segments]
     mean, period_s = float(np.nanmean(np.minimum(delays, high))), log.period_s
     longest_s = max(float(part.sent_s[-1]) for part in log.segments)
@@ -399,23 +388,7 @@ def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog])
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
     """Return what is compared: quantiles [ms], correlation of neighbours, stalls, losses; nan where there is none."""
     tally = tally_of(log, scale)
-    return _statistics(tally, tally.once())
-
-
-def _statistics(tally: Tally, weights: Numbers) -> dict[str, float]:
-    quantiles_ms = 1e3 * tally.known.quantiles_s(weights, (0.5, 0.99, 0.999))
-    each = weights[tally.stall_block]
-    late_s, held = np.repeat(tally.late_s, each), np.repeat(tally.held, each)
-    return {
-        "q50 [ms]": float(quantiles_ms[0]),
-        "q99 [ms]": float(quantiles_ms[1]),
-        "q99.9 [ms]": float(quantiles_ms[2]),
-        "correlation of neighbours": correlation_of(tally.pairs, weights),
-        "stalls per minute": 60.0 * len(held) / max(float(weights @ tally.seconds), 1e-9),
-        "stall, median [ms]": 1e3 * float(np.median(late_s)) if len(held) else math.nan,
-        "messages in one go": float(held.mean()) if len(held) else math.nan,
-        "lost": int(weights @ tally.lost) / max(int(weights @ tally.messages), 1),
-    }
+    return statistics_of(tally, tally.once())
 
 
 def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agreement]:
@@ -445,94 +418,6 @@ def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agr
         agrees = unknown or (near and not vague)
         rows.append(Agreement(what, value, low, high, made, other, halves.differ, agrees))
     return rows + _compared_courses(second, first, made_logs)
-
-
-class Halves(NamedTuple):
-    """A statistic of both halves of a log, and the difference that chance makes at most; nan: none is known."""
-
-    first: float
-    second: float
-    most_by_chance: float
-
-    @property
-    def differ(self) -> bool:
-        """Whether the halves differ by more than chance."""
-        return abs(self.second - self.first) > self.most_by_chance
-
-
-def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
-    """Compare the statistics of the halves of a log, by blocks that chance deals to two halves.
-
-    If the line is stationary, a block of the one half could as well be one of the other, so that the differences of
-    halves that are dealt anew are those that chance makes, with the uncertainty of both halves. A block is as long as
-    several correlation times; what is left of the correlation between blocks widens the differences. A statistic
-    differs if its difference, in its own deviations, is greater than the greatest of any statistic in 97 % of the
-    deals, so that fewer than 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young,
-    Resampling-Based Multiple Testing, Wiley 1993).
-    """
-    scale = scale_of(log)
-    first, second = log.halves()
-    time_s, half_s = lasting_s(log)
-    block_s = half_s / min(max(half_s / (_BLOCK_TIMES * time_s), _FEWEST_BLOCKS), _MOST_BLOCKS)
-    tally = tally_of(LineLog((*first.segments, *second.segments), log.round_trip, log.resolution_s), scale, block_s)
-    is_second = np.repeat([0, 1], [sum(blocks_in(part, block_s) for part in half.segments) for half in (first, second)])
-    # The blocks of a process with this correlation time have this share of the variance of a mean of them.
-    times = block_s / time_s
-    kept = 1.0 + math.expm1(-times) / times
-    draw = np.random.default_rng(seed)
-    deals = [_of_halves(tally, draw.permutation(is_second)) for _ in range(_DEALS)]
-    of_first, of_second = _of_halves(tally, is_second)
-    apart = np.array([[two[what] - one[what] for what in of_first] for one, two in deals]) / math.sqrt(kept)
-    known = ~np.isnan(apart)
-    sizes = np.where(known, np.abs(apart), 0.0)
-    deviations = np.sqrt((sizes**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-    in_deviations = np.divide(sizes, deviations, out=np.zeros_like(sizes), where=deviations > 0.0)
-    limit = float(np.quantile(in_deviations.max(axis=1), _SURE))
-    most = np.where(known.any(axis=0), limit * deviations, np.nan).tolist()
-    return {what: Halves(one, of_second[what], most[number]) for number, (what, one) in enumerate(of_first.items())}
-
-
-def _of_halves(tally: Tally, is_second: Numbers) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the statistics of the blocks that are of the first half, and of those that are of the second."""
-    return _statistics(tally, 1 - is_second), _statistics(tally, is_second)
-
-
-def lasting_s(log: LineLog) -> tuple[float, float]:
-    """Return the correlation time of a line, and how long a half of its log is [s]."""
-    first, second = log.halves()
-    half_s = sum(float(part.sent_s[-1]) for part in first.segments)
-    return correlation_time_s((*first.segments, *second.segments), log.period_s), half_s
-
-
-def correlation_time_s(parts: Sequence[Segment], period_s: float) -> float:
-    """Return the time in which the correlation of delays and losses falls to 1/e [s], at least that of a message.
-
-    It is half of the sum of the correlations at all lags either way, up to the first below a twentieth: for an
-    exponential course the time of that. Each part has its own mean, so that a change between parts is no correlation.
-    """
-    delays = np.concatenate([part.delay_s for part in parts])
-    high = float(np.nanquantile(delays, _COUNTED))
-    longest = period_s
-    for series in (
-        [np.minimum(part.delay_s, high) - np.nanmean(np.minimum(part.delay_s, high)) for part in parts],
-        [np.isnan(part.delay_s) - np.isnan(part.delay_s).mean() for part in parts],
-    ):
-        found = sum(_correlations([np.nan_to_num(one) for one in series])) * period_s
-        longest = max(longest, found)
-    return _rounded(longest)
-
-
-def _correlations(series: Sequence[Column]) -> list[float]:
-    """Return half of the one at lag 0, and the correlations at the lags after it, up to the first small one."""
-    longest = max(len(one) for one in series)
-    size = 1 << (2 * longest - 1).bit_length()
-    courses_of = [np.fft.irfft(np.abs(np.fft.rfft(one, size)) ** 2, size) for one in series]
-    products = np.sum(courses_of, axis=0)[: max(longest // 4, 1)]
-    if not products[0] > 0.0:
-        return [0.5]
-    shares = products / products[0]
-    small = np.flatnonzero(shares < _LITTLE_CORRELATION)
-    return [0.5, *shares[1 : int(small[0]) if len(small) else len(shares)].tolist()]
 
 
 def parameters(model: LineModel) -> dict[str, float]:

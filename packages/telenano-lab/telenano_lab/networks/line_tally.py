@@ -207,6 +207,23 @@ def correlation_of(pairs: npt.NDArray[np.float64], weights: Numbers) -> float:
     return float((product - first * second / count) / math.sqrt(spread * spread_too))
 
 
+def statistics_of(tally: Tally, weights: Numbers) -> dict[str, float]:
+    """Return what is compared of a log, with each block as often as its weight says; nan where there is none."""
+    quantiles_ms = 1e3 * tally.known.quantiles_s(weights, (0.5, 0.99, 0.999))
+    each = weights[tally.stall_block]
+    late_s, held = np.repeat(tally.late_s, each), np.repeat(tally.held, each)
+    return {
+        "q50 [ms]": float(quantiles_ms[0]),
+        "q99 [ms]": float(quantiles_ms[1]),
+        "q99.9 [ms]": float(quantiles_ms[2]),
+        "correlation of neighbours": correlation_of(tally.pairs, weights),
+        "stalls per minute": 60.0 * len(held) / max(float(weights @ tally.seconds), 1e-9),
+        "stall, median [ms]": 1e3 * float(np.median(late_s)) if len(held) else math.nan,
+        "messages in one go": float(held.mean()) if len(held) else math.nan,
+        "lost": int(weights @ tally.lost) / max(int(weights @ tally.messages), 1),
+    }
+
+
 def _sorted(delay_s: Column, block: Numbers) -> SortedDelays:
     order = np.argsort(delay_s, kind="stable")
     return SortedDelays(delay_s[order], block[order])

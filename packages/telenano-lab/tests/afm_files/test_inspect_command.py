@@ -105,3 +105,17 @@ def test_what_was_assumed_of_a_curve_is_printed(tmp_path: Path) -> None:
     path.write_text(f"z [nm]\tDeflection [V]\tFriction [V]\n{rows}", encoding="utf-8")
     assumed = " ".join(inspected(path)["would_give"]["assumed"])
     assert "'Deflection [V]' over 'z [nm]'" in assumed and "(the height rests)" in assumed
+
+
+@pytest.mark.parametrize("head_bytes", [10, 5_000, 300_000])
+@pytest.mark.parametrize("ending", [".dat", ".txt", ".img"])
+def test_numbers_behind_a_text_of_any_length_are_a_file_of_an_instrument(
+    tmp_path: Path, ending: str, head_bytes: int
+) -> None:
+    path = tmp_path / f"image{ending}"
+    numbers = np.arange(4_096, dtype="<f4").tobytes()
+    path.write_bytes(b"Num.X=64\n".ljust(head_bytes, b"a") + b"\nDATA" + numbers)
+    found = inspected(path)
+    assert found["format"].startswith("a file of an instrument")
+    assert found["takes_it"] == []
+    assert found["refused"]

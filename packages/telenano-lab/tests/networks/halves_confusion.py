@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
-from telenano_lab.networks.line_fit import compared_halves
+from telenano_lab.networks.line_halves import compared_halves
 from telenano_lab.networks.line_log import LineLog, Segment
 from telenano_lab.networks.line_sources import Column
 

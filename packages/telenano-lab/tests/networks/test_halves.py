@@ -4,7 +4,7 @@ import math
 
 import pytest
 from halves_confusion import KINDS, drawn, is_said_to_differ
-from telenano_lab.networks.line_fit import compared_halves
+from telenano_lab.networks.line_halves import compared_halves
 
 # Correlation times of a half from which on a step by one median absolute deviation is found in nine of ten.
 FOUND_FROM = 100.0

@@ -36,6 +36,7 @@ from telenano_wide_area.datagram.incoming import Incoming
 from telenano_wide_area.datagram.outgoing import Outgoing
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES, Repeats
 from telenano_wide_area.datagram.place import Address, Place
+from telenano_wide_area.datagram.rate import Delivery
 from telenano_wide_area.datagram.reception import Reception, Way
 from telenano_wide_area.datagram.report import network_report
 from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
@@ -148,6 +149,8 @@ class DatagramEnd:
         self._sparse = SparseSamples()
         # Losses of what is received, over the time of some reports.
         self._losses = Repeats(None)
+        # What arrives here lately of what the other end sends.
+        self._delivered = Delivery()
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
         # The newest datagram that arrived: its own time of sending, and when it came.
@@ -333,6 +336,7 @@ class DatagramEnd:
             self._known = body.carries
         if number == opener.window.newest:
             self._agreement.opened(opener)
+            self._delivered.record(now_ns, *self.arrivals.of_keys)
             self._heard = self._heard if is_behind else (report.sent_ns, now_ns)
             if self._relay is None and (self._peer is None or address[:2] != self._peer[:2]):
                 self._follow(address)
@@ -346,7 +350,8 @@ class DatagramEnd:
             self.outgoing.record_heard(report, now_ns)
             is_longer = self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
             if is_longer and monotonic_ns - self._silent_until_ns > _BEHIND_NS:
-                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns)
+                is_full = self._delivered.is_of_full_queue()
+                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns, back_is_full=is_full)
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)

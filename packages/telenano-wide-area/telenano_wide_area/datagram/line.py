@@ -30,6 +30,9 @@ _FIRST_SPAN_NS = 250_000_000
 _LAST_SPAN_NS = 16_000_000_000
 # Older spans are forgotten only while there are this number at least.
 _FEWEST_SPANS = 4
+# After the clock of this process was set, what was under way then comes within so many of the least round trips and
+# this time [ns].
+_UNDER_WAY, _UNDER_WAY_NS = 2, 100_000_000
 # A time [ns], and a delay at that time [ns].
 Bound = tuple[int, int]
 
@@ -59,6 +62,8 @@ class Line:
 
     def forget(self) -> None:
         """Begin again: the other clock was set, or belongs to another process."""
+        # Up to when exchanges are left out because the clock of this process was set back, and its newest time [ns].
+        self._left_out_ns = self._received_ns = 0
         self._zero: tuple[int, int, int] | None = None
         self._spans: list[Least] = []
         self._span_ns = _FIRST_SPAN_NS
@@ -105,13 +110,16 @@ class Line:
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> None:
         """Record the delays of an exchange: sent here, received and answered there, the answer received here [ns]."""
+        went_back, self._received_ns = received_ns < self._received_ns, received_ns
+        if received_ns < self._left_out_ns and not went_back:
+            return
         there, back = there_ns - sent_ns, received_ns - back_ns
         if self._zero is None:
             self._zero = (received_ns, there, back)
         at, f, b = (x - zero for x, zero in zip((received_ns, there, back), self._zero, strict=True))
         if at < 0:
             # This process was given another clock.
-            self.forget()
+            self._forget_clock(received_ns, went_back=went_back)
             return
         f_above, b_above = f - self._slope * at, b + self._slope * at
         falls = max(self._there - f_above, self._back - b_above) > STEP_NS
@@ -122,7 +130,7 @@ class Line:
             self._fit()
         elif f + b < self._least_both - STEP_NS:
             # No round trip is that much shorter than the shortest: this process was given another clock.
-            self.forget()
+            self._forget_clock(received_ns, went_back=went_back)
             return
         self._keep(Least((at, f), (at, b), f + b), at)
         f_above, b_above = f - self._slope * at, b + self._slope * at
@@ -130,6 +138,15 @@ class Line:
         self._least_both = min(self._least_both, f + b)
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
+
+    def _forget_clock(self, received_ns: int, *, went_back: bool) -> None:
+        """Begin again after the clock of this process was set, without what is under way, which has half of it."""
+        _, there, back = self._zero or (0, 0, 0)
+        round_trip_ns = max(0, there + back + round(self._least_both))
+        self.forget()
+        if went_back:
+            self._left_out_ns = received_ns + _UNDER_WAY * round_trip_ns + _UNDER_WAY_NS
+            self._received_ns = received_ns
 
     def jump(self, at_ns: int, there_ns: int, back_ns: int) -> None:
         """Begin again from a route that has become longer there and back by so much [ns]."""

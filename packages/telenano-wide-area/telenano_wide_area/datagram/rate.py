@@ -86,6 +86,8 @@ _WELL_BELOW = 0.9
 _MUCH_LOST = 0.10
 # Losses are judged at this interval at the shortest.
 _LOSS_PERIOD_NS = 500_000_000
+# A queue that is full loses more than this share, and this number of datagrams, over the time of the next line.
+_FULL_LOSES, _FEWEST_LOST = 0.08, 6
 # Over this time the delivered rate is judged.
 _SPAN_NS = 300_000_000
 
@@ -154,6 +156,19 @@ class Delivery:
         came, sent = max(0, last[1] - arrived), last[0] - expected
         delivered = came * bytes_each / ((last_ns - first_ns) * 1e-9)
         return min(delivered, 1.5 * sent_bytes_per_s), min(1.0, max(0.0, 1.0 - came / sent)) if sent else 0.0
+
+    def is_of_full_queue(self) -> bool:
+        """Return whether so much was lost lately that a delay which has grown is that of a queue that is full.
+
+        A queue that drops what finds no room keeps one delay for as long as it is full, as a route does, but a route
+        that has become longer loses no more than before.
+        """
+        if len(self._marks) < 2:
+            return False
+        (_, expected, arrived), (_, *last) = self._marks[0], self._marks[-1]
+        sent = last[0] - expected
+        lost = sent - max(0, last[1] - arrived)
+        return lost >= _FEWEST_LOST and lost > _FULL_LOSES * sent
 
 
 class RateControl:

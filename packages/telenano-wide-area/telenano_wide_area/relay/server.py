@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from telenano.runtime import AccessControl, KeyPair, StructuredLog
+from telenano.runtime import AccessControl, KeyPair, StructuredLog, check_descriptors
 from telenano.wire import ConfigError, EndpointError
 from telenano_wide_area.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from telenano_wide_area.relay.forwarder import Forwarder
@@ -22,6 +22,10 @@ from telenano_wide_area.sealed import RejectedError
 DEFAULT_PORT = 5750
 # The number of strangers, which are connections that have not shown a key yet.
 _MOST_STRANGERS = 1024
+# Both ports, what the loop itself has open, and for a moment the list of keys.
+_FILES_OF_A_RELAY = 16
+# Two sites with one session have this number of connections here: their own, and some 25 that are joined, each of two.
+_FILES_OF_A_SESSION = 64
 # The number of strangers from one address. A class of ten rigs behind one address makes some 500 connections when it
 # begins.
 _MOST_FROM_ADDRESS = 512
@@ -86,6 +90,7 @@ class Relay:
         self._budgets: dict[tuple[str, str], Budget] = {}
         # Connections that have shown no listed key yet, the oldest first, and the address of each.
         self._strangers: dict[asyncio.StreamWriter, str] = {}
+        self._most_strangers = _MOST_STRANGERS
         self._arrivals: dict[str, Budget] = {}
         # Connections that wait for the other site to dial: the key of that site, and what is handed over.
         self._waiting: dict[str, tuple[str, asyncio.Future[Channel]]] = {}
@@ -96,7 +101,15 @@ class Relay:
         self.forwarder: Forwarder
 
     async def start(self, host: str, port: int) -> None:
-        """Listen on TCP and UDP; EndpointError where the port cannot be bound."""
+        """Listen on TCP and UDP.
+
+        Raises:
+            EndpointError: The port cannot be bound, or this process may open fewer files than one session needs here.
+        """
+        further = check_descriptors("a relay", _FILES_OF_A_RELAY + _FILES_OF_A_SESSION)
+        if further is not None:
+            # Strangers give way to each other before they take the descriptors of sites.
+            self._most_strangers = max(1, min(_MOST_STRANGERS, further // 2))
         now_s = asyncio.get_running_loop().time
         self.forwarder = Forwarder(
             self.own,
@@ -166,7 +179,7 @@ class Relay:
             self._arrivals.clear()
         crowd = [writer for writer, address_of_writer in self._strangers.items() if address_of_writer == address]
         if len(crowd) < _MOST_FROM_ADDRESS:
-            crowd = list(self._strangers) if len(self._strangers) >= _MOST_STRANGERS else []
+            crowd = list(self._strangers) if len(self._strangers) >= self._most_strangers else []
         for oldest in crowd[:1]:
             del self._strangers[oldest]
             abort(oldest)
