@@ -228,9 +228,9 @@ def silent_child(patch: Patch, folder: Path) -> None:
         limited_child._watched(command, [], out, dict(os.environ), SHORT_S, lambda share: None)
 
 
-CONTROLLERS = "packages/telenano-devices/telenano_afm_controllers"
+CONTROLLERS = "packages/telenano-devices/telenano_devices/nanonis"
 KIT = "telenano/testing/conformance/examination.py"
-HAPTIC = "packages/telenano-devices/telenano_haptic_devices"
+HAPTIC = "packages/telenano-devices/telenano_devices/impedance"
 UDP = "packages/telenano-lab/telenano_lab/networks/udp_ports.py"
 LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{CONTROLLERS}/nanonis_client.py: NanonisClient.call": answers_of_a_controller,
