@@ -45,6 +45,17 @@ COMMANDS: Mapping[str, str] = {
     "law show": "law show wave",
     "new": "new law my_law --out {out}/made",
     "curve": "curve --out {out} --points 40",
+    "bag merge": "bag merge {parts} --out {out}/made.mcap",
+    "link fit": "link fit {log} --out {out} --anyway",
+    "scan": "scan --pixels 4 --lines 4 --size 40 --out {out}",
+    "compare": "compare {sessions} --out {out}",
+    "study stability": "study stability --environment spring --law virtual_impedance --delay 0,20 --stiffness 20"
+    " --duration 1 --workers 1 --out {out}",
+    "study transparency": "study transparency --law wave --delay 10 --stiffness 20 --frequency 1,10 --out {out}",
+    "study gallery": "study gallery --out {out}",
+    "study promises": "study promises --law wave --seeds 1 --burst 5 --workers 1 --out {out}",
+    "study push": "study push --quick --law wave --delay 10 --seeds 1 --workers 1 --out {out}",
+    "study advise": "study advise --delay 20 --seeds 1 --workers 1 --out {out}",
 }
 # Values of options that take what no type says, by command and option, or by option alone.
 VALUES: Mapping[str, Sequence[str]] = {
