@@ -162,6 +162,7 @@ WITHOUT: Mapping[str, str] = {
     "--overwrite": "acts in a folder that has a session; tests/unit/cli/test_simulate_command.py",
     "--workers": "is how many processes compute; the result is the same",
     "--scheduler": "needs a cluster; the tests of the package of studies",
+    "compare --published": "is a file of a published curve; packages/telenano-studies",
     "--live": "needs a running rig; tests/stack/test_live_programs.py",
     "--site-file": "is where a running rig is; tests/stack",
     "--rig": "is which running rig is meant; tests/stack",
