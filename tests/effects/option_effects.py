@@ -55,7 +55,7 @@ COMMANDS: Mapping[str, str] = {
     "bag plot": "bag plot {demo} afm/state.tip_force_n --out {out}/made.png",
     "compare": "compare {demo} {parts} --out {out}",
     "study stability": "study stability --environment spring --law virtual_impedance --delay 0,20 --stiffness 20"
-    " --duration 1 --workers 1 --out {out}",
+    " --duration 3 --workers 1 --out {out}",
     "study transparency": "study transparency --law wave --delay 10 --stiffness 20 --frequency 1,10 --out {out}",
     "study gallery": "study gallery --out {out}",
     "study promises": "study promises --law wave --seeds 1 --burst 5 --workers 1 --out {out}",
@@ -143,7 +143,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "study stability --hand": ["firm"],
     "study stability --mass": ["0.2"],
     "study stability --set": ["afm_node.spring.rest_position_m=1e-9", "controller.force_scale=2e8"],
-    "study stability --duration": ["2"],
+    "study stability --duration": ["4"],
     "study stability --seed": ["5 --jitter 5"],
     "study transparency --seed": ["5"],
     "study transparency --set": ["controller.wave.wave_impedance_n_s_per_m=20"],
