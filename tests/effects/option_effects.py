@@ -152,6 +152,7 @@ VALUES: Mapping[str, Sequence[str]] = {
 # Options that a command refuses in these circumstances, because what is read there does not need them, and the reason.
 REFUSES: Mapping[str, str] = {
     "scan --channel": "the sample is no file",
+    "study transparency --hand": "an arm would travel further than a hand may at these frequencies",
     "study stability --mass": "a spring has none",
     "study stability --body-damping": "a spring has none",
     "link fit --unit": "the headings of the log name their units",
