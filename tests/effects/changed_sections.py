@@ -1,12 +1,12 @@
 """The keys of a scenario that a change touches: those whose schema differs, and those of changed models."""
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+from changed_files import ROOT, base, changed, git
 from key_effects import Leaf, leaves
 from pydantic import BaseModel
 
@@ -14,28 +14,18 @@ from telenano.runtime.wiring.main import node_kind
 from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import SERVICES
 
-ROOT = Path(__file__).resolve().parents[2]
 _SCHEMA = "telenano/settings/schemas/scenario.json"
-
-
-def git(*words: str) -> str | None:
-    """Return what git says here, None where there is no git or it fails."""
-    try:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return done.stdout
 
 
 def touched(every: list[Leaf]) -> list[Leaf]:
     """Return the keys that differ from those of the commit at which this branch left main, or whose model does."""
-    if (base := git("merge-base", "HEAD", "main")) is None:
+    if base() is None:
         return []
-    changed = {ROOT / name for name in (git("diff", "--name-only", base.strip()) or "").split()}
-    schema = git("show", f"{base.strip()}:{_SCHEMA}")
+    files = {ROOT / name for name in changed()}
+    schema = git("show", f"{base()}:{_SCHEMA}")
     before = {} if schema is None else {leaf.name: leaf.form for leaf in leaves(json.loads(schema))}
     own = {leaf.name for leaf in leaves(json.loads((ROOT / _SCHEMA).read_text("utf-8")))}
-    sections = {path for path, file in files_of_sections() if file in changed}
+    sections = {path for path, file in files_of_sections() if file in files}
     return [
         leaf
         for leaf in every

@@ -293,6 +293,7 @@ def outcomes_of_damage(tmp_path: Path, name: str, seed: int, count: int) -> list
 
 
 @pytest.mark.check("takes 5.1 s")
+@pytest.mark.drawn(0.35)
 @pytest.mark.parametrize("name", sorted(files.WRITE))
 def test_no_damage_leads_to_a_traceback_or_takes_the_machine(tmp_path: Path, name: str) -> None:
     # a child for each file of these

@@ -57,6 +57,7 @@ def check(seed: int, folder: Path) -> None:
 
 
 @pytest.mark.check("runs rigs in virtual time")
+@pytest.mark.drawn(0.5)
 @pytest.mark.parametrize("seed", [4, 6, 9, 15, 27, 39, 52])
 def test_what_is_said_of_a_session_is_the_same_by_each_command(seed: int, tmp_path: Path) -> None:
     check(seed, tmp_path)

@@ -140,6 +140,7 @@ def on_bus(cell: Cell, arrivals: Arrivals, folder: Path) -> Trajectory:
 
 
 @pytest.mark.check("takes 2.4 s")
+@pytest.mark.drawn(0.5)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.grid(law="passivity")

@@ -76,6 +76,7 @@ def test_a_late_instrument_does_not_slow_a_fast_hand(tmp_path: Path, law: str, l
 
 
 @pytest.mark.check("takes 2.3 s")
+@pytest.mark.drawn(0.5)
 @pytest.mark.parametrize(
     ("law", "least_j", "most_n"), [("wave", -1e-6, 1.2), ("passivity", -1e-6, 1.02), ("model_mediated", -1e-4, 1.2)]
 )

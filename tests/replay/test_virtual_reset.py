@@ -98,6 +98,7 @@ def assert_nothing_moves(rig: ResetRig, time_s: float = 0.3) -> None:
     assert not rig.faults()
 
 
+@pytest.mark.drawn(0.5)
 @pytest.mark.grid(way="emergency stop")
 @pytest.mark.parametrize("way", WAYS)
 def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:
@@ -114,7 +115,7 @@ def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:
 
 
 @pytest.mark.check("runs every law")
-@pytest.mark.drawn(0.3)
+@pytest.mark.drawn(0.15)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("way", ["emergency stop", "master half started again", "slave half stands still"])
 def test_no_law_moves_tip_or_hand_when_it_is_armed(way: str, law: str) -> None:
@@ -138,6 +139,7 @@ CHANGES: dict[str, Way] = {
 }
 
 
+@pytest.mark.drawn(0.5)
 @pytest.mark.grid(change="law")
 @pytest.mark.parametrize("change", CHANGES)
 def test_nothing_that_is_changed_while_the_hand_is_set_off_moves_the_tip(change: str) -> None:
@@ -228,6 +230,7 @@ INPUTS: dict[str, tuple[Callable[[ResetRig], Any], str]] = {
 }
 
 
+@pytest.mark.drawn(0.5)
 @pytest.mark.grid(given="hand moves")
 @pytest.mark.parametrize("given", INPUTS)
 def test_any_input_ends_the_way_of_the_tip(given: str) -> None:

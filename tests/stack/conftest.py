@@ -18,6 +18,8 @@ from stack_rig import CONSTANT_PUSH, FIGURE_AND_PUSH, FIGURE_S, Rig
 from two_sites import TwoSites
 
 
+# before the cases are drawn, which are among those of `make check`
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if Path(__file__).parent in item.path.parents:

@@ -146,8 +146,10 @@ def first_of_the_session(rig: Rig) -> tuple[Any, Any]:
 @pytest.mark.parametrize(
     ("speed_m_per_s", "rate_hz"),
     [
-        (15e-9, 250),
-        *(pytest.param(*case, marks=pytest.mark.endurance) for case in [(50e-9, 250), (2e-6, 125), (2e-6, 1000)]),
+        *(
+            pytest.param(*case, marks=pytest.mark.endurance)
+            for case in [(15e-9, 250), (50e-9, 250), (2e-6, 125), (2e-6, 1000)]
+        ),
         (2e-6, 250),
     ],
 )

@@ -13,6 +13,7 @@ ATTEMPTS = 3
 ONE_WAY = Cell(40.0, "to the master", "at 2 s", 250.0, 0.0, 0.0)
 
 
+@pytest.mark.drawn(0.0, "telenano/runtime/", "services/")
 @pytest.mark.parametrize(
     "cell",
     [

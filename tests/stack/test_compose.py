@@ -71,7 +71,8 @@ def compose_command() -> list[str]:
     pytest.skip("neither `docker compose` nor `docker-compose` is installed: the compose files are not tried")
 
 
-pytestmark = [pytest.mark.timeout(1800)]
+# It builds the images, for minutes: where the change touches what goes into them, and before a release.
+pytestmark = [pytest.mark.timeout(1800), pytest.mark.drawn(0.0, "deploy/", "pyproject.toml")]
 
 
 def free_port() -> int:

@@ -19,6 +19,8 @@ from telenano.recording.reader import Recording
 from telenano.rerun.rerun import RerunResult, rerun
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
+# The rig of `make test` has this session as well: tests/stack/test_running_rig.py judges it.
+pytestmark = pytest.mark.drawn(0.0, "services/", "telenano/runtime/", "telenano/rerun/")
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]
 FAST = [name for name, topic in TOPICS.items() if topic.rate_hz == 1000.0]
 NODES = ("controller@master", "controller@slave", "afm_node@slave", "haptic_node@master", "delay_node@master")

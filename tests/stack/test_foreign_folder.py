@@ -45,6 +45,7 @@ def said(folder: Path, environment: dict[str, str], *words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.drawn(0.0, "telenano/launcher/", "telenano/signals/")
 def test_a_rig_runs_among_files_of_any_name(rig: Rig, foreign: Path) -> None:
     words = ("up", "--scenario", "fig12", "--out", "out", "--set", "duration_s=3", "--json", "--headless")
     summary = json.loads(said(foreign, rig.environment, *words))

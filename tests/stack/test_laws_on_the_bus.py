@@ -33,6 +33,7 @@ def fault_of(done: Any, delays_ms: tuple[float, ...], ages: list[dict[str, float
     return "" if agrees else f"an edge at {edge_ms:.2f} ms, {own_ms:.2f} ms of the loop are the processes'"
 
 
+@pytest.mark.drawn(0.0, "telenano/laws/", "telenano/lockstep/", "services/controller/")
 @pytest.mark.parametrize(
     "delays_ms",
     [

@@ -59,6 +59,7 @@ def test_programs_beside_no_rig_say_so(rig: Rig, tmp_path: Path) -> None:
         assert "no rig of this" in done.stderr
 
 
+@pytest.mark.drawn(0.0, "examples/", "telenano/extend/")
 @pytest.mark.parametrize("name", WITH_A_RIG)
 def test_a_program_with_a_rig_of_its_own_prints_its_forces_and_draws_them(name: str, rig: Rig, tmp_path: Path) -> None:
     printed = run(name, tmp_path, rig)

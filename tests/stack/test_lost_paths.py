@@ -285,6 +285,7 @@ def follows(rig: Rig) -> bool:
     return mode(rig) in ("follow", "place")
 
 
+@pytest.mark.drawn(0.0, "telenano/runtime/bus/", "telenano/console/")
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.endurance)])
 def test_in_any_order_a_stop_is_obeyed_and_no_rig_is_called_absent(pair: list[Rig], seed: int) -> None:
     draw, rig = random.Random(seed), start(pair[0])

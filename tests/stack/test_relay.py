@@ -83,6 +83,7 @@ def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, 
     rig.end_session()
 
 
+@pytest.mark.drawn(0.0, "telenano/recording/", "telenano/launcher/")
 @pytest.mark.parametrize(
     "rig",
     [pytest.param(False, marks=pytest.mark.endurance, id="direct"), pytest.param(True, id="through the relay")],

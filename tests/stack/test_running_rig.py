@@ -365,7 +365,10 @@ def answer_to(page: Any, identifier: str) -> dict[str, Any]:
             return dict(frame)
 
 
-@pytest.mark.parametrize("leaves", [False, True], ids=["the page stays", "the page leaves"])
+@pytest.mark.parametrize(
+    "leaves",
+    [pytest.param(False, marks=pytest.mark.endurance, id="the page stays"), pytest.param(True, id="the page leaves")],
+)
 def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_stop(
     rig: Any, monkeypatch: pytest.MonkeyPatch, leaves: bool
 ) -> None:

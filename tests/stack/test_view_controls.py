@@ -117,6 +117,7 @@ _CUT = """[...document.querySelectorAll(".plot")].flatMap((plot) => {
 })"""
 
 
+@pytest.mark.drawn(0.0, "services/viz_node/web/")
 def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
     chromium: Any, rig_page: tuple[SaidRig, str]
 ) -> None:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import time
 
+import pytest
 from ledger import record
 from stack_rig import CONSTANT_PUSH, PATIENCE_S, Rig
 
@@ -25,6 +26,7 @@ def is_to_be_given_again(done: subprocess.CompletedProcess[str]) -> bool:
     return "not armed: still_retracting" in done.stdout or "give it again to release the stop" in done.stderr
 
 
+@pytest.mark.drawn(0.0, "telenano/timing/", "telenano/runtime/loop/")
 def test_commands_of_processes_with_another_clock_are_obeyed(rig: Rig) -> None:
     rig.start("--duration", "300", "--set", CONSTANT_PUSH)
     rig.wait_until(rig.running, "a running session")

@@ -114,6 +114,7 @@ def test_a_surface_that_was_learnt_while_the_device_was_off_throws_no_hand_back(
 
 
 @pytest.mark.check("seventeen orders for every passive law, up to 12 s of processor time each law")
+@pytest.mark.drawn(0.5)
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str) -> None:
     law = LAWS[name]

@@ -207,6 +207,8 @@ ORDERED = {
 WILD = {"Pareto, 10 ms": pareto(10.0), "normal, 30 ms": normal(30.0), "Pareto, 30 ms": pareto(30.0)}
 
 
+@pytest.mark.check("a quarter of a minute of each line")
+@pytest.mark.drawn(0.4)
 @pytest.mark.parametrize("loss", [0.0, 0.02, 0.15])
 @pytest.mark.parametrize("name", ORDERED)
 def test_a_line_that_jitters_in_order_is_not_full(name: str, loss: float) -> None:

@@ -231,7 +231,9 @@ class Flood:
             await self._task
 
 
-@pytest.mark.parametrize("flooded", [False, True], ids=["alone", "among strangers"])
+@pytest.mark.parametrize(
+    "flooded", [pytest.param(False, marks=pytest.mark.endurance, id="alone"), pytest.param(True, id="among strangers")]
+)
 def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flooded: bool
 ) -> None:

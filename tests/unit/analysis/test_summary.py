@@ -22,6 +22,8 @@ from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.rewrite import filter_recording
 
+pytestmark = pytest.mark.check("makes and judges twenty sessions")
+
 ROOT = Path(__file__).resolve().parents[3]
 # a session in its whole length, and what may happen to one
 MADE: dict[str, Made] = {

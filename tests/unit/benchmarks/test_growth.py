@@ -193,6 +193,7 @@ def test_a_watch_gives_the_shares_of_a_time_from_the_looks_around_it() -> None:
     assert watch.within(8.5, 20.0)[1]["rig"] == 49.0
 
 
+@pytest.mark.check("starts processes")
 def test_processes_of_a_group_are_one_row_and_each_of_a_rig_has_its_own() -> None:
     # the second one has a child of its own below it, as a browser has
     ready = "echo ready; exec cat"

@@ -70,6 +70,7 @@ def test_a_session_that_fails_gives_its_own_reason(script: str, reason: str) -> 
     assert run_session([sys.executable, "-c", whole]) == {"verdict": "stable"}
 
 
+@pytest.mark.check("waits for a session")
 def test_one_that_takes_too_long_is_ended_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(TimeoutError, match="did not end within 1 s"):
@@ -77,6 +78,7 @@ def test_one_that_takes_too_long_is_ended_in_order(tmp_path: Path, monkeypatch: 
     assert (tmp_path / "complete").exists()
 
 
+@pytest.mark.check("waits for a session")
 @pytest.mark.parametrize(("group", "code"), [(False, 143), (True, 130)])
 def test_a_session_of_its_own_ends_in_order_when_its_command_is_interrupted(
     group: bool, code: int, tmp_path: Path

@@ -108,6 +108,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return answers
 
 
+@pytest.mark.check("an interpreter of its own")
 def test_what_it_cannot_do_is_refused_before_anything_starts(found: dict[str, Any]) -> None:
     assert "wave closes a loop through the instrument, and line_afm gives 100 samples a second" in found["plan"]
 

@@ -110,6 +110,7 @@ def test_output_that_cannot_be_written_is_one_sentence(
 
 
 @pytest.mark.check("a process for each of fifteen commands")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize(
     "words",
     ["--help", "--help-all", "up --help", "device list", "device list --json", "law list", "scenario list", "doctor",

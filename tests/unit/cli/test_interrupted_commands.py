@@ -187,7 +187,7 @@ IN_MAKE_TEST = [name for name, recipe in RECIPES.items() if recipe.in_make_test]
 
 
 @pytest.mark.check("takes 22.1 s")
-@pytest.mark.drawn(0.4)
+@pytest.mark.drawn(0.2)
 @pytest.mark.parametrize("name", IN_MAKE_TEST)
 def test_a_command_interrupted_at_a_random_time_leaves_nothing_half_and_runs_again(
     name: str, with_recordings: Callable[[str], str], tmp_path: Path
@@ -212,7 +212,7 @@ def test_each_command_interrupted_at_many_random_times_runs_again(
 
 
 @pytest.mark.check("takes 6.8 s")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.endurance)])
 def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signals, tmp_path: Path) -> None:
     # so long that it never ends by itself; the first lines come a second or two after the imports
     words = ["scan", "--mode", "contact", "--sample", "flat", "--size", "1000", "--pixels", "64", "--lines", "4000",
@@ -270,6 +270,7 @@ def written_under_a_signal(command: str, name: str, folder: Path, signals: int) 
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
+@pytest.mark.check("runs a command in a process of its own")
 @pytest.mark.parametrize(
     ("command", "name", "files", "words"),
     [

@@ -114,6 +114,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return run(tmp_path_factory.mktemp("package") / "site")
 
 
+@pytest.mark.check("an interpreter of its own")
 def test_the_package_is_imported_when_a_scenario_has_its_section(found: dict[str, Any]) -> None:
     assert found["imported"] == [False, False, True]
 

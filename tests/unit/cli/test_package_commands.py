@@ -162,6 +162,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.check("compiles the law")
 def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str, Any]) -> None:
     assert "filtered" in found["laws"]
     assert found["kept_share"] == 0.0

@@ -91,6 +91,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.check("simulates a session")
 def test_the_tip_goes_round_at_a_constant_force_and_retracts(found: dict[str, Any]) -> None:
     assert found["answer"] == "the tip goes round a circle of 3e-08 m at 5e-09 N"
     assert found["outcome"] == ["finished", "the circle is finished: the tip retracts"]

@@ -82,6 +82,7 @@ def test_what_a_reader_does_ends_in_a_sentence(file: Path, name: str, said: str)
         read_in_child(f"reader_in_child:{name}", file, limits=SMALL)
 
 
+@pytest.mark.check("waits until a reader is given up")
 def test_a_reader_that_waits_is_given_up(file: Path) -> None:
     with pytest.raises(ValueError, match="it cannot be read within 2 s"):
         read_in_child("reader_in_child:waits", file, limits=SMALL._replace(wall_s=2.0))

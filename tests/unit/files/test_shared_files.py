@@ -173,6 +173,7 @@ def test_threads_of_one_process_do_not_take_the_file_of_each_other(tmp_path: Pat
     assert len(set(path.read_bytes())) == 1 and [found.name for found in tmp_path.iterdir()] == ["stop"]
 
 
+@pytest.mark.check("fills a folder")
 def test_who_has_the_hand_keeps_it_in_a_full_folder_and_others_are_refused_by_name(tmp_path: Path) -> None:
     register = LeaseRegister(tmp_path / "disk")
     with small_disk(tmp_path / "disk") as leave:

@@ -87,6 +87,7 @@ def test_the_next_node_is_stopped_while_the_last_messages_of_one_are_delivered_a
     assert children.reap() == {}
 
 
+@pytest.mark.check("waits for the end of processes")
 @pytest.mark.parametrize(("delivered_after_s", "patience_s"), [(0.0, 0.1), (0.3, 0.4), (1e9, 0.8)])
 def test_a_process_that_hangs_is_killed_soon_after_its_readers_have_all_and_else_at_the_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delivered_after_s: float, patience_s: float

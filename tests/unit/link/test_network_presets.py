@@ -22,6 +22,8 @@ from telenano.wire.errors import ConfigError
 DIRECTIONS = ("forward", "backward")
 MEASURED = tuple((name, way) for name in PROFILES for way in DIRECTIONS)
 SIZE_BYTES = 300
+# messages in which one that overtakes is met on every line that has some
+SURELY_MET = 50_000
 # an outage, and a level of the delay, lasts seconds: fewer messages, over a longer time
 SPARSE = tuple(
     name for name in PROFILES if {"outage", "second_correlation_time_s"} & set(str(PROFILES[name].link).split("'"))
@@ -78,7 +80,8 @@ def check(name, way, count, seeds, widest):
         rows = [len(list(group)) for is_lost, group in groupby(lost.tolist()) if is_lost]
         assert np.mean(rows) == pytest.approx(stated.lost_in_a_row, rel=4.0 / math.sqrt(len(rows)) + 0.03)
     overtaking = any(fate.reordered for run in runs for fate in run)
-    assert overtaking == stated.overtakes
+    # What is seldom need not be met in few messages.
+    assert overtaking == stated.overtakes or (stated.overtakes and delays.size < SURELY_MET)
 
 
 @pytest.mark.parametrize("name", PROFILES)

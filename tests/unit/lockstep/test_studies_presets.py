@@ -24,8 +24,8 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
 
 
 @pytest.mark.check("takes 4.5 s")
+@pytest.mark.drawn(0.15)
 @pytest.mark.usefixtures("loop")
-@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
@@ -100,6 +100,7 @@ def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
 
 
 @pytest.mark.check("takes 1.0 s")
+@pytest.mark.drawn(0.3)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("scenario", ["touch", "image"])
 @pytest.mark.grid(law="passivity")

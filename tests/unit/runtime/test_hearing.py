@@ -317,6 +317,7 @@ def mended(context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, kind: s
 
 
 @pytest.mark.check("takes 10 s")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize(("kind", "node", "way"), DRAWN)
 def test_a_reader_hears_who_sends_within_two_seconds(
     context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, kind: str, node: str, way: str

@@ -827,6 +827,7 @@ print("newest", tracker.last_seq, flush=True)
 
 
 @pytest.mark.check("takes 0.8 s")
+@pytest.mark.drawn(0.4, "telenano/runtime/bus/")
 @pytest.mark.parametrize(("how", "late_s"), [("busy", 1.0), ("stop", 0.0), ("stop", 0.3)])
 def test_a_reader_that_was_held_up_goes_on_also_when_its_publisher_has_become_silent(
     context: Context, endpoint: str, how: str, late_s: float

@@ -323,6 +323,7 @@ def test_each_start_is_in_the_table() -> None:
 
 
 @pytest.mark.check("takes 2.9 s")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("safe", [True, False])
 @pytest.mark.parametrize("start", [each for given in STARTED.values() if not isinstance(given, str) for each in given])
 def test_what_a_start_runs_imports_nothing_of_the_folder(

@@ -257,6 +257,7 @@ def test_a_further_field_that_tells_of_the_machine_moves_no_message(
     assert digest(session(tmp_path / "other", seed=1)[0].recordings[0]) != before
 
 
+@pytest.mark.check("records two sessions")
 def test_the_api_records_what_the_command_records(tmp_path: Path) -> None:
     found = telenano.simulate(
         "fig12",

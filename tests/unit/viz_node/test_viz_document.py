@@ -103,6 +103,7 @@ def test_a_part_before_the_first_message_has_no_samples(document: RecordingDocum
     assert all(stream["n"] == 0 for stream in streams.values())
 
 
+@pytest.mark.check("reads a long recording")
 @pytest.mark.parametrize("first_ns", [0, 2**63])
 def test_no_piece_is_made_for_a_time_that_is_only_stated_and_each_chunk_is_read_once(
     whole: Recording, tmp_path: Path, first_ns: int, monkeypatch: pytest.MonkeyPatch

@@ -186,6 +186,7 @@ def test_the_operator_gets_in_while_strangers_hold_sockets_that_never_say_hello_
                 taken(opened(short, address, ACCESS.operator_token), "snapshot")
 
 
+@pytest.mark.check("waits until a connection is closed")
 def test_a_connection_that_says_nothing_is_closed_and_one_that_is_answered_is_not(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

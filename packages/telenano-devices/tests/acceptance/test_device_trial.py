@@ -138,6 +138,7 @@ def test_a_good_device_that_takes_a_force_passes(kind: str, tmp_path: Path) -> N
     assert set(others) == ({"orientation"} if kind == "dhd" else set()), others
 
 
+@pytest.mark.drawn(0.25)
 @check
 @pytest.mark.parametrize("word", HAPLY)
 def test_each_fault_of_the_emulated_inverse_service_is_on_the_page(word: str, tmp_path: Path) -> None:
@@ -155,6 +156,7 @@ def test_each_fault_of_the_emulated_inverse_service_is_on_the_page(word: str, tm
     assert result == "**failed**" and reason, (result, reason)
 
 
+@pytest.mark.drawn(0.25)
 @check
 @pytest.mark.parametrize("kind", ["dhd", "hd"])
 @pytest.mark.parametrize("word", DOUBLES)
@@ -177,6 +179,7 @@ def simulated_trial(faults: dict[str, Any], guide: Guide = SILENT, stop: str = s
     return make_trial("simulated_impedance", Tried(record, ()), guide)
 
 
+@pytest.mark.drawn(0.25)
 @check
 @pytest.mark.parametrize("name", [*simulated.SOME, *simulated.FURTHER, "stuck"])
 def test_each_fault_of_the_simulated_device_is_on_the_page(name: str, tmp_path: Path) -> None:
@@ -241,6 +244,7 @@ def test_every_option_of_the_emulated_instruments_is_in_the_table() -> None:
     assert found == {name for name in INSTRUMENTS if " --" in name} | DECLARED
 
 
+@pytest.mark.drawn(0.25)
 @check
 @pytest.mark.parametrize("word", INSTRUMENTS)
 def test_each_fault_of_the_emulated_instruments_is_on_the_page(word: str, tmp_path: Path) -> None:
@@ -335,6 +339,7 @@ HANDLES: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+@pytest.mark.drawn(0.25)
 @check
 @pytest.mark.parametrize("word", HANDLES)
 def test_each_fault_of_the_emulated_handle_is_on_the_page(word: str, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ whose clocks disagree, or whose delay is another one at its end than at its begi
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -98,30 +98,34 @@ def read_log(
     unit: str | None = None,
     *,
     round_trip: bool = False,
-    direction: Direction = "forward",
+    direction: Direction | None = None,
     period_s: float | None = None,
 ) -> LineLog:
     """Read logs of one line, each file as a segment of its own at least.
 
     `unit` is that of the columns of a table whose headings name none; `round_trip` says that the delays of a table are
     round trips, as those of `ping` are and those under a heading such as `rtt`; `direction` is that of a recording
-    which counts; `period_s` is the time between two messages of a log that has no times [s].
+    which counts, `forward` where none is given; `period_s` is the time between two messages of a log that has no times
+    [s].
 
     Raises:
-        ConfigError: A log cannot be used; the message names file, line or column, and what would be right.
+        ConfigError: A log cannot be used, or no log needs what is given beside them; the message names file, line or
+            column, or the option, and what would be right.
     """
+    used: set[str] = set()
     segments: list[Segment] = []
     cuts: list[str] = []
     # whether the delays of each log are round trips
     trips: list[bool] = []
     for path in paths:
         try:
-            parts, is_trip = _read(path, unit, direction, period_s, cuts)
+            parts, is_trip = _read(path, unit, direction or "forward", period_s, cuts, used)
         except (ValueError, OverflowError, MemoryError) as error:
             raise ConfigError(f"{path.name}: is no log of a line that can be read: {error}") from error
         trips.append(is_trip or round_trip)
         for sent_s, delay_s in parts:
             segments += _cut(sent_s, delay_s, path.name, cuts)
+    _check_used({"--unit": unit, "--direction": direction, "--period": period_s}, used, paths)
     if not segments:
         raise ConfigError(f"{', '.join(path.name for path in paths)}: is a log of ping without an answer")
     if any(trips) and not all(trips):
@@ -131,14 +135,31 @@ def read_log(
     return log
 
 
+# What an option is for, as its refusal says where no log needs it.
+_FOR = {
+    "--unit": "columns whose headings name no unit",
+    "--direction": "recordings of a rig",
+    "--period": "logs without times",
+}
+
+
+def _check_used(given: Mapping[str, object], used: set[str], paths: Sequence[Path]) -> None:
+    """Refuse an option that none of the logs needs: whoever gives it expects that it changes something."""
+    for flag, value in given.items():
+        if value is not None and flag not in used:
+            names = ", ".join(path.name for path in paths)
+            raise ConfigError(f"{names}: {flag} is for {_FOR[flag]}, and there are none in it; leave {flag} out")
+
+
 Part = tuple[Column, Column]
 
 
 def _read(
-    path: Path, unit: str | None, direction: Direction, period_s: float | None, cuts: list[str]
+    path: Path, unit: str | None, direction: Direction, period_s: float | None, cuts: list[str], used: set[str]
 ) -> tuple[list[Part], bool]:
-    """Return the parts of a log, and whether its delays are round trips."""
+    """Return the parts of a log, and whether its delays are round trips; add to `used` the options that it needed."""
     if path.suffix == ".mcap":
+        used.add("--direction")
         return [of_recording(path, direction, cuts)], False
     try:
         content = read_regular(path, _LARGEST_BYTES)
@@ -146,6 +167,7 @@ def _read(
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     text = decoded(content, path.name)
     if ping_log.is_ping_log(text):
+        used.add("--period")
         log = ping_log.round_trips(text, path.name, period_s)
         cuts += log.remarks
         return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in log.parts], True
@@ -153,10 +175,12 @@ def _read(
         return [through_delivery_trace(text, path.name, cuts)], False
     table = TextTable.parse(content, path.name)
     cuts += [f"{path.name}: {remark}" for remark in table.remarks if "no number" not in remark]
-    return _of_table(table, unit, period_s, cuts)
+    return _of_table(table, unit, period_s, cuts, used)
 
 
-def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: list[str]) -> tuple[list[Part], bool]:
+def _of_table(
+    table: TextTable, unit: str | None, period_s: float | None, cuts: list[str], used: set[str]
+) -> tuple[list[Part], bool]:
     name, columns = table.name, table.columns
     sent, received = table.find(*_SENT) or table.find(*_TIMES), table.find(*_RECEIVED)
     delay = _delay_in(columns)
@@ -179,6 +203,9 @@ def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: 
             " (sent_s) or --period S is needed, and one of receiving (received_s) or of delays (delay_s), empty where a"
             " message was lost"
         )
+    read = [one for one in (sent, received if delay is None else delay) if one is not None]
+    used |= {"--period"} if sent is None else set()
+    used |= {"--unit"} if any(not one.unit for one in read) else set()
     rows = len(table.lines)
     if not table.ends_whole and rows > 1 and not any("no whole row" in remark for remark in table.remarks):
         cuts.append(f"{name}: its last line has no end and may be a part of one; it is left out")

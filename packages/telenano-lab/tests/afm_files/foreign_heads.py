@@ -8,9 +8,7 @@ The reader sees the file, the spring constant and the sensitivity. For each kind
 wrong: a greatest force, a pull-off of either way or a span of the height that is more than 5 % off.
 """
 
-import argparse
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano.analysis import wilson
+from telenano.testing import print_table
 
 Array = np.ndarray
 K, M_PER_V = 0.5, 50e-9
@@ -451,40 +450,36 @@ def outcome(kind: Kind, seed: int, folder: Path) -> Outcome:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", nargs="?", type=int, default=50, metavar="COUNT", help="files of each kind")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first seed")
-    parser.add_argument("--kind", nargs="*", choices=[kind.__name__ for kind in KINDS], metavar="NAME")
-    parser.add_argument("--reasons", action="store_true", help="print why files were refused, and what was wrong")
-    chosen = parser.parse_args()
-    write = sys.stdout.write
-    write(
-        "| kind | read | refused | wrong, nothing said | wrong, said to be guessed or saturated |\n"
-        "|---|---|---|---|---|\n"
+    """Print the table, and how many files were read wrongly without a word."""
+
+    def is_told(one: Outcome) -> bool:
+        return any("guess" in word or "extreme" in word for word in one.said)
+
+    def is_silent(one: Outcome) -> bool:
+        return bool(one.wrong) and not is_told(one)
+
+    made = print_table(
+        __doc__,
+        KINDS,
+        outcome,
+        {
+            "read": lambda found: sum(not one.reason for one in found),
+            "refused": lambda found: sum(bool(one.reason) for one in found),
+            "wrong, nothing said": lambda found: sum(map(is_silent, found)),
+            "wrong, said to be guessed or saturated": lambda found: sum(
+                bool(one.wrong) and is_told(one) for one in found
+            ),
+        },
+        reason=lambda one: one.reason,
+        fault=lambda one: f"{one.wrong} {one.said}" if one.wrong else "",
+        note=lambda kind: (
+            " (not determined)" if kind in UNKNOWN else " (half determined)" if kind in HALF_KNOWN else ""
+        ),
     )
-    wrong = total = 0
-    with tempfile.TemporaryDirectory() as folder:
-        for kind in KINDS:
-            if chosen.kind and kind.__name__ not in chosen.kind:
-                continue
-            found = [outcome(kind, chosen.first + seed, Path(folder)) for seed in range(chosen.count)]
-            refused = sum(bool(one.reason) for one in found)
-            told = [any("guess" in word or "extreme" in word for word in one.said) for one in found]
-            silent = sum(bool(one.wrong) and not word for one, word in zip(found, told, strict=True))
-            aloud = sum(bool(one.wrong) and word for one, word in zip(found, told, strict=True))
-            note = " (not determined)" if kind in UNKNOWN else " (half determined)" if kind in HALF_KNOWN else ""
-            write(f"| {kind.__name__}{note} | {len(found) - refused} | {refused} | {silent} | {aloud} |\n")
-            wrong, total = wrong + silent, total + len(found)
-            if chosen.reasons:
-                for text in sorted({one.reason[-160:].replace("\n", " ") for one in found if one.reason})[:5]:
-                    write(f"    {text}\n")
-                for seed, one in enumerate(found):
-                    if one.wrong:
-                        write(f"    seed {chosen.first + seed}: {one.wrong} {one.said}\n")
-            sys.stdout.flush()
-    low, high = wilson(wrong, total)
-    write(f"{wrong} of {total} wrong without a word ({low:.2%} to {high:.2%})\n")
+    found = [one for ones in made.values() for one in ones]
+    wrong = sum(map(is_silent, found))
+    low, high = wilson(wrong, len(found))
+    sys.stdout.write(f"{wrong} of {len(found)} wrong without a word ({low:.2%} to {high:.2%})\n")
 
 
 if __name__ == "__main__":

@@ -273,6 +273,8 @@ WAITING = {
 }
 
 
+@pytest.mark.check("runs three commands for each way of waiting")
+@pytest.mark.drawn(0.35)
 @pytest.mark.parametrize(
     ("ending", "write", "kind"), [(ending, *row) for ending, rows in WAITING.items() for row in rows]
 )

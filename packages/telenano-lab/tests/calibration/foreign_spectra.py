@@ -9,10 +9,8 @@ wrong (more than 5 % and more than 4 of its own errors off) and the share within
 determine it has to be refused.
 """
 
-import argparse
 import math
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +19,7 @@ import numpy as np
 from scipy import signal
 
 from telenano.analysis import wilson
+from telenano.testing import print_table
 
 K_B = 1.380649e-23
 KELVIN = 295.0
@@ -413,43 +412,44 @@ def outcome(form: Form, seed: int, folder: Path) -> Outcome:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", nargs="?", type=int, default=50, metavar="COUNT", help="files of each form")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first seed")
-    parser.add_argument("--form", nargs="*", choices=[form.__name__ for form in FORMS], metavar="NAME")
-    parser.add_argument("--reasons", action="store_true", help="print why files were refused")
-    chosen = parser.parse_args()
-    write = sys.stdout.write
-    write("| form | read | refused | wrong | within two errors |\n|---|---|---|---|---|\n")
-    totals = {True: [0, 0, 0, 0], False: [0, 0, 0, 0]}
-    with tempfile.TemporaryDirectory() as folder:
-        for form in FORMS:
-            if chosen.form and form.__name__ not in chosen.form:
-                continue
-            found = [outcome(form, chosen.first + seed, Path(folder)) for seed in range(chosen.count)]
-            taken = [one for one in found if one.errors is not None]
-            inside = sum(abs(one.errors or 0.0) < 2.0 for one in taken)
-            determined = form in DETERMINED
-            wrong = sum(one.is_wrong for one in taken) if determined else len(taken)
-            cells = (len(taken), len(found) - len(taken), wrong, f"{inside / len(taken):.1%}" if taken else "-")
-            note = "" if determined else " (not determined)"
-            write(f"| {form.__name__}{note} | {' | '.join(map(str, cells))} |\n")
-            for place, value in enumerate((len(found), len(found) - len(taken), wrong, inside)):
-                totals[determined][place] += value
-            if chosen.reasons:
-                for reason in sorted({one.reason[-150:] for one in found if one.reason})[:4]:
-                    write(f"    {reason}\n")
-                for seed, one in enumerate(found):
-                    if one.is_wrong or (not determined and one.errors is not None):
-                        write(f"    seed {chosen.first + seed}: {one.share:+.1%}, {one.errors:+.1f} errors\n")
-            sys.stdout.flush()
-    for determined, (count, refused, wrong, inside) in totals.items():
-        if count:
-            low, high = wilson(wrong, count)
-            write(f"{'determined' if determined else 'not determined'}: {count} files, {refused / count:.1%} refused, "
-                  f"{wrong} wrong ({low:.2%} to {high:.2%})")  # fmt: skip
-            write(f", {inside / max(count - refused, 1):.1%} within two errors\n" if determined else "\n")
+    """Print the table, and how many files were read wrongly, of those that determine the answer and of the others."""
+    Told = tuple[Form, Outcome]
+
+    def is_wrong(told: Told) -> bool:
+        # What a file does not determine may not be read at all.
+        form, one = told
+        return one.is_wrong if form in DETERMINED else one.errors is not None
+
+    def read(found: list[Told]) -> int:
+        return sum(one.errors is not None for _, one in found)
+
+    def inside(found: list[Told]) -> int:
+        return sum(one.errors is not None and abs(one.errors) < 2.0 for _, one in found)
+
+    made = print_table(
+        __doc__,
+        FORMS,
+        lambda form, seed, folder: (form, outcome(form, seed, folder)),
+        {
+            "read": read,
+            "refused": lambda found: len(found) - read(found),
+            "wrong": lambda found: sum(map(is_wrong, found)),
+            "within two errors": lambda found: f"{inside(found) / read(found):.1%}" if read(found) else "-",
+        },
+        reason=lambda told: told[1].reason,
+        fault=lambda told: f"{told[1].share:+.1%}, {told[1].errors:+.1f} errors" if is_wrong(told) else "",
+        note=lambda form: "" if form in DETERMINED else " (not determined)",
+    )
+    for determined in (True, False):
+        found = [told for ones in made.values() for told in ones if (told[0] in DETERMINED) == determined]
+        if found:
+            wrong = sum(map(is_wrong, found))
+            low, high = wilson(wrong, len(found))
+            share = f", {inside(found) / max(read(found), 1):.1%} within two errors" if determined else ""
+            sys.stdout.write(
+                f"{'determined' if determined else 'not determined'}: {len(found)} files,"
+                f" {1.0 - read(found) / len(found):.1%} refused, {wrong} wrong ({low:.2%} to {high:.2%}){share}\n"
+            )
 
 
 if __name__ == "__main__":

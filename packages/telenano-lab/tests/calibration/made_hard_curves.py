@@ -8,15 +8,15 @@ kind the table has: read, refused, wrong (more than 1 % and more than 3 of its o
 errors.
 """
 
-import argparse
 import math
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from telenano.testing import print_table
 
 Array = np.ndarray
 
@@ -300,36 +300,31 @@ def outcome(kind: Kind, seed: int, folder: Path) -> Outcome:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("count", nargs="?", type=int, default=50, metavar="COUNT", help="curves of each kind")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first seed")
-    parser.add_argument("--kind", nargs="*", choices=[kind.__name__ for kind in KINDS], metavar="NAME")
-    parser.add_argument("--reasons", action="store_true", help="print why curves were refused")
-    chosen = parser.parse_args()
-    write = sys.stdout.write
-    write("| kind | read | refused | wrong | within two errors |\n|---|---|---|---|---|\n")
-    wrong = total = 0
-    with tempfile.TemporaryDirectory() as folder:
-        for kind in KINDS:
-            if chosen.kind and kind.__name__ not in chosen.kind:
-                continue
-            found = [outcome(kind, chosen.first + seed, Path(folder)) for seed in range(chosen.count)]
-            taken = [one for one in found if one.errors is not None]
-            inside = sum(abs(one.errors or 0.0) < 2.0 for one in taken if one.known)
-            bad = sum(one.is_wrong for one in found)
-            share = f"{inside / len(taken):.1%}" if taken and kind not in UNKNOWN else "-"
-            note = " (not determined)" if kind in UNKNOWN else ""
-            write(f"| {kind.__name__}{note} | {len(taken)} | {len(found) - len(taken)} | {bad} | {share} |\n")
-            wrong, total = wrong + bad, total + len(found)
-            if chosen.reasons:
-                for reason in sorted({one.reason[-150:] for one in found if one.reason})[:4]:
-                    write(f"    {reason}\n")
-                for seed, one in enumerate(found):
-                    if one.is_wrong:
-                        write(f"    seed {chosen.first + seed}: {one.share:+.1%}, {one.errors:+.1f} errors\n")
-            sys.stdout.flush()
-    write(f"{wrong} of {total} wrong\n")
+    """Print the table, and how many curves were read wrongly."""
+
+    def read(found: list[Outcome]) -> list[Outcome]:
+        return [one for one in found if one.errors is not None]
+
+    def share_inside(found: list[Outcome]) -> str:
+        known = [one for one in read(found) if one.known]
+        return f"{sum(abs(one.errors or 0.0) < 2.0 for one in known) / len(known):.1%}" if known else "-"
+
+    made = print_table(
+        __doc__,
+        KINDS,
+        outcome,
+        {
+            "read": lambda found: len(read(found)),
+            "refused": lambda found: len(found) - len(read(found)),
+            "wrong": lambda found: sum(one.is_wrong for one in found),
+            "within two errors": share_inside,
+        },
+        reason=lambda one: one.reason,
+        fault=lambda one: f"{one.share:+.1%}, {one.errors:+.1f} errors" if one.is_wrong else "",
+        note=lambda kind: " (not determined)" if kind in UNKNOWN else "",
+    )
+    found = [one for ones in made.values() for one in ones]
+    sys.stdout.write(f"{sum(one.is_wrong for one in found)} of {len(found)} wrong\n")
 
 
 if __name__ == "__main__":

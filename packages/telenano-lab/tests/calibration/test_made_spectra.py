@@ -14,6 +14,7 @@ MOST_REFUSED = {
 
 
 @pytest.mark.check("fits 156 spectra")
+@pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_spectrum_is_accepted_wrongly(kind: str, tmp_path: Path) -> None:
     found = row(kind, range(FEW), tmp_path)

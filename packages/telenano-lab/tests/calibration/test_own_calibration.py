@@ -132,6 +132,8 @@ def test_a_peak_of_few_lines_gives_the_stiffness_of_its_window(window: Any, line
     assert float(np.mean(ks)) == pytest.approx(K, rel=0.12)
 
 
+@pytest.mark.check("fits spectra with a tone")
+@pytest.mark.drawn(0.35)
 @pytest.mark.parametrize("lines", [128, 512])
 @pytest.mark.parametrize("times_of_floor", [1e3, 1e4, 1e6])
 def test_a_tone_is_no_resonance(times_of_floor: float, lines: int) -> None:

@@ -135,16 +135,23 @@ def test_the_verdicts_are_those_of_the_document_of_the_laws():
     assert run(run_of("wave", "touch", "transatlantic")).verdict == "stable"
 
 
-@pytest.mark.check("runs rows of the benchmark whole")
-def test_a_word_does_not_hide_the_force_that_it_stands_beside():
-    """A late message that leaves 2.3 mN is no growth, and what came to rest after 5 N was not held."""
+@pytest.mark.endurance("runs a row of the benchmark whole")
+def test_a_late_message_that_leaves_2_mn_is_no_growth():
     quiet = run(run_of("passivity", "track", "wifi", "reacting", 7))
     assert quiet.verdict == "stable"
     assert quiet.measures["peak_force_n"] < 1.0
+
+
+@pytest.mark.endurance("runs a row of the benchmark whole")
+def test_a_guard_that_acted_does_not_hide_the_force():
     withdrawn = run(run_of("smith", "hold", "satellite"))
     assert withdrawn.verdict == "guarded"
     assert "force_limit" in withdrawn.reason
     assert withdrawn.measures["peak_force_n"] > 20.0
+
+
+@pytest.mark.check("runs a row of the benchmark whole")
+def test_what_came_to_rest_after_5_n_was_not_held():
     struck = run(run_of("smith", "touch", "transatlantic"))
     assert struck.verdict == "struck"
     assert struck.measures["peak_force_n"] > STRUCK_FORCES * TASKS["touch"].force_n

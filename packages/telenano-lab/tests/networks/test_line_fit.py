@@ -412,6 +412,7 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.check("fits and draws a log of four minutes with each option")
+@pytest.mark.drawn(0.4)
 @pytest.mark.parametrize(
     "options", [(), ("--without-memory",), ("--round-trip",), ("--round-trip", "--without-memory"), ("--seed", "7")]
 )

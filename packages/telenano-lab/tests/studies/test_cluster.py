@@ -135,10 +135,16 @@ def test_a_second_study_that_waits_says_for_what(
     monkeypatch.setattr(sweeps, "_WORKER_S", 2.0)
     with distributed.Client(cluster.address, timeout="60s") as other:
         other.wait_for_workers(1, timeout=PATIENCE_S)
-        busy = other.map(time.sleep, [6.0 + 1e-3 * number for number in range(2)])
-        time.sleep(1.0)
+        # Each of the two keeps the worker until the study has said that it waits.
+        has_said = distributed.Event("said", client=other)
+        busy = [other.submit(distributed.Event.wait, has_said, f"{PATIENCE_S} s", pure=False) for _ in range(2)]
         heard: list[str] = []
-        found = sweep_of(tmp_path, cluster.address, warn=heard.append).run(CELLS[:2])
+
+        def warn(text: str) -> None:
+            heard.append(text)
+            has_said.set()
+
+        found = sweep_of(tmp_path, cluster.address, warn=warn).run(CELLS[:2])
         assert [result.cell for result in found] == CELLS[:2]
         other.cancel(busy)
     (text,) = heard

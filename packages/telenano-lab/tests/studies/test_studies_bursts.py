@@ -65,6 +65,7 @@ AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 
 
 @pytest.mark.check("a grid of bursts and laws")
+@pytest.mark.drawn(0.25)
 @pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
 @pytest.mark.parametrize("apart_us", [20, 100, 300])
 @pytest.mark.parametrize("stiffness", [20.0, 80.0, 150.0, None])

@@ -60,6 +60,7 @@ def test_a_line_with_gaps_is_borne_to_its_limit_and_not_to_that_of_an_even_one(
 
 
 @pytest.mark.check("every line, from six seeds")
+@pytest.mark.drawn(0.4)
 @pytest.mark.parametrize("law", [*LAWS, *(pytest.param(law, marks=pytest.mark.endurance) for law in PACKAGE_LAWS)])
 def test_nine_tenths_of_the_limit_are_borne_over_every_line(law: str) -> None:
     if law not in INSTALLED:
@@ -70,6 +71,7 @@ def test_nine_tenths_of_the_limit_are_borne_over_every_line(law: str) -> None:
 
 
 @pytest.mark.check("every line, from six seeds")
+@pytest.mark.drawn(0.4)
 @pytest.mark.parametrize("law", CLAMPED)
 def test_behind_the_clamp_nine_tenths_of_its_limit_are_pressed_no_harder_than_the_hand_presses(law: str) -> None:
     # At 200 ms these laws swing without any loss, and the hand is pushed with all that the device has.
