@@ -159,7 +159,7 @@ REFUSES: Mapping[str, str] = {
     "link fit --direction": "the log is no recording",
     "link fit --period": "the log has times",
     "link fit --taken": "no source is cited",
-    "link fit --histogram": "the log is no histogram; packages/telenano-networks has one",
+    "link fit --histogram": "the log is no histogram; packages/telenano-lab has one",
 }
 # Options without an effect in these circumstances, each with the reason.
 WITHOUT: Mapping[str, str] = {
@@ -169,7 +169,7 @@ WITHOUT: Mapping[str, str] = {
     "--scheduler": "needs a cluster; the tests of the package of studies",
     "study transparency --seed": "the figures of wave are the same with any seed; to be refused or used",
     "study transparency --tuned": "the figures of wave are the same tuned; to be refused or used",
-    "compare --published": "is a file of a published curve; packages/telenano-studies",
+    "compare --published": "is a file of a published curve; packages/telenano-lab",
     "--live": "needs a running rig; tests/stack/test_live_programs.py",
     "--site-file": "is where a running rig is; tests/stack",
     "--rig": "is which running rig is meant; tests/stack",
