@@ -25,8 +25,14 @@ def base() -> str | None:
 
 @functools.cache
 def changed() -> frozenset[str]:
-    """Return the paths that differ from that commit, and those that git does not know yet; without main only these."""
-    listed = (git("diff", "--name-only", base() or "HEAD"), git("ls-files", "--others", "--exclude-standard"))
+    """Return the paths that differ from that commit, and those that git does not know yet; without main only these.
+
+    A file that was only moved, or moved with the imports that name its new place, is none of them.
+    """
+    listed = (
+        git("diff", "--name-only", "--diff-filter=r", base() or "HEAD"),
+        git("ls-files", "--others", "--exclude-standard"),
+    )
     return frozenset(path for text in listed for path in (text or "").splitlines())
 
 
