@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from telenano.recording.multi_file import RecordingSource
-from telenano.settings.known_packages import KNOWN_PACKAGES
+from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES
 from telenano.settings.plugins import installed
 from telenano.settings.scenario import named_in
 from telenano.wire.errors import ConfigError, RecordingError
@@ -13,6 +13,8 @@ from telenano.wire.extras import how_to_add_package
 from telenano.wire.printable import printable
 
 _DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
+# Kinds that the table of known packages has another word for than the singular of their own.
+_KNOWN_AS = {"devices": "driver", "hand_sections": "section"}
 # Name and version of a package together; the longest names of an index have some 90 letters.
 _MOST_LETTERS = 200
 
@@ -62,7 +64,9 @@ def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
         if name not in installed(kind):
             package, singular = facts["package"], kind.removesuffix("s")
             # What an entry of this project is in today may have another name than when it was recorded.
-            known = KNOWN_PACKAGES.get(f"{singular} {name}", "") if package.startswith("telenano-") else ""
+            own = package if package in OWN_PACKAGES else ""
+            words = f"{_KNOWN_AS.get(kind, singular)} {name}"
+            known = KNOWN_PACKAGES.get(words, own) if package.startswith("telenano-") else ""
             how = how_to_add_package(known) if known else "ask the author of the recording for that package"
             what = f"{singular} {printable(name)} of {package} {facts['version']}"
             raise ConfigError(f"the session used the {what}, which is not installed here: {how}")

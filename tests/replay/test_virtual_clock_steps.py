@@ -17,6 +17,8 @@ WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
     "telenano/cli/commands/up.py": "the date in the name of the folder of a session",
+    "telenano/analysis/page.py": "the date in the foot of a page",
+    "telenano/testing/conformance/examination.py": "whether the clock of a client is that of this machine",
     "telenano/cli/commands/simulate.py": "the date in the name of the folder of a session",
     "telenano/timing/clock.py": "once, at the start of the first process, for the stamps of all",
     "telenano/launcher/rigs.py": "when a rig began, for a person who lists the rigs",

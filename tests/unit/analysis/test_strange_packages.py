@@ -1,6 +1,7 @@
 """What a recording says of packages: somebody else wrote it, and none of it becomes a command of this machine."""
 
 import random
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,8 +9,8 @@ from typing import Any
 import pytest
 
 from telenano.analysis import plugins
-from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.wire.errors import ConfigError, RecordingError
+from telenano.wire.extras import OWN_PACKAGES, how_to_add_package
 
 LAW = {"controller": {"law": "evil_law"}}
 DIGEST = f"sha256:{'0a' * 32}"
@@ -56,8 +57,14 @@ def test_no_command_is_recommended_for_what_is_not_ours() -> None:
         "ask the author of the recording for that package"
     )
     assert "pip" not in said
-    own = sorted(set(KNOWN_PACKAGES.values()))[0]
-    assert "make -C" in require(f"{own} 0.1.0 {DIGEST}") or "pip install" in require(f"{own} 0.1.0 {DIGEST}")
+    assert how_to_add_package(OWN_PACKAGES[0]) in require(f"{OWN_PACKAGES[0]} 0.1.0 {DIGEST}")
+
+
+def test_an_entry_whose_package_has_another_name_today_is_found_by_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins, "installed", lambda kind: {})
+    facts = {"package": "telenano-haptic-devices", "version": "0.1.0", "digest": DIGEST}
+    with pytest.raises(ConfigError, match=re.escape(how_to_add_package("telenano-devices"))):
+        plugins.require_installed({"devices.haply": facts})
 
 
 def test_nothing_at_random_is_obeyed() -> None:
