@@ -159,10 +159,7 @@ def beside(earlier: list[Window], found: Finding | None, window: Window, motion:
         return None
     if found.kind == "stable":
         falls = (
-            found.cause is Cause.DIES_OUT
-            and leaves_noise(window)
-            and not cancels(window, at_the_end=True)
-            and _is_less_at_end(motion)
+            found.cause is Cause.DIES_OUT and leaves_noise(window) and not cancels(window) and _is_less_at_end(motion)
         )
         lasting_n, at_hz = (0.0, 0.0) if falls else _lasting(earlier, MAY_LAST)
         return None if lasting_n and not _shows_rest(found, lasting_n, at_hz, window) else found
@@ -208,7 +205,7 @@ def _at_the_end(motion: Motion, found: Finding, window: Window, share: float) ->
         later = motion.last(later_share) if later_share < share else None
         if later is None or later.length_s * found.frequency_hz < LEAST_TURNS:
             continue
-        if not leaves_noise(later) or not explains(later, motion.hand_n) or cancels(later, at_the_end=True):
+        if not leaves_noise(later) or not explains(later, motion.hand_n) or cancels(later):
             continue
         own, near = decided_by_modes(later), modes_near(later, found.frequency_hz, 1.0 / later.length_s)
         differs = any(_grows_more(found.growth_per_s or 0.0, found.error_per_s, mode) for mode in near)
@@ -232,9 +229,6 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
     if found.kind != "stable" and leaves_noise(window) and cancels(window):
         return None
     if _is_open(found, window) and not (fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
-        return None
-    if found.rest_from_s is not None and leaves_noise(window) and min(sizes_of(motion)[-2:]) > motion.small_n:
-        # modes that are small alone are not together
         return None
     gone_n = gone_of(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
     if gone_n > max(ERROR_SHARE * motion.hand_n, _WAY_OVER_LEFT * rms(window.fit.left)):

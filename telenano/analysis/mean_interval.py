@@ -48,9 +48,6 @@ A drift that is slower than all waves of the model is not covered as said: of 40
 tremor all had an interval, which covered in 45, 85 and 70 % (0.7, 1.5 and 4 s). Where waves of so few parts of a cycle
 leave the mean open, breathing and tremor have no interval in half of their windows of 0.7 s, and the drift one in half.
 
-Of the eight kinds of hands (`python -m benchmarks.mean_intervals --hands --windows 1.5,4,10`) a tremor with 1/f noise
-beside it is not covered as said either: in 4 s it has an interval in two of three windows, which covers in 41 % of 50.
-
 Without them breathing was covered in none of the few windows of 0.7 s that had an interval.
 """
 

@@ -29,10 +29,6 @@ from telenano.analysis.verdict_thresholds import (
 )
 
 Series = npt.NDArray[np.float64]
-# from peak to peak over the root mean square [1]: a swing of twice the amplitude of the noise about it
-_SEEN_OVER_LEFT = 4.0
-# lines [1] on either side of a mode that it takes from a spectrum
-_TAKEN_LINES = 1.5
 
 
 class Fate(Enum):
@@ -78,16 +74,6 @@ class Window(NamedTuple):
         """The noise of the read-out [N], of which the step that it rounds to is a part."""
         return max(self.fit.noise_n, self.rounded_n / 1.5 / math.sqrt(12.0))
 
-    @property
-    def coloured_share(self) -> float:
-        """Return up to which share of the hand's force what the fit leaves is noise."""
-        return coloured_share(self.fit.left, tuple(mode.frequency_hz * self.length_s for mode in self.fit.modes))
-
-    def is_noise(self, mode: Mode) -> bool:
-        """Return whether a mode has less than twice the amplitude of the coloured noise that it is in."""
-        is_part = mode.end_n < _SEEN_OVER_LEFT * self.left_n and self.fit.whole and not leaves_noise(self)
-        return is_part and self.coloured_share >= ERROR_SHARE
-
     def cycles(self, mode: Mode) -> float:
         """Return how often a mode turns within the window while it stands out of what the fit leaves."""
         change, seen = mode.growth_per_s * self.length_s, self.seen(mode)
@@ -130,7 +116,6 @@ def classify(mode: Mode, window: Window) -> Fate:
     | the mode                                                                            | is         |
     |---|---|
     | is below what a fit leaves that some line is left of                                | NEGLIGIBLE |
-    | is UNSURE by what follows, and has less than twice the amplitude of coloured noise  | NEGLIGIBLE |
     | surely grows by more than the least change, is seen to, and is or becomes large     | GROWING    |
     | surely grows, is large or may become so, and is not seen to                         | UNSURE     |
     | surely grows and neither is nor becomes large                                       | NEGLIGIBLE |
@@ -144,12 +129,6 @@ def classify(mode: Mode, window: Window) -> Fate:
     """
     if not window.fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * window.left_n:
         return Fate.NEGLIGIBLE
-    fate = _fate(mode, window)
-    return Fate.NEGLIGIBLE if fate is Fate.UNSURE and mode.frequency_hz and window.is_noise(mode) else fate
-
-
-def _fate(mode: Mode, window: Window) -> Fate:
-    """Return what a mode does: see `classify`."""
     change, error, cycles = *_change(mode, window), window.cycles(mode)
     is_swing = cycles >= 0.5
     # The growth of a swing that is seen once has to be as clear on either side.
@@ -282,7 +261,7 @@ def explains(window: Window, hand_force_n: float) -> bool:
         coloured_n = hand_force_n if fit.whole else 0.0
         seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + max(noise, ERROR_SHARE * coloured_n))
         left_n = max(
-            noise, window.coloured_share * coloured_n, LEFT_SHARE * moved, LEFT_SHARE**2 * SMALL_SHARE * hand_force_n
+            noise, coloured_share(fit.left) * coloured_n, LEFT_SHARE * moved, LEFT_SHARE**2 * SMALL_SHARE * hand_force_n
         )
         # large modes that cancel are no motion
         if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
@@ -290,40 +269,19 @@ def explains(window: Window, hand_force_n: float) -> bool:
     return leaves_noise(window) or not any(_bends(mode, window) for mode in fit.modes)
 
 
-def coloured_share(left: Series, turns: tuple[float, ...] = ()) -> float:
-    """Return up to which share of the hand's force what a fit leaves is noise: less where it has a band.
-
-    A band is an octave with a greater density than all below it, surely so or with most of what is left: the density of
-    a hand, of a drift and of a read-out is greatest where it begins. A mode that turns so often has taken its lines.
-    """
+def coloured_share(left: Series) -> float:
+    """Return up to which share of the hand's force what a fit leaves is noise: less where an octave has most of it."""
     power = np.abs(np.fft.rfft(centred(left))) ** 2
-    is_left = np.ones(len(power), dtype=np.bool_)
-    for mode_turns in turns:
-        is_left[max(0, math.ceil(mode_turns - _TAKEN_LINES)) : math.floor(mode_turns + _TAKEN_LINES) + 1] = False
-    octaves = [power[2**k : 2 ** (k + 1)][is_left[2**k : 2 ** (k + 1)]] for k in range(int(math.log2(len(power))))]
-    sums = [float(np.cumsum(own)[-1]) if len(own) else 0.0 for own in octaves]
-    all_of_it, below_n2, lines = math.fsum(sums), 0.0, 0
-    for k, (own, own_n2) in enumerate(zip(octaves, sums, strict=True)):
-        if lines and len(own):
-            density = own_n2 / len(own) / max(below_n2 / lines, 1e-300)
-            is_most = own_n2 > 0.5 * all_of_it and k < len(octaves) - 1 and density > 1.0
-            # the logarithm of a mean of n lines errs by n^-1/2
-            if is_most or density > math.exp(SURE_ERRORS * math.sqrt(1.0 / len(own) + 1.0 / lines)):
-                return SMALL_SHARE
-        below_n2, lines = below_n2 + own_n2, lines + len(own)
-    return ERROR_SHARE
+    octaves = [float(np.cumsum(power[2**k : 2 ** (k + 1)])[-1]) for k in range(int(math.log2(len(power))))]
+    return SMALL_SHARE if max(octaves[:-1], default=0.0) > 0.5 * math.fsum(octaves) else ERROR_SHARE
 
 
-def cancels(window: Window, at_the_end: bool = False) -> bool:
-    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone.
-
-    What a motion is at its end is in doubt only by modes that are large there.
-    """
+def cancels(window: Window) -> bool:
+    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone."""
     large = sorted(
         (mode.frequency_hz, SURE_ERRORS * mode.error_per_s * window.length_s)
         for mode in window.fit.modes
-        if max(0.0 if at_the_end else mode.begin_n, mode.end_n) > window.small_n
-        and mode.frequency_hz * window.length_s > LEAST_TURNS
+        if max(mode.begin_n, mode.end_n) > window.small_n and mode.frequency_hz * window.length_s > LEAST_TURNS
     )
     return any(
         above - below < 1.0 / window.length_s and max(*errors) > LEAST_CHANGE

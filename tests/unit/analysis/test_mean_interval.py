@@ -6,7 +6,7 @@ The records are made by `benchmarks/made_records.py`, which knows no estimator.
 import numpy as np
 import pytest
 
-from benchmarks.made_records import HANDS, RECORDS, hand
+from benchmarks.made_records import RECORDS, hand
 from benchmarks.mean_intervals import covered
 from telenano.analysis.intervals import student
 from telenano.analysis.mean_interval import FEWEST_PARTS, mean_half_width
@@ -54,19 +54,6 @@ def test_a_wave_that_is_longer_than_the_window_makes_the_interval_wide(window_s:
     assert known >= 0.8 * 60
     # it covers in 83 to 100 % of other windows
     assert inside >= 0.75 * known
-
-
-@pytest.mark.endurance("takes 3 min")
-@pytest.mark.parametrize("window_s", [4.0, 10.0])
-@pytest.mark.parametrize(
-    "name", [name for name in HANDS if name not in ("tremor and 1/f", "drift, 0.05 Hz, and tremor")]
-)
-def test_the_mean_of_a_hand_that_holds_is_within_its_interval(name: str, window_s: float) -> None:
-    """What tremor hides of a drift and of 1/f noise is not in an interval: `python -m benchmarks.mean_intervals`."""
-    known, inside = covered(name, window_s, 100, 11)
-    assert known >= 0.75 * 100
-    # 92 % and three standard deviations of a share of 100
-    assert inside >= 0.8 * known
 
 
 def test_the_interval_of_white_noise_is_that_of_student_or_somewhat_wider() -> None:

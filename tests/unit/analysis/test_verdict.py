@@ -5,11 +5,10 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from telenano.analysis.findings import Cause, Finding, Kind
+from telenano.analysis.findings import Cause, Finding
 from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from telenano.analysis.verdict import judge
+from telenano.analysis.verdict import SMALL_SHARE, Kind, judge
 from telenano.analysis.verdict_sentences import sentence
-from telenano.analysis.verdict_thresholds import SMALL_SHARE
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]
