@@ -57,7 +57,8 @@ class Plugin(NamedTuple):
     @property
     def digest(self) -> str:
         """Return the digest of its own folder and of what that imports of the same package."""
-        return _digest(_parts(self.target))
+        digests = [_digest(part) for part in _parts(self.target)]
+        return digests[0] if len(digests) == 1 else "sha256:" + _sha256("\n".join(digests).encode())
 
     def facts(self) -> dict[str, str]:
         """Return what a recording keeps of it."""
@@ -306,8 +307,8 @@ def package_files(rows: Iterable[Plugin]) -> list[Path]:
 
 
 @cache
-def _digest(parts: tuple[str, ...]) -> str:
-    files = (name.encode() + b"\0" + path.read_bytes() for part in parts for name, path in _files(part))
+def _digest(part: str) -> str:
+    files = (name.encode() + b"\0" + path.read_bytes() for name, path in _files(part))
     return "sha256:" + _sha256(b"".join(files))
 
 
@@ -325,17 +326,9 @@ def _parts(target: str) -> tuple[str, ...]:
         return (top,)
     # What the package runs whenever something of it is imported counts for each.
     found, waiting = set[str](), {inner[0], "__init__"}
-    named = re.compile(rf"\b{re.escape(top)}\.(\w+)")
-    imported = re.compile(rf"^\s*from {re.escape(top)} import \(?([\w, \n]+)", re.MULTILINE)
     while waiting := {name for name in waiting - found if any(_place(root, name) for root in roots)}:
         found |= waiting
-        texts = (path.read_text("utf-8", "replace") for part in waiting for name, path in _files(f"{top}.{part}")
-                 if name.endswith(".py"))  # fmt: skip
-        waiting = {
-            name
-            for text in texts
-            for name in (*named.findall(text), *re.findall(r"\w+", " ".join(imported.findall(text))))
-        }
+        waiting = {name for part in waiting for name in _mentioned(top, part)}
     return tuple(f"{top}.{part}" for part in sorted(found))
 
 
@@ -348,6 +341,16 @@ def _sha256(content: bytes) -> str:
 
 def _top_level(target: str) -> str:
     return target.partition(":")[0].partition(".")[0].strip()
+
+
+@cache
+def _mentioned(top: str, part: str) -> frozenset[str]:
+    """Return what the modules of a part may name of their package: behind its name and a dot, or imported from it."""
+    named = re.compile(rf"\b{re.escape(top)}\.(\w+)")
+    imported = re.compile(rf"^\s*from {re.escape(top)} import \(?([\w, \n]+)", re.MULTILINE)
+    texts = [path.read_text("utf-8", "replace") for name, path in _files(f"{top}.{part}") if name.endswith(".py")]
+    words = " ".join(found for text in texts for found in imported.findall(text))
+    return frozenset({name for text in texts for name in named.findall(text)} | set(re.findall(r"\w+", words)))
 
 
 @cache

@@ -128,6 +128,7 @@ def test_an_edit_of_one_device_changes_no_other_one_and_that_of_a_shared_part_al
         def digests() -> dict[str, str]:
             plugins._digest.cache_clear()
             plugins._parts.cache_clear()
+            plugins._mentioned.cache_clear()
             return {name: row.digest for name, row in plugins.installed("devices").items()}
 
         before = digests()
