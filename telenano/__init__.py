@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from telenano.analysis.session import Session as Session
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from telenano.virtual.simulate import simulate as simulate
 
 _ELSEWHERE = {
+    "Session": ("telenano.analysis.session", "Session"),
     "SimulatedSession": ("telenano.lockstep.simulation", "SimulatedSession"),
     "simulate": ("telenano.virtual.simulate", "simulate"),
 }
@@ -24,6 +26,7 @@ _ELSEWHERE = {
 __all__ = [
     "LiveRig",
     "RecordedSession",
+    "Session",
     "SimulatedSession",
     "Table",
     "check_law",

@@ -7,7 +7,8 @@
     session.df("law/status", "controller@master")     # pandas, where it is installed
 
     soft = telenano.simulate(law="wave", round_trip_ms=40.0)
-    soft["time_s"], soft["scaled_tip_force_n"], soft.verdict
+    for each in (session, soft):                      # both are a telenano.Session
+        each.conditions.round_trip_ms, each.verdict, each.reason, each["time_s"], each["scaled_tip_force_n"]
 
     with telenano.live() as rig:
         print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
@@ -20,11 +21,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from telenano.analysis.fig12 import SessionSeries
+from telenano.analysis.holds import Fact, Hold
+from telenano.analysis.session import Conditions, Session
 from telenano.recording.column_table import Column, ColumnTable
 from telenano.recording.messages import topic_of
 from telenano.recording.multi_file import open_recordings
@@ -33,6 +37,9 @@ from telenano.recording.site_clock import Timeline
 from telenano.recording.tables import TypedColumn, flat, row
 from telenano.wire.errors import NoRecordingError, RecordingError, known_names
 from telenano.wire.messages import Message
+
+if TYPE_CHECKING:
+    from telenano.analysis.report import Session as ReadSession
 
 _LOOP = "haptic/state"
 
@@ -60,8 +67,18 @@ class Table(ColumnTable):
         return frame
 
 
-class RecordedSession:
-    """A recording, or all parts of one, for reading; made by `open`."""
+class Judged(NamedTuple):
+    """What is judged of a recording: its summary, and what was set."""
+
+    summary: dict[str, Any]
+    conditions: Conditions
+
+
+class RecordedSession(Session):
+    """A session that was recorded, in a file or in parts; made by `open`.
+
+    The tables can be read where the operator's force profile never ran; all else then raises RecordingError.
+    """
 
     def __init__(self, paths: Iterable[Path]) -> None:
         self._source = open_recordings(list(paths))
@@ -69,6 +86,41 @@ class RecordedSession:
     def __repr__(self) -> str:
         length = "" if self.start_ns is None else ", with a session of the operator"
         return f"<RecordedSession {self._source.path}: {len(self.channels)} channels{length}>"
+
+    @cached_property
+    def course(self) -> ColumnTable:
+        """All columns as a table; RecordingError when the force profile never ran."""
+        from telenano.analysis.recorded_course import course_of
+
+        return course_of(self._session)
+
+    @property
+    def conditions(self) -> Conditions:
+        """What was set; a delay that was set before the session began is in it."""
+        return self._judged.conditions
+
+    @property
+    def measured_round_trip_ms(self) -> float | None:
+        """Median of the delays that the link added there and back [ms]; None where it reported none."""
+        trip_ms: float | None = self.summary["link_round_trip_ms"]
+        return trip_ms
+
+    @cached_property
+    def holds(self) -> list[Hold]:
+        """The holds of the hand, each judged."""
+        return [
+            Hold(**{**hold, "facts": tuple(Fact(**fact) for fact in hold["facts"])}) for hold in self.summary["holds"]
+        ]
+
+    @property
+    def verdict(self) -> str:
+        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        return str(self.summary["verdict"])
+
+    @property
+    def reason(self) -> str:
+        """The verdict in words; a guard that acted comes first, with its time and limit."""
+        return str(self.summary["reason"])
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
@@ -78,11 +130,10 @@ class RecordedSession:
             fields_of.setdefault(channel.channel_topic, []).append(channel.src)
         return {name: tuple(sorted(sources)) for name, sources in sorted(fields_of.items())}
 
-    @cached_property
+    @property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
-        summary: dict[str, Any] = self._session.summary(self._source)
-        return summary
+        return self._judged.summary
 
     @cached_property
     def start_ns(self) -> int | None:
@@ -93,10 +144,22 @@ class RecordedSession:
             return None
 
     @cached_property
-    def _session(self) -> Any:
-        from telenano.analysis.report import Session
+    def _judged(self) -> Judged:
+        from telenano.analysis.recorded_course import conditions_of
 
-        return Session.of(self._source)
+        return Judged(self._session.summary(self._source), conditions_of(self._source, self._session))
+
+    def _drawn(self) -> tuple[SessionSeries, str]:
+        from telenano.analysis.report import figure_title
+
+        gaps_s = () if self.summary["recording"]["complete"] else self._session.gaps_s()
+        return self._session.series(gaps_s), figure_title(self._session, self.summary)
+
+    @cached_property
+    def _session(self) -> "ReadSession":
+        from telenano.analysis.report import Session as ReadSession
+
+        return ReadSession.of(self._source)
 
     @cached_property
     def _timeline(self) -> Timeline:
@@ -131,10 +194,6 @@ class RecordedSession:
             stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
             rows += zip(self._timeline.times_ns(publisher, stamps).tolist(), map(row, messages), strict=True)
         return _table(topic_of(channel), rows, self.start_ns)
-
-    def df(self, channel: str, src: str | None = None) -> Any:
-        """Return `table` as a pandas DataFrame."""
-        return self.table(channel, src).to_pandas()
 
 
 class LiveRig:

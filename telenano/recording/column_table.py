@@ -6,6 +6,7 @@ from typing import Any
 import numpy.typing as npt
 
 from telenano.files.optional_modules import required_module
+from telenano.wire.errors import probably_meant
 
 Column = npt.NDArray[Any]
 
@@ -22,9 +23,11 @@ class ColumnTable(Mapping[str, Column]):
         self.descriptions = dict(descriptions)
 
     def __getitem__(self, name: str) -> Column:
-        """Return a column; KeyError names those that there are."""
+        """Return a column; KeyError names the one that was probably meant, and those that there are."""
         if name not in self._columns:
-            raise KeyError(f"{self._name} has no column {name!r}; its columns are {', '.join(self._columns)}")
+            meant = _meant(name, self._columns)
+            names = f"{meant} Its" if meant else "; its"
+            raise KeyError(f"{self._name} has no column {name!r}{names} columns are {', '.join(self._columns)}")
         return self._columns[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -32,6 +35,9 @@ class ColumnTable(Mapping[str, Column]):
 
     def __len__(self) -> int:
         return len(self._columns)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._columns)
 
     def __repr__(self) -> str:
         rows = len(next(iter(self._columns.values()))) if self._columns else 0
@@ -58,3 +64,11 @@ class ColumnTable(Mapping[str, Column]):
         }
         times = variables.pop("time_s")
         return xarray.Dataset(variables, coords={"time_s": times}, attrs={"name": self._name})
+
+
+def _meant(name: object, columns: Mapping[str, Column]) -> str:
+    """Return `; did you mean NAME?` for a wrong column: the components of the vector that it names, or the nearest."""
+    text = str(name)
+    if parts := [column for column in columns if column.startswith(f"{text}.")]:
+        return f"; did you mean {' or '.join(parts)}?"
+    return probably_meant(text, columns)
