@@ -1,6 +1,6 @@
 """The `telenano` command, and what programs use.
 
-`open` a recording, `simulate` a session, connect to a `live` rig.
+`open` a recording, `open_all` of many, `simulate` a session, connect to a `live` rig.
 """
 
 from importlib import import_module
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from telenano.api import check_law as check_law
     from telenano.api import live as live
     from telenano.api import open as open
+    from telenano.api import open_all as open_all
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.virtual.simulate import simulate as simulate
 
@@ -32,6 +33,7 @@ __all__ = [
     "check_law",
     "live",
     "open",
+    "open_all",
     "simulate",
 ]
 

@@ -78,12 +78,9 @@ class Conditions:
         return ", ".join(words)
 
     def row(self) -> dict[str, Any]:
-        """Return them as columns of a table: each parameter of the law by its own name, changes as one text."""
-        own = asdict(self)
-        parameters: dict[str, Any] = own.pop("parameters")
-        own["changed"] = "; ".join(self.changed)
-        # a parameter is no other condition, whatever a law calls it
-        return own | {(f"law.{name}" if name in own else name): value for name, value in parameters.items()}
+        """Return them as columns of a table without the parameters of the law; the changes are one text."""
+        own = {name: value for name, value in asdict(self).items() if name != "parameters"}
+        return {**own, "changed": "; ".join(self.changed)}
 
 
 def sample_in_words(scenario: "Scenario") -> str:
