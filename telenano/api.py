@@ -336,7 +336,7 @@ def open_all(
 
 def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
     if isinstance(recordings, (str, os.PathLike)):
-        names = glob(os.fspath(recordings), recursive=True)  # noqa: PTH207 - that of a path takes no absolute pattern
+        names = sorted(glob(os.fspath(recordings), recursive=True))  # noqa: PTH207 - that of a path takes no absolute pattern
         # a folder that has no recording is none, and so is a figure beside one
         paths = [
             path for path in map(Path, names) if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
@@ -359,7 +359,8 @@ def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLi
 def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None:
     """Return the rows of a recording; None of one that is not judged yet where only such ones are wanted."""
     try:
-        session = RecordedSession([_recording_at(path)])
+        path = _recording_at(path)
+        session = RecordedSession([path])
         if kept_only and not session.is_judged:
             return None
         stated, holds = session.conditions, session.holds

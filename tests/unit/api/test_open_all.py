@@ -67,10 +67,10 @@ def test_what_cannot_be_judged_has_a_row_with_the_reason(folder: Path) -> None:
         shutil.copy(made, folder / "two" / name)
     frame = telenano.open_all(f"{folder}/*").set_index("file")
     reasons = frame["session_reason"]
-    assert "no scenario attached" in reasons[str(made.parent)]
+    assert "no scenario attached" in reasons[str(made)]
     assert "bad.mcap" in reasons[str(folder / "bad.mcap")]
     assert "2 recordings" in reasons[str(folder / "two")]
-    assert frame.loc[[str(made.parent), str(folder / "bad.mcap")], "session_verdict"].isna().all()
+    assert frame.loc[[str(made), str(folder / "bad.mcap")], "session_verdict"].isna().all()
     assert frame["session_verdict"].notna().sum() >= len(LAWS)
 
 
