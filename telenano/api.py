@@ -31,6 +31,7 @@ import msgspec
 import numpy as np
 
 from telenano.analysis.fig12 import SessionSeries
+from telenano.analysis.findings import Kind
 from telenano.analysis.holds import Fact, Hold
 from telenano.analysis.kept_summary import KeptSummary
 from telenano.analysis.session import Conditions, Session
@@ -77,7 +78,7 @@ class Table(ColumnTable):
         super().__init__(topic, columns, units, descriptions)
         self.topic = topic
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "pandas.DataFrame":
         """Return a pandas DataFrame, with `topic` and `units` in its attrs; ConfigError where pandas is missing."""
         frame = super().to_pandas()
         frame.attrs.update(topic=self.topic)
@@ -134,9 +135,10 @@ class RecordedSession(Session):
         ]
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Kind:
         """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
-        return str(self.summary["verdict"])
+        kind: Kind = self.summary["verdict"]
+        return kind
 
     @property
     def reason(self) -> str:

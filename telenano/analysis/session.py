@@ -7,7 +7,10 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
 
 from telenano.analysis.figure_style import VERDICT_COLOURS
 from telenano.files.optional_modules import required_module
@@ -19,9 +22,12 @@ from telenano.settings.named_instruments import IDEAL
 from telenano.wire.errors import TelenanoError
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
     from telenano.analysis.fig12 import SessionSeries
+    from telenano.analysis.findings import Kind
     from telenano.analysis.holds import Hold
     from telenano.settings.scenario import Scenario
 
@@ -153,7 +159,7 @@ class Session(Mapping[str, Column]):
 
     @property
     @abstractmethod
-    def verdict(self) -> str:
+    def verdict(self) -> "Kind":
         """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
 
     @property
@@ -184,6 +190,15 @@ class Session(Mapping[str, Column]):
         """What each column is, in words."""
         return self.course.descriptions
 
+    # a column that is not known by its name has numbers
+    @overload
+    def __getitem__(  # type: ignore[overload-overlap]
+        self, name: Literal["in_contact", "hand_following"]
+    ) -> npt.NDArray[np.bool_]: ...
+
+    @overload
+    def __getitem__(self, name: str) -> npt.NDArray[np.float64]: ...
+
     def __getitem__(self, name: str) -> Column:
         """Return a column; KeyError names the one that was probably meant, and those that there are."""
         return self.course[name]
@@ -201,15 +216,15 @@ class Session(Mapping[str, Column]):
             # what cannot be read has nothing to complete
             return []
 
-    def df(self, channel: str, src: str | None = None) -> Any:
+    def df(self, channel: str, src: str | None = None) -> "pandas.DataFrame":
         """Return `table` as a pandas DataFrame."""
         return self.table(channel, src).to_pandas()
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "pandas.DataFrame":
         """Return the columns as a pandas DataFrame, with `units` in its attrs."""
         return self.course.to_pandas()
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> "xarray.Dataset":
         """Return the columns as an xarray Dataset over `time_s`."""
         return self.course.to_xarray()
 

@@ -17,6 +17,7 @@ import numpy as np
 from telenano.afm.config import AfmConfig
 from telenano.afm.disturbances import instrument_name
 from telenano.analysis.fig12 import SessionSeries, TipStates
+from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
     NO_CONTEXT,
     Hold,
@@ -263,13 +264,13 @@ class SimulatedSession(Session):
         return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._context)
 
     @cached_property
-    def _verdict(self) -> tuple[str, str]:
+    def _verdict(self) -> tuple[Kind, str]:
         guard = guard_of(self["time_s"], self._tip, self._context)
         greatest_n = float(np.abs(self["operator_force_n"]).max(initial=0.0))
         return verdict_of(self.holds, guard, greatest_n, in_words(self._context.interruptions))
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Kind:
         """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
         return self._verdict[0]
 
@@ -304,9 +305,9 @@ def simulate_scenario(
     round_trip_ms: float | None = None,
     environment: str | None = None,
     instrument: str | None = None,
-    operator: Mapping[str, Any] | None = None,
+    operator: Mapping[str, object] | None = None,
     duration_s: float | None = None,
-    settings: Mapping[str, Any] | None = None,
+    settings: Mapping[str, object] | None = None,
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 
