@@ -98,7 +98,8 @@ class KeptSummary:
     def _stamps(self) -> list[tuple[int, ...]] | None:
         try:
             found = [path.stat() for path in self._paths]
-        except OSError:
+        except (OSError, ValueError):
+            # a name that no file can have is told by who opens it
             return None
         return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns, one.st_ctime_ns) for one in found]
 

@@ -1,6 +1,6 @@
 """The columns and the conditions of a recorded session, under the names that a simulated one has."""
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from telenano.recording.multi_file import RecordingSource
 from telenano.recording.silence import LONGEST_STEP_S
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario
-from telenano.wire.nodes import LINK
+from telenano.wire.nodes import LINK, name_of
 
 Series = npt.NDArray[np.float64]
 
@@ -72,8 +72,9 @@ class _Newest:
 def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
     """Return what was set for a recorded session.
 
-    Law and parameters are those of its summary. The delay is what the link reported to be in force when the session
-    began, since it may have been set after the rig was started, and that of the scenario where nothing was reported.
+    Law and parameters are those of its summary. Delay and network are what the link reported to be in force when the
+    session began, since they may have been set after the rig was started, and those of the scenario where it reported
+    nothing.
 
     Raises:
         RecordingError: No scenario is attached.
@@ -83,14 +84,15 @@ def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
     scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
     origin = f"{recording.path}: scenario.yaml"
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
-    delays_s = _delays_in_force(recording, session) or (link.forward.delay_s, link.backward.delay_s)
+    line = _line_in_force(recording, session)
+    line = line or _Line(link.forward.delay_s + link.backward.delay_s, facts["link_profile"])
     return Conditions(
         scenario=session.scenario,
         law=" then ".join(facts["law"]),
         parameters=facts["parameters"],
         environment=str(scenario.afm_node.get("environment", "tip_sample")),
-        round_trip_ms=round(1e3 * sum(delays_s), 6),
-        link_profile=facts["link_profile"],
+        round_trip_ms=round(1e3 * line.delay_s, 6),
+        link_profile=line.network,
         link_seed=facts["link_seed"],
         instrument=instrument_name(scenario.instrument, scenario.afm_node),
         sample=sample_in_words(scenario),
@@ -99,19 +101,30 @@ def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
     )
 
 
-def _delays_in_force(recording: RecordingSource, session: Session) -> tuple[float, float] | None:
-    """Return the fixed delay there and back when the session began [s]; None where the link reported none."""
-    if not any(channel.channel_topic == "link/status" for channel in recording.channels):
-        return None
-    found: tuple[float, float] | None = None
+class _Line(NamedTuple):
+    """What was set of the link: the fixed delays there and back together [s], and the name of the network."""
+
+    delay_s: float
+    network: str
+
+
+def _line_in_force(recording: RecordingSource, session: Session) -> _Line | None:
+    """Return what the link reported to be in force when the session began; None where it reported nothing.
+
+    It reports ten times a second. Where it was not set in the session the first report after the beginning counts, as
+    the one before may be older than what was set just before; where it was, the last one before the beginning.
+    """
+    changed = any(name_of(text.partition(":")[0]) == LINK for text in session.conditions["changed"])
+    found: _Line | None = None
     reports = recording.select(lambda channel: channel.topic == "link/status" and channel.via == "direct")
     for report, fields in readable(reports, recording.left_out):
         at_ns = int(session.timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
-        if found is not None and at_ns > session.start_ns:
+        begun = at_ns >= session.start_ns
+        if found is not None and begun and changed:
             break
-        found = _delay_s(fields["forward"]), _delay_s(fields["backward"])
+        there, back = fields["forward"], fields["backward"]
+        delays_s = (float(way["settings"].get("delay_s", 0.0)) for way in (there, back))
+        found = _Line(sum(delays_s), str(there["profile"]))
+        if begun:
+            break
     return found
-
-
-def _delay_s(direction: dict[str, Any]) -> float:
-    return float(direction["settings"].get("delay_s", 0.0))
