@@ -14,9 +14,6 @@ import numpy.typing as npt
 
 from telenano.analysis.figure_style import VERDICT_COLOURS
 from telenano.files.optional_modules import required_module
-from telenano.hand.config import recorded_hand
-from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig
-from telenano.link.config import EVEN
 from telenano.recording.column_table import Column, ColumnTable
 from telenano.settings.named_instruments import IDEAL
 from telenano.wire.errors import TelenanoError
@@ -74,6 +71,8 @@ class Conditions:
 
     def title(self) -> str:
         """Return the words of a title."""
+        from telenano.link.config import EVEN
+
         words = [self.scenario, self.law]
         if self.link_profile in EVEN or self.round_trip_ms:
             words.append(f"round trip {self.round_trip_ms:g} ms")
@@ -110,6 +109,10 @@ def hand_in_words(scenario: "Scenario", origin: str) -> str:
     Raises:
         ConfigError: The hand cannot be read; the message names the key.
     """
+    # what is kept of a recording is read without these, whose import takes longer
+    from telenano.hand.config import recorded_hand
+    from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig
+
     operator, simulated = recorded_hand(scenario.haptic_node, origin)
     if not simulated:
         return f"at {scenario.haptic_node.get('driver')}"
