@@ -102,6 +102,7 @@ def test_a_recording_that_changes_while_it_is_open_is_not_kept(recording: Path, 
     assert not telenano.open(recording).is_judged
 
 
+@pytest.mark.check("takes 8 s")
 @pytest.mark.parametrize(
     "damage",
     [
@@ -124,6 +125,7 @@ def test_what_is_damaged_is_judged_again(recording: Path, judged: list[str], dam
     assert kept.read_bytes() == content
 
 
+@pytest.mark.check("takes 3 s")
 @pytest.mark.parametrize("place", ["folder", "link", "pipe"])
 def test_what_is_no_file_is_not_read(recording: Path, place: str) -> None:
     kept = KeptSummary([recording]).path
@@ -224,6 +226,7 @@ def test_the_recording_of_the_library_is_not_written_beside() -> None:
     assert not KeptSummary([DEMO_RECORDING]).path.exists()
 
 
+@pytest.mark.check("takes 2 s")
 def test_what_was_read_before_is_no_part_of_the_account(recording: Path) -> None:
     flipped(recording)
     first = telenano.open(recording)

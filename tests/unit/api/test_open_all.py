@@ -93,6 +93,7 @@ def test_without_pandas_its_absence_is_named(folder: Path, monkeypatch: pytest.M
         telenano.open_all(f"{folder}/*")
 
 
+@pytest.mark.check("takes 4 s")
 def test_a_bar_counts_the_new_ones_and_is_seen_on_a_terminal_alone(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
