@@ -23,7 +23,7 @@ COLOURS = {"stable": "#007a5a", "limit_cycle": "#c04e00", "diverged": "#000000"}
 def verdict(gain: float, delay_ms: float) -> str:
     """Return the verdict of a session, on whichever worker runs it."""
     settings = {"controller.virtual_impedance.force_gain": gain}
-    return str(telenano.simulate("fig12", round_trip_ms=delay_ms, settings=settings).verdict)
+    return telenano.simulate("fig12", round_trip_ms=delay_ms, settings=settings).verdict
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 import telenano
@@ -25,13 +26,13 @@ SETTINGS = {
 }
 
 
-def recorded(seed: int) -> tuple[int, np.ndarray]:
+def recorded(seed: int) -> tuple[int, npt.NDArray[np.float64]]:
     """Record the press of Fig. 12 with a seed, unless it is there; return the seed and the forces at TIMES_S [N]."""
     folder = OUT / "many" / f"{seed:03d}"
     if not (folder / "session.mcap").exists():
         telenano.simulate("fig12", duration_s=2.0, settings=SETTINGS, recording=folder, seed=seed, report=False)
-    tip = telenano.open(folder).table("afm/state")
-    return seed, np.interp(TIMES_S, tip["time_s"], tip["tip_force_n.2"])
+    session = telenano.open(folder)
+    return seed, np.interp(TIMES_S, session["time_s"], session["tip_force_n"])
 
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)

@@ -18,22 +18,20 @@ RECORDING = Path(sys.argv[1]) if len(sys.argv) > 1 else DEMO_RECORDING
 OUT = Path(sys.argv[2] if len(sys.argv) > 2 else "out/examples")
 
 session = telenano.open(RECORDING)
-tip = session.table("afm/state")
-assert (tip.units["base_position_m.2"], tip.units["tip_force_n.2"]) == ("m", "N")
-ran = tip["time_s"] >= 0.0
-touches = ran & tip["in_contact"].astype(bool)
-# z points away from the sample, so the base goes towards it with -z
-base_nm, force_nn = -1e9 * tip["base_position_m.2"], 1e9 * tip["tip_force_n.2"]
+assert (session.units["base_position_m"], session.units["tip_force_n"]) == ("m", "N")
+touches = session["in_contact"]
+# towards the sample, and repulsive, is positive here; session.table("afm/state") has what was sent, z away from it
+base_nm, force_nn = 1e9 * session["base_position_m"], 1e9 * session["tip_force_n"]
 slope, offset = np.polyfit(base_nm[touches], force_nn[touches], 1)
 residual_nn = np.std(force_nn[touches] - slope * base_nm[touches] - offset)
 print(f"samples_in_contact {np.count_nonzero(touches)}")
 print(f"slope_n_per_m {slope:.3f}")
 print(f"residual_nn {residual_nn:.3f}")
-print(f"least_force_nn {force_nn[ran].min():.3f}")
+print(f"least_force_nn {np.nanmin(force_nn):.3f}")
 
 figure = Figure(figsize=(7.0, 3.8), layout="constrained")
 axes = figure.subplots()
-axes.plot(base_nm[ran], force_nn[ran], ".", ms=2, color="0.6", label="recorded")
+axes.plot(base_nm, force_nn, ".", ms=2, color="0.6", label="recorded")
 axes.plot(base_nm[touches], force_nn[touches], ".", ms=3, label="in contact")
 ends = np.array([base_nm[touches].min(), base_nm[touches].max()])
 axes.plot(ends, slope * ends + offset, "k-", lw=1.0, label=f"fit: {slope:.1f} N/m")

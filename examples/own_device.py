@@ -38,15 +38,13 @@ with tempfile.TemporaryDirectory() as name:
         sys.exit(ended.returncode)
 
 session = telenano.open(OUT / "own_device")
-hand, tip = session.table("haptic/state"), session.table("afm/state")
-scale = session.summary["parameters"]["force_scale"]
 for begin_s, end_s in ((3.0, 3.9), (6.0, 6.9)):
-    felt = scale * tip["tip_force_n.2"][(tip["time_s"] > begin_s) & (tip["time_s"] < end_s)].mean()
-    print(f"from_s {begin_s:g} scaled_tip_force_n {felt:.3f}")
+    felt_n = session["scaled_tip_force_n"][(session["time_s"] > begin_s) & (session["time_s"] < end_s)].mean()
+    print(f"from_s {begin_s:g} scaled_tip_force_n {felt_n:.3f}")
 figure = Figure(figsize=(7.0, 3.6), layout="constrained")
 axes = figure.subplots()
-axes.plot(hand["time_s"], -hand["operator_force_n.2"], "--", label="my handle, $F_m$")
-axes.plot(tip["time_s"], scale * tip["tip_force_n.2"], lw=1.0, label=r"tip, scaled, $\alpha_f F_s$")
+axes.plot(session["time_s"], session["operator_force_n"], "--", label="my handle, $F_m$")
+axes.plot(session["time_s"], session["scaled_tip_force_n"], lw=1.0, label=r"tip, scaled, $\alpha_f F_s$")
 axes.set(title="A session with your own device", xlabel="time (s)", ylabel="force (N)", xlim=(0.0, 7.0))
 axes.legend()
 figure.savefig(OUT / "own_device.png", dpi=80)

@@ -1,22 +1,27 @@
 """The `telenano` command, and what programs use.
 
-`open` a recording, `simulate` a session, connect to a `live` rig.
+`open` a recording, `open_all` of many, `simulate` a session, connect to a `live` rig.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from telenano.analysis.session import Session as Session
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
     from telenano.api import check_law as check_law
     from telenano.api import live as live
     from telenano.api import open as open
+    from telenano.api import open_all as open_all
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.virtual.simulate import simulate as simulate
 
+    __version__: str
+
 _ELSEWHERE = {
+    "Session": ("telenano.analysis.session", "Session"),
     "SimulatedSession": ("telenano.lockstep.simulation", "SimulatedSession"),
     "simulate": ("telenano.virtual.simulate", "simulate"),
 }
@@ -24,11 +29,13 @@ _ELSEWHERE = {
 __all__ = [
     "LiveRig",
     "RecordedSession",
+    "Session",
     "SimulatedSession",
     "Table",
     "check_law",
     "live",
     "open",
+    "open_all",
     "simulate",
 ]
 
@@ -38,21 +45,23 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-def __getattr__(name: str) -> Any:
-    # The command begins faster without modules that it may not need.
-    if name == "__version__":
-        from importlib.metadata import version
+if not TYPE_CHECKING:
+    # To a checker of types a name that is not above is none.
+    def __getattr__(name: str) -> Any:
+        # The command begins faster without modules that it may not need.
+        if name == "__version__":
+            from importlib.metadata import version
 
-        return version("telenano")
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
-        module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
-        return getattr(import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package in ("", "services", "telenano"):
-            raise
-        from telenano.wire.extras import missing
+            return version("telenano")
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        try:
+            module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
+            return getattr(import_module(module), attribute)
+        except ModuleNotFoundError as error:
+            package = (error.name or "").partition(".")[0]
+            if package in ("", "services", "telenano"):
+                raise
+            from telenano.wire.extras import missing
 
-        raise ModuleNotFoundError(f"telenano.{name}: {missing(package)}", name=error.name) from error
+            raise ModuleNotFoundError(f"telenano.{name}: {missing(package)}", name=error.name) from error

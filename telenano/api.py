@@ -7,7 +7,8 @@
     session.df("law/status", "controller@master")     # pandas, where it is installed
 
     soft = telenano.simulate(law="wave", round_trip_ms=40.0)
-    soft["time_s"], soft["scaled_tip_force_n"], soft.verdict
+    for each in (session, soft):                      # both are a telenano.Session
+        each.conditions.round_trip_ms, each.verdict, each.reason, each["time_s"], each["scaled_tip_force_n"]
 
     with telenano.live() as rig:
         print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
@@ -15,26 +16,50 @@
 Vectors are those of the wire: in the frame of a site, z away from the sample, a column for each component.
 """
 
+import json
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import asdict, fields
 from functools import cached_property
+from glob import glob
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from telenano.analysis.fig12 import SessionSeries
+from telenano.analysis.findings import Kind
+from telenano.analysis.holds import Fact, Hold
+from telenano.analysis.kept_summary import KeptSummary
+from telenano.analysis.session import Conditions, Session
+from telenano.files.optional_modules import required_module
 from telenano.recording.column_table import Column, ColumnTable
 from telenano.recording.messages import topic_of
-from telenano.recording.multi_file import open_recordings
+from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.quantities import quantity
 from telenano.recording.site_clock import Timeline
 from telenano.recording.tables import TypedColumn, flat, row
-from telenano.wire.errors import NoRecordingError, RecordingError, known_names
+from telenano.wire.errors import NoRecordingError, RecordingError, TelenanoError, known_names
 from telenano.wire.messages import Message
 
+if TYPE_CHECKING:
+    import pandas
+
+    from telenano.analysis.report import Session as ReadSession
+
 _LOOP = "haptic/state"
+# The columns of a table of recordings that do not depend on what is in them.
+_CONDITIONS = tuple(field.name for field in fields(Conditions) if field.name != "parameters")
+_HOLD_NUMBERS = tuple(name for name in Hold._fields if name not in ("verdict", "reason", "facts"))
+_FIRST = (
+    *("file", *_CONDITIONS, "measured_round_trip_ms", "session_verdict", "session_reason", "hold"),
+    *Hold._fields,
+)
+# The width of a bar of progress, in characters.
+_BAR = 30
 
 
 class Table(ColumnTable):
@@ -53,22 +78,72 @@ class Table(ColumnTable):
         super().__init__(topic, columns, units, descriptions)
         self.topic = topic
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "pandas.DataFrame":
         """Return a pandas DataFrame, with `topic` and `units` in its attrs; ConfigError where pandas is missing."""
         frame = super().to_pandas()
         frame.attrs.update(topic=self.topic)
         return frame
 
 
-class RecordedSession:
-    """A recording, or all parts of one, for reading; made by `open`."""
+class Judged(NamedTuple):
+    """What is judged of a recording: its summary, what was set, and when the force profile began [ns]."""
+
+    summary: dict[str, Any]
+    conditions: Conditions
+    start_ns: int
+
+
+class RecordedSession(Session):
+    """A session that was recorded, in a file or in parts; made by `open`.
+
+    The tables can be read where the operator's force profile never ran; all else then raises RecordingError.
+    """
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self._source = open_recordings(list(paths))
+        self._paths = list(paths)
+        # it looks at the files before they are opened
+        self._kept = KeptSummary(self._paths) if self._paths else None
+        self._source = open_recordings(self._paths)
 
     def __repr__(self) -> str:
         length = "" if self.start_ns is None else ", with a session of the operator"
         return f"<RecordedSession {self._source.path}: {len(self.channels)} channels{length}>"
+
+    @cached_property
+    def course(self) -> ColumnTable:
+        """All columns as a table; RecordingError when the force profile never ran."""
+        from telenano.analysis.recorded_course import course_of
+
+        return course_of(self._session)
+
+    @property
+    def conditions(self) -> Conditions:
+        """What was set; a delay that was set before the session began is in it."""
+        return self._judged.conditions
+
+    @property
+    def measured_round_trip_ms(self) -> float | None:
+        """Median of the delays that the link added there and back [ms]; None where it reported none."""
+        trip_ms: float | None = self.summary["link_round_trip_ms"]
+        return trip_ms
+
+    @cached_property
+    def holds(self) -> list[Hold]:
+        """The holds of the hand, each judged."""
+        return [
+            Hold(**{**hold, "facts": tuple(Fact(**fact) for fact in hold["facts"])}) for hold in self.summary["holds"]
+        ]
+
+    @property
+    def verdict(self) -> Kind:
+        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        kind: Kind = self.summary["verdict"]
+        return kind
+
+    @property
+    def reason(self) -> str:
+        """The verdict in words; a guard that acted comes first, with its time and limit."""
+        return str(self.summary["reason"])
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
@@ -78,25 +153,73 @@ class RecordedSession:
             fields_of.setdefault(channel.channel_topic, []).append(channel.src)
         return {name: tuple(sorted(sources)) for name, sources in sorted(fields_of.items())}
 
-    @cached_property
+    @property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
-        summary: dict[str, Any] = self._session.summary(self._source)
-        return summary
+        return self._judged.summary
 
     @cached_property
     def start_ns(self) -> int | None:
         """When the operator's force profile last began, on the publishers' clock [ns]; None if it never ran."""
         try:
-            return int(self._session.start_ns)
+            return self._judged.start_ns if "_judged" in self.__dict__ else int(self._session.start_ns)
         except RecordingError:
             return None
 
-    @cached_property
-    def _session(self) -> Any:
-        from telenano.analysis.report import Session
+    @property
+    def is_judged(self) -> bool:
+        """Whether its verdict is known, from this program or kept beside the file, and need not be computed."""
+        if "_judged" not in self.__dict__ and (kept := self._read_kept()) is not None:
+            self.__dict__["_judged"] = kept
+        return "_judged" in self.__dict__
 
-        return Session.of(self._source)
+    @cached_property
+    def _judged(self) -> Judged:
+        if (kept := self._read_kept()) is not None:
+            return kept
+        from telenano.analysis.recorded_course import conditions_of
+
+        summary = self._session.summary(self._analysed)
+        judged = Judged(summary, conditions_of(self._analysed, self._session), self._session.start_ns)
+        if self._kept is not None:
+            facts = {"path": str(self._source.path), "conditions": asdict(judged.conditions)}
+            self._kept.write({**facts, "summary": judged.summary, "start_ns": judged.start_ns})
+        return judged
+
+    def _read_kept(self) -> Judged | None:
+        found = None if self._kept is None else self._kept.read()
+        if found is None:
+            return None
+        try:
+            summary, stated = found["summary"], found["conditions"]
+            before, now = found["path"], str(self._source.path)
+            if before != now:
+                # the recording was moved: only the place that is known to name it is changed
+                summary["recording"]["file"] = now
+                if before in json.dumps(summary):
+                    return None
+            return Judged(
+                summary, Conditions(**{**stated, "changed": tuple(stated["changed"])}), int(found["start_ns"])
+            )
+        except (KeyError, TypeError, ValueError):
+            return None
+
+    def _drawn(self) -> tuple[SessionSeries, str]:
+        from telenano.analysis.report import figure_title
+
+        gaps_s = () if self.summary["recording"]["complete"] else self._session.gaps_s()
+        return self._session.series(gaps_s), figure_title(self._session, self.summary)
+
+    @cached_property
+    def _session(self) -> "ReadSession":
+        from telenano.analysis.report import Session as ReadSession
+
+        return ReadSession.of(self._analysed)
+
+    @cached_property
+    def _analysed(self) -> RecordingSource:
+        # what a program has read of the other one before must not show in the account of what cannot be read
+        return open_recordings(self._paths)
 
     @cached_property
     def _timeline(self) -> Timeline:
@@ -131,10 +254,6 @@ class RecordedSession:
             stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
             rows += zip(self._timeline.times_ns(publisher, stamps).tolist(), map(row, messages), strict=True)
         return _table(topic_of(channel), rows, self.start_ns)
-
-    def df(self, channel: str, src: str | None = None) -> Any:
-        """Return `table` as a pandas DataFrame."""
-        return self.table(channel, src).to_pandas()
 
 
 class LiveRig:
@@ -179,6 +298,98 @@ def _recording_at(path: Path) -> Path:
         names = f" of {', '.join(each.name for each in paths)}" if paths else ""
         raise NoRecordingError(f"{path}: is a folder with {len(paths)} recordings (.mcap); give the file{names}")
     return paths[0]
+
+
+def open_all(
+    recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, progress: bool = True
+) -> "pandas.DataFrame":
+    """Return a table of many recordings with a row for each hold: conditions, verdict of the session, and the hold.
+
+    What is judged is kept beside each recording, so that a second call takes milliseconds for each, and one that was
+    interrupted goes on where it was. A session without a hold has one row, and so has a recording that cannot be
+    judged, whose `session_reason` is the error.
+
+    Args:
+        recordings: A pattern of paths, such as `out/**/session.mcap`, where a folder stands for the one recording in
+            it; or paths of files and folders.
+        progress: Whether a bar on a terminal or in a notebook shows how many are still to be judged.
+
+    Raises:
+        NoRecordingError: There is none; the message names the pattern.
+        ConfigError: pandas is not installed; the message says what adds it.
+    """
+    frames = required_module("pandas", "a table of recordings as data of pandas: pandas is not installed", "export")
+    paths = _recordings_at(recordings)
+    rows_of: dict[Path, list[dict[str, Any]]] = {}
+    for path in paths:
+        if (rows := _rows(path, kept_only=True)) is not None:
+            rows_of[path] = rows
+    new = [path for path in paths if path not in rows_of]
+    for number, path in enumerate(new):
+        _show_progress(number, len(new), progress)
+        rows_of[path] = _rows(path) or []
+    _show_progress(len(new), len(new), progress)
+    rows = [row for path in paths for row in rows_of[path]]
+    names = dict.fromkeys(name for row in rows for name in row)
+    # what belongs to a hold or a law stands behind what every session has
+    frame = frames.DataFrame(rows, columns=[*dict.fromkeys([*_FIRST, *names])])
+    return frame.astype({name: float for name in _HOLD_NUMBERS})
+
+
+def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
+    if isinstance(recordings, (str, os.PathLike)):
+        names = sorted(glob(os.fspath(recordings), recursive=True))  # noqa: PTH207 - that of a path takes no absolute pattern
+        # a folder that has no recording is none, and so is a figure beside one
+        paths = [
+            path for path in map(Path, names) if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
+        ]
+        if not paths:
+            raise NoRecordingError(f"{recordings}: no recording (.mcap) and no folder with one has such a name")
+    else:
+        paths = [Path(each) for each in recordings]
+    # a pattern may name a recording and the folder that it is in, and a link to it
+    own: dict[str, Path] = {os.path.realpath(path): path for path in reversed(paths) if not path.is_dir()}
+    for path in paths:
+        inside = [os.path.realpath(each) for each in sorted(path.glob("*.mcap"))] if path.is_dir() else []
+        if inside and not set(inside) <= set(own):
+            own[inside[0] if len(inside) == 1 else os.path.realpath(path)] = path
+        elif not inside and path.is_dir():
+            own[os.path.realpath(path)] = path
+    return sorted(own.values())
+
+
+def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None:
+    """Return the rows of a recording; None of one that is not judged yet where only such ones are wanted."""
+    try:
+        path = _recording_at(path)
+        session = RecordedSession([path])
+        if kept_only and not session.is_judged:
+            return None
+        stated, holds = session.conditions, session.holds
+    except TelenanoError as error:
+        return [{"file": str(path), "session_reason": str(error)}]
+    facts = {
+        "file": str(path),
+        **stated.row(),
+        "measured_round_trip_ms": session.measured_round_trip_ms,
+        "session_verdict": session.verdict,
+        "session_reason": session.reason,
+    }
+    rows = [
+        {**hold._asdict(), "hold": number, "facts": ", ".join(fact.kind for fact in hold.facts)}
+        for number, hold in enumerate(holds)
+    ]
+    parameters = {(f"law.{name}" if name in _FIRST else name): value for name, value in stated.parameters.items()}
+    return [{**facts, **row, **parameters} for row in rows or [{}]]
+
+
+def _show_progress(done: int, whole: int, is_wanted: bool) -> None:
+    # a notebook and a terminal go back to the beginning of the line
+    if is_wanted and whole > 1 and (sys.stderr.isatty() or "ipykernel" in sys.modules):
+        bar = "#" * (_BAR * done // whole)
+        end = "\n" if done == whole else ""
+        sys.stderr.write(f"\rrecordings judged: [{bar:<{_BAR}}] {done} of {whole}{end}")
+        sys.stderr.flush()
 
 
 def check_law(name: str) -> dict[str, list[str]]:

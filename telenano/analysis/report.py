@@ -323,7 +323,7 @@ def write_report(
     figures: dict[str, bytes] = {}
     undrawn = ""
     try:
-        figures = fig12_files(session.series(gaps_s), _title(session, summary), options, session.origin)
+        figures = fig12_files(session.series(gaps_s), figure_title(session, summary), options, session.origin)
     except ModuleNotFoundError as error:
         undrawn = f"{out / 'summary.json'} is written, and no figure is drawn: {extras.missing(error.name or '')}"
     write_files(out, {**figures, "summary.json": text.encode()}, summary)
@@ -883,7 +883,8 @@ def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, 
     return {name: values[inside] for name, values in series.items()}
 
 
-def _title(session: Session, summary: Mapping[str, Any]) -> str:
+def figure_title(session: Session, summary: Mapping[str, Any]) -> str:
+    """Return the title of the figure of a session: conditions, verdict, and whether something is missing."""
     # A motion that drifts, or presses with another force, is not stable either, and does not oscillate.
     verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]

@@ -8,7 +8,6 @@ jitter, is not in it.
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
 from typing import Any
@@ -17,6 +16,8 @@ import numpy as np
 
 from telenano.afm.config import AfmConfig
 from telenano.afm.disturbances import instrument_name
+from telenano.analysis.fig12 import SessionSeries, TipStates
+from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
     NO_CONTEXT,
     Hold,
@@ -27,6 +28,7 @@ from telenano.analysis.holds import (
     verdict_of,
 )
 from telenano.analysis.interruptions import in_words
+from telenano.analysis.session import COLUMNS, Conditions, Session, hand_in_words, sample_in_words
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
@@ -39,23 +41,9 @@ from telenano.lockstep.trajectory import Trajectory, known_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
-from telenano.settings.named_instruments import IDEAL
 from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError
 
-_COLUMNS = {
-    "time_s": ("s", "Time since the start of the operator's force profile"),
-    "operator_force_n": ("N", "Force of the operator on the device, F_m, towards the sample"),
-    "hand_position_m": ("m", "Position of the device, x_m, towards the sample"),
-    "reference_m": ("m", "Reference of the device, x_mr"),
-    "rendered_force_n": ("N", "Force that the law ascribes to the environment, at the hand's scale"),
-    "base_position_m": ("m", "Position of the base, x_s, towards the sample"),
-    "tip_force_n": ("N", "Force on the tip, F_s, repulsive positive"),
-    "scaled_tip_force_n": ("N", "The same at the hand's scale, alpha_f F_s"),
-    "separation_m": ("m", "Distance between tip and sample, h"),
-    "in_contact": ("", "Whether the tip touches"),
-    "hand_following": ("", "Whether the device follows commands"),
-}
 _RENAMED = {"operator_force_n": "hand_force_n"}
 # Of a session whose hand moves the tip across as well: column of the course, unit, and text.
 _ACROSS = {
@@ -91,34 +79,11 @@ _CHANNELS = {
         "tip_force_n.1": ("lateral_y_n", 1.0),
     },
 }
+_PUBLISHERS = {"haptic/state": ("haptic_node@master",), "afm/state": ("afm_node@slave",)}
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """What a session was run with, as a figure has to state it."""
-
-    scenario: str
-    law: str
-    parameters: dict[str, Any]
-    environment: str
-    round_trip_ms: float
-    link_profile: str
-    link_seed: int
-    instrument: str = IDEAL
-
-    def title(self) -> str:
-        """Return the words of a title."""
-        link = "" if self.link_profile in EVEN else f", link {self.link_profile}"
-        by = "" if self.instrument == IDEAL else f", instrument {self.instrument}"
-        return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link}{by} (simulated in lockstep)"
-
-
-class SimulatedSession(ColumnTable):
-    """Columns of shape (n,), one value a period of the hand; `units` and `descriptions` have an entry for each.
-
-    `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `telenano.analysis.verdict`, as
-    for a recording.
-    """
+class SimulatedSession(Session):
+    """A session in lockstep: columns of shape (n,), one value a period of the hand; made by `simulate`."""
 
     def __init__(
         self,
@@ -130,22 +95,24 @@ class SimulatedSession(ColumnTable):
         further: Mapping[str, tuple[str, str]] | None = None,
         known: SessionContext = NO_CONTEXT,
         position_scale: float | None = None,
+        measured_round_trip_ms: float | None = None,
     ) -> None:
-        self.conditions = conditions
+        self._conditions = conditions
+        self._measured_round_trip_ms = measured_round_trip_ms
         self.force_scale = force_scale
         self._safety = safety
         self._known = known
         self._position_scale = position_scale
-        self._course = course
-        values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
+        self._trajectory = course
+        values = {name: getattr(course, _RENAMED.get(name, name), None) for name in COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
-        described = dict(_COLUMNS)
+        described = dict(COLUMNS)
         if course.across is not None:
             columns = {name: column for name, (column, *_) in _ACROSS.items()}
             columns |= {name: column for column, name in enumerate(further or (), across.WIDTH)}
             values |= {name: course.across[:, column] for name, column in columns.items()}
             described |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()} | dict(further or {})
-        super().__init__(
+        self._columns = ColumnTable(
             "a simulated session",
             {name: np.asarray(column) for name, column in values.items()},
             {name: unit for name, (unit, _) in described.items()},
@@ -215,10 +182,12 @@ class SimulatedSession(ColumnTable):
             law=controller.law,
             parameters=section.model_dump(mode="json"),
             environment=afm.environment,
-            round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
+            round_trip_ms=round(1e3 * trip_s, 6),
             link_profile=link.network_name,
             link_seed=link.seed,
             instrument=instrument_name(loaded.scenario.instrument, loaded.scenario.afm_node),
+            sample=sample_in_words(loaded.scenario),
+            hand=hand_in_words(loaded.scenario, origin),
         )
         safety = rig.instrument.safety
         ages_s = _ages_s(schedule, period_s)
@@ -236,24 +205,49 @@ class SimulatedSession(ColumnTable):
             further=columns_of(hand),
             known=context,
             position_scale=section.position_scale,
+            measured_round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
         )
 
     def __repr__(self) -> str:
-        return f"<SimulatedSession {self.conditions.title()}: {self['time_s'].size} samples, {self.verdict}>"
+        return f"<SimulatedSession {self._title()}: {self['time_s'].size} samples, {self.verdict}>"
+
+    def _title(self) -> str:
+        return f"{self.conditions.title()} (simulated in lockstep)"
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """The channels that `table` gives."""
-        return tuple(_CHANNELS)
+    def course(self) -> ColumnTable:
+        """All columns as a table."""
+        return self._columns
 
-    def table(self, channel: str) -> ColumnTable:
+    @property
+    def conditions(self) -> Conditions:
+        """What it was run with."""
+        return self._conditions
+
+    @property
+    def measured_round_trip_ms(self) -> float | None:
+        """Median age of the hand's sample that an answer descends from [ms]."""
+        return self._measured_round_trip_ms
+
+    @property
+    def channels(self) -> dict[str, tuple[str, ...]]:
+        """The publishers of each channel that `table` gives."""
+        return dict(_PUBLISHERS)
+
+    def table(self, channel: str, src: str | None = None) -> ColumnTable:
         """Return what a recording has on a channel, under its names and in its frame, z away from the sample.
 
+        Args:
+            channel: haptic/state or afm/state.
+            src: Its publisher; None and `*` take it as well.
+
         Raises:
-            ConfigError: A simulation has no such channel; the message names those that it has.
+            ConfigError: A simulation has no such channel or publisher; the message names those that it has.
         """
         if channel not in _CHANNELS:
             raise ConfigError(f"{channel}: a simulation has no such channel; it has {', '.join(_CHANNELS)}")
+        if src not in (None, "*", *_PUBLISHERS[channel]):
+            raise ConfigError(f"{channel}: {src} published nothing on it; {', '.join(_PUBLISHERS[channel])} did")
         found = {"time_s": ("time_s", 1.0), **_CHANNELS[channel]}
         found = {name: row for name, row in found.items() if row[0] in self.units}
         columns = {name: sign * self[source] for name, (source, sign) in found.items()}
@@ -263,10 +257,6 @@ class SimulatedSession(ColumnTable):
         }
         return ColumnTable(channel, columns, units, texts)
 
-    def df(self, channel: str) -> Any:
-        """Return `table` as a pandas DataFrame."""
-        return self.table(channel).to_pandas()
-
     @cached_property
     def holds(self) -> list[Hold]:
         """The holds of the hand, each judged."""
@@ -274,13 +264,13 @@ class SimulatedSession(ColumnTable):
         return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._context)
 
     @cached_property
-    def _verdict(self) -> tuple[str, str]:
+    def _verdict(self) -> tuple[Kind, str]:
         guard = guard_of(self["time_s"], self._tip, self._context)
         greatest_n = float(np.abs(self["operator_force_n"]).max(initial=0.0))
         return verdict_of(self.holds, guard, greatest_n, in_words(self._context.interruptions))
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Kind:
         """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
         return self._verdict[0]
 
@@ -289,13 +279,23 @@ class SimulatedSession(ColumnTable):
         """The verdict in words; a guard that acted comes first, with its time and limit."""
         return self._verdict[1]
 
+    def _drawn(self) -> tuple[SessionSeries, str]:
+        course, time_s = self._trajectory, self["time_s"]
+        no = np.zeros(time_s.size, dtype=bool)
+        states = TipStates(course.follows | course.held, no, course.in_contact, no)
+        series = SessionSeries(
+            time_s, self["operator_force_n"], self["hand_position_m"], time_s, self["reference_m"], time_s,
+            self["tip_force_n"], self["separation_m"], self.force_scale, (), states,
+        )  # fmt: skip
+        return series, f"{self._title()}: {self.verdict.replace('_', ' ')}"
+
     @property
     def _tip(self) -> Instrument:
-        return self._course.tip(self._position_scale)
+        return self._trajectory.tip(self._position_scale)
 
     @cached_property
     def _context(self) -> SessionContext:
-        return self._course.context(self._safety, self._known)
+        return self._trajectory.context(self._safety, self._known)
 
 
 def simulate_scenario(
@@ -305,9 +305,9 @@ def simulate_scenario(
     round_trip_ms: float | None = None,
     environment: str | None = None,
     instrument: str | None = None,
-    operator: Mapping[str, Any] | None = None,
+    operator: Mapping[str, object] | None = None,
     duration_s: float | None = None,
-    settings: Mapping[str, Any] | None = None,
+    settings: Mapping[str, object] | None = None,
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 

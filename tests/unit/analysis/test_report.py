@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from telenano.analysis.fig12 import draw_fig12
-from telenano.analysis.report import Session, _title, write_files, write_report
+from telenano.analysis.report import Session, figure_title, write_files, write_report
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
@@ -183,8 +183,8 @@ CONDITIONS_OF_A_TITLE = {
 
 def test_the_title_names_the_verdict_and_calls_no_drift_unstable() -> None:
     found = {**CONDITIONS_OF_A_TITLE, "verdict": "drifting", "stable": False}
-    text = _title(SimpleNamespace(scenario="fig12", conditions=found), found)  # type: ignore[arg-type]
+    text = figure_title(SimpleNamespace(scenario="fig12", conditions=found), found)  # type: ignore[arg-type]
     # the ratio of one hold is no merit of a session that another one decides
     assert text == "fig12, wave, round trip of the link 40 ms: drifting"
-    text = _title(SimpleNamespace(scenario="fig12", conditions=found), {**found, "verdict": "stable"})  # type: ignore[arg-type]
+    text = figure_title(SimpleNamespace(scenario="fig12", conditions=found), {**found, "verdict": "stable"})  # type: ignore[arg-type]
     assert text == "fig12, wave, round trip of the link 40 ms: stable, hold ratio 1.050"

@@ -127,7 +127,7 @@ def test_every_public_class_shows_in_a_line_what_it_is(session: telenano.Recorde
     assert shown[2] == "<LiveRig: afm_node@slave, haptic_node@master>"
     classes = {name for name in telenano.__all__ if isinstance(getattr(telenano, name), type)}
     assert {name for name in classes if getattr(telenano, name).__repr__ is object.__repr__} == set()
-    assert classes == {"LiveRig", "RecordedSession", "SimulatedSession", "Table"}
+    assert classes == {"LiveRig", "RecordedSession", "Session", "SimulatedSession", "Table"}
     assert (str(statistic([1.0, 2.0, 3.0])), str(share(3, 4))) == ("2 ± 1 [-0.484, 4.48]", "0.75 [0.301, 0.954]")
 
 

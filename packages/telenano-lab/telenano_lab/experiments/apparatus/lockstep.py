@@ -35,7 +35,7 @@ class Lockstep(Apparatus):
             data = data._replace(particles=particle_table(*places))
         verified = {
             "law": conditions.law,
-            "round_trip_ms": conditions.round_trip_ms,
+            "round_trip_ms": session.measured_round_trip_ms,
             "profile": conditions.link_profile,
             "link_seed": conditions.link_seed,
         }

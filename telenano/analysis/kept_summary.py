@@ -1,0 +1,184 @@
+"""What was judged of a recording, kept beside it, so that it is judged once.
+
+    kept = KeptSummary([path])
+    judged = kept.read()            # None where it has to be judged
+    kept.write(judge(path))
+
+It is in the hidden file `.NAME.summary` in the folder of the recording, one for each recording. It counts only for the
+same bytes of the recording, the same judge and the same options. Its key has the SHA-256 of each whole file: an edit
+inside a chunk changes neither the size nor, if it is set back, the time of a file, and a report leaves a damaged chunk
+out although the checksums that are stored stay as they are. The judge is a digest of the source of the library, of the
+installed packages that a recording can name, and of the versions of what reads and computes. Where the folder cannot be
+written, or a source was changed while this process ran, nothing is kept; what is damaged is judged again.
+"""
+
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import platform
+import re
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from telenano.files.atomic_files import write_whole
+from telenano.files.regular_files import open_regular, read_regular
+from telenano.settings.plugins import Plugin, in_scenarios, installed
+
+_LIBRARY = Path(__file__).resolve().parents[1]
+# What a verdict depends on: the library, and the networks, instruments and schemas that come with it.
+_SOURCES = (".py", ".yaml", ".json", ".txt", ".csv")
+_PACKAGES = ("mcap", "msgpack", "numpy", "pydantic", "zstandard")
+# What is longer is not kept [bytes]: some ten thousand holds.
+MOST_BYTES = 4 << 20
+# A file is read in pieces of this size.
+_PIECE_BYTES = 1 << 20
+_LOADED_NS = time.time_ns()
+
+
+class KeptSummary:
+    """The file that keeps what was judged of a recording, or of several files read as one."""
+
+    def __init__(self, paths: Sequence[Path], options: Mapping[str, Any] | None = None) -> None:
+        self._paths = list(paths)
+        self._options = dict(options or {})
+        self._seen = self._stamps()
+        self._key: dict[str, Any] | None = None
+
+    @property
+    def path(self) -> Path:
+        """Where it is kept: beside the file itself, also where a link leads to it."""
+        first = Path(os.path.realpath(self._paths[0]))
+        more = f"+{len(self._paths) - 1}" if self._paths[1:] else ""
+        return first.with_name(f".{first.name}{more}.summary")
+
+    def read(self) -> dict[str, Any] | None:
+        """Return what `write` was given for the same recording, judge and options; None where nothing is kept."""
+        self._key = self._found_key()
+        if self._key is None:
+            return None
+        try:
+            digest, _, body = read_regular(self.path, MOST_BYTES, follows_links=False).partition(b"\n")
+            if hashlib.sha256(body).hexdigest().encode() != digest:
+                return None
+            content = json.loads(body)
+            judged = content["judged"] if content["key"] == self._key else None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return judged if isinstance(judged, dict) else None
+
+    def write(self, judged: Mapping[str, Any]) -> None:
+        """Keep what was judged since `read`, unless recording or judge have changed meanwhile or it cannot be kept."""
+        if self._key is None or self._key != self._found_key() or _is_changed():
+            return
+        body = json.dumps({"key": self._key, "judged": dict(judged)}, allow_nan=False).encode()
+        content = hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+        if len(content) <= MOST_BYTES:
+            with contextlib.suppress(OSError):
+                write_whole(self.path, content, 0o644, is_forced=False)
+
+    def _found_key(self) -> dict[str, Any] | None:
+        """Return what it counts for; None where nothing can be kept, or a file is not as it was when it was opened."""
+        # what comes with the library is not written to by it
+        if self._seen is None or self.path.is_relative_to(_LIBRARY):
+            return None
+        try:
+            digests = [_digest_of(path) for path in self._paths]
+        except OSError:
+            return None
+        if self._seen != self._stamps() or (judge := judge_digest()) is None:
+            return None
+        return {"judge": judge, "files": digests, "options": self._options}
+
+    def _stamps(self) -> list[tuple[int, ...]] | None:
+        try:
+            found = [path.stat() for path in self._paths]
+        except (OSError, ValueError):
+            # a name that no file can have is told by who opens it
+            return None
+        return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns, one.st_ctime_ns) for one in found]
+
+
+def _digest_of(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open_regular(path) as file:
+        while piece := file.read(_PIECE_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+@cache
+def judge_digest() -> str | None:
+    """Return a digest of what a verdict depends on besides the recording; None where the source cannot be relied on.
+
+    A process whose source was changed after it was loaded may run the old or the new one, and keeps nothing.
+    """
+    digests = {name: source_digest(place) for name, place in _places().items()}
+    if _is_changed() or None in digests.values():
+        return None
+    plugins = sorted((row.kind, row.name, row.target, row.problem) for row in _plugins())
+    versions = {name: _version(name) for name in _PACKAGES}
+    facts = {"sources": digests, "plugins": plugins, "python": platform.python_version(), **versions}
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _plugins() -> list[Plugin]:
+    """Return what a recording can name of installed packages, and the channels that these bring."""
+    return [*in_scenarios(), *installed("topics").values()]
+
+
+def _places() -> dict[str, Path]:
+    """Return by import name where the source of the library is, and of each package that a recording can name."""
+    places = {"telenano": _LIBRARY}
+    for name in sorted({re.split("[.:]", row.target)[0] for row in _plugins()} - set(places)):
+        # it finds a package without running it; one that cannot be found is none that could be judged by
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.submodule_search_locations:
+            places[name] = Path(next(iter(spec.submodule_search_locations)))
+        elif spec is not None and spec.origin:
+            places[name] = Path(spec.origin)
+    return places
+
+
+def _is_changed() -> bool:
+    return any(source_changed(place, _LOADED_NS) for place in _places().values())
+
+
+def source_digest(folder: Path) -> str | None:
+    """Return a digest of names and contents of all sources in a folder, or of a module; None where none can be read."""
+    digest, found = hashlib.sha256(), sorted(_sources(folder))
+    try:
+        for path in found:
+            content = path.read_bytes()
+            digest.update(f"{path.relative_to(folder).as_posix()} {len(content)}\n".encode())
+            digest.update(content)
+    except OSError:
+        return None
+    return digest.hexdigest() if found else None
+
+
+def source_changed(folder: Path, since_ns: int) -> bool:
+    """Return whether a source in a folder was written or replaced after a time [ns]."""
+    try:
+        stats = (path.stat() for path in _sources(folder))
+        return any(max(one.st_mtime_ns, one.st_ctime_ns) > since_ns for one in stats)
+    except OSError:
+        return True
+
+
+def _sources(folder: Path) -> Iterable[Path]:
+    if folder.is_file():
+        return [folder]
+    return (path for path in folder.rglob("*") if path.suffix in _SOURCES and path.is_file())
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

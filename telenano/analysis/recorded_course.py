@@ -1,0 +1,130 @@
+"""The columns and the conditions of a recorded session, under the names that a simulated one has."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.afm.disturbances import instrument_name
+from telenano.analysis.report import Session, was_placed
+from telenano.analysis.session import COLUMNS, Conditions, hand_in_words, sample_in_words
+from telenano.link.config import LinkSettings
+from telenano.recording.column_table import Column, ColumnTable
+from telenano.recording.messages import readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.silence import LONGEST_STEP_S
+from telenano.settings.config import validate
+from telenano.settings.scenario import LoadedScenario
+from telenano.wire.nodes import LINK, name_of
+
+Series = npt.NDArray[np.float64]
+
+
+def course_of(session: Session) -> ColumnTable:
+    """Return a column for each name of `COLUMNS`, one value a sample of the hand while its force profile ran.
+
+    Of what another process sent, a value is the newest one at the time of the hand's sample. Where the newest is older
+    than 50 ms a number is NaN, and what is true or false is False.
+    """
+    series = session.series()
+    time_s = series.hand_time_s
+    tip = _Newest(series.tip_time_s, time_s)
+    command = _Newest(series.reference_time_s, time_s)
+    touches = session.tip["in_contact"].astype(bool) & was_placed(session.tip["placed"])
+    values: dict[str, Column] = {
+        "time_s": time_s,
+        "operator_force_n": series.hand_force_n,
+        "hand_position_m": series.hand_position_m,
+        "reference_m": command.numbers(series.reference_m),
+        "rendered_force_n": command.numbers(session.command["force_n.2"]),
+        "base_position_m": tip.numbers(-session.tip["base_position_m.2"]),
+        "tip_force_n": tip.numbers(series.tip_force_n),
+        "scaled_tip_force_n": tip.numbers(series.force_scale * series.tip_force_n),
+        "separation_m": tip.numbers(series.separation_m),
+        "in_contact": tip.flags(touches),
+        "hand_following": np.asarray(session.hand["mode"] != "off", dtype=np.bool_),
+    }
+    units = {name: unit for name, (unit, _) in COLUMNS.items()}
+    return ColumnTable("a recorded session", values, units, {name: text for name, (_, text) in COLUMNS.items()})
+
+
+class _Newest:
+    """The newest sample of another series at each of some times."""
+
+    def __init__(self, own_s: Series, time_s: Series) -> None:
+        self._places = np.searchsorted(own_s, time_s, side="right") - 1
+        self._fresh = self._places >= 0
+        self._fresh[self._fresh] = (
+            (time_s - own_s[self._places])[self._fresh] <= LONGEST_STEP_S if own_s.size else False
+        )
+
+    def numbers(self, values: Series) -> Series:
+        found = np.full(self._fresh.size, np.nan)
+        found[self._fresh] = values[self._places[self._fresh]]
+        return found
+
+    def flags(self, values: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        found = np.zeros(self._fresh.size, dtype=np.bool_)
+        found[self._fresh] = values[self._places[self._fresh]]
+        return found
+
+
+def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
+    """Return what was set for a recorded session.
+
+    Law and parameters are those of its summary. Delay and network are what the link reported to be in force when the
+    session began, since they may have been set after the rig was started, and those of the scenario where it reported
+    nothing.
+
+    Raises:
+        RecordingError: No scenario is attached.
+        ConfigError: A key of it is wrong; the message names it.
+    """
+    facts = session.conditions
+    scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
+    origin = f"{recording.path}: scenario.yaml"
+    link = validate(LinkSettings, scenario.delay_node, origin, LINK)
+    line = _line_in_force(recording, session)
+    line = line or _Line(link.forward.delay_s + link.backward.delay_s, facts["link_profile"])
+    return Conditions(
+        scenario=session.scenario,
+        law=" then ".join(facts["law"]),
+        parameters=facts["parameters"],
+        environment=str(scenario.afm_node.get("environment", "tip_sample")),
+        round_trip_ms=round(1e3 * line.delay_s, 6),
+        link_profile=line.network,
+        link_seed=facts["link_seed"],
+        instrument=instrument_name(scenario.instrument, scenario.afm_node),
+        sample=sample_in_words(scenario),
+        hand=hand_in_words(scenario, origin),
+        changed=tuple(facts["changed"]),
+    )
+
+
+class _Line(NamedTuple):
+    """What was set of the link: the fixed delays there and back together [s], and the name of the network."""
+
+    delay_s: float
+    network: str
+
+
+def _line_in_force(recording: RecordingSource, session: Session) -> _Line | None:
+    """Return what the link reported to be in force when the session began; None where it reported nothing.
+
+    It reports ten times a second. Where it was not set in the session the first report after the beginning counts, as
+    the one before may be older than what was set just before; where it was, the last one before the beginning.
+    """
+    changed = any(name_of(text.partition(":")[0]) == LINK for text in session.conditions["changed"])
+    found: _Line | None = None
+    reports = recording.select(lambda channel: channel.topic == "link/status" and channel.via == "direct")
+    for report, fields in readable(reports, recording.left_out):
+        at_ns = int(session.timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
+        begun = at_ns >= session.start_ns
+        if found is not None and begun and changed:
+            break
+        there, back = fields["forward"], fields["backward"]
+        delays_s = (float(way["settings"].get("delay_s", 0.0)) for way in (there, back))
+        found = _Line(sum(delays_s), str(there["profile"]))
+        if begun:
+            break
+    return found
