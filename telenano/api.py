@@ -99,11 +99,11 @@ class RecordedSession(Session):
     The tables can be read where the operator's force profile never ran; all else then raises RecordingError.
     """
 
-    def __init__(self, paths: Iterable[Path]) -> None:
+    def __init__(self, paths: Iterable[Path], *, same_session: bool = False) -> None:
         self._paths = list(paths)
         # it looks at the files before they are opened
         self._kept = KeptSummary(self._paths) if self._paths else None
-        self._source = open_recordings(self._paths)
+        self._source = open_recordings(self._paths, same_session=same_session)
 
     def __repr__(self) -> str:
         length = "" if self.start_ns is None else ", with a session of the operator"
@@ -283,13 +283,19 @@ class LiveRig:
         return _table(topic_of(channel), rows, start_ns)
 
 
-def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> RecordedSession:
-    """Open a recording, or all parts of one, in their order; of a folder the one recording that is in it.
+def open(path: str | os.PathLike[str], *further: str | os.PathLike[str], same_session: bool = False) -> RecordedSession:
+    """Open a recording, or the files of one session, each once; of a folder the one recording that is in it.
+
+    Args:
+        path: The recording.
+        further: Further files of the same session: parts of the recording, or that of the other site.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
 
     Raises:
-        RecordingError: A file cannot be read, or a folder has not just one recording; the message names it.
+        RecordingError: A file cannot be read, a folder has not just one recording, or two files are not of one session;
+            the message names them.
     """
-    return RecordedSession(map(_recording_at, map(Path, (path, *further))))
+    return RecordedSession(map(_recording_at, map(Path, (path, *further))), same_session=same_session)
 
 
 def _recording_at(path: Path) -> Path:

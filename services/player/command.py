@@ -10,7 +10,7 @@ from services.player.node import PlayerNode, PlaySettings
 from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
-from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
+from telenano.cli.options import ExcludeOption, JsonOption, SameSessionOption, SiteFileOption, TopicsOption
 from telenano.cli.output import print_answer, report_errors, say
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, TelenanoError
@@ -78,6 +78,7 @@ def replay(
     wait: Annotated[
         float, typer.Option("--wait", min=0.0, metavar="S", help="Longest wait until all topics have a reader [s].")
     ] = 1.0,
+    same_session: SameSessionOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
@@ -98,6 +99,7 @@ def replay(
             exclude or (),
             Span(start, until, loop),
             PlaySettings(rate, paused, wait),
+            same_session,
         )
         with RawKeyboard() as keys:
             done = run_replay(request, PlayerKeyBindings(keys), _warn)

@@ -1,6 +1,7 @@
 """Conversion of frames from the bus into records of the file: place of reception, header, gaps, rejections."""
 
 import contextlib
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from telenano.recording.info import END_NAME
 from telenano.recording.provenance import configuration_files, write_provenance
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GapRecord, RejectedRecord
+from telenano.recording.session_identity import SESSION_NAME, SESSION_VARIABLE, identity_entries
 from telenano.recording.writer import FileEnd, RecordingWriter, channel_topic
 from telenano.runtime.bus.bus import split_frames
 from telenano.settings.package_topics import row_of
@@ -43,6 +45,8 @@ _LATE_NS = 100_000_000
 # the nodes that are stopped before a recorder; each sends far more often
 _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
 _SILENT_NS = 500_000_000
+# Of so many starts of a session its files know; an operator may begin again and again.
+_MOST_STARTS = 256
 # a queue of messages holds less than this
 _LONGEST_QUEUE_NS = 30_000_000_000
 
@@ -97,6 +101,9 @@ class Intake:
         self.notes: list[str] = []
         self.rejected = 0
         self.rotation = rotation
+        # The ids of the starts that were heard, for the files in which the session continues.
+        self.starts: tuple[str, ...] = ()
+        self.session: Mapping[str, str] = {}
         self.written = 0
         self.removed = 0
         self._selection = selection
@@ -176,6 +183,8 @@ class Intake:
         if self.writer is None or self.rotation is None:
             raise RecordingError(self.fault or "nothing is being written")
         self._record_gaps(self._newest_ns)
+        # A session that is commanded to files of its own is not that of the files before.
+        self.starts = ()
         self._next_file(self.rotation, self.writer, now_ns)
 
     def finish(self) -> None:
@@ -227,8 +236,22 @@ class Intake:
         self.writer = None
         self._use(rotation.begin(now_ns))
 
+    def _note_start(self, command_id: str) -> None:
+        """Write into the file which session it is of: the command that starts one reaches both sites."""
+        # A simulation is the same whenever it runs, and names its session by itself.
+        if command_id in self.starts or not command_id or "simulated" in self.session.get("rig", ""):
+            return
+        self.starts = (*self.starts, "".join(command_id.split()))[-_MOST_STARTS:]
+        if self.writer is not None:
+            self._write_session(self.writer)
+
+    def _write_session(self, writer: RecordingWriter) -> None:
+        if self.starts and self.session:
+            writer.add_metadata(SESSION_NAME, {**self.session, "starts": " ".join(self.starts)})
+
     def _use(self, writer: RecordingWriter) -> None:
         self.writer = writer
+        self._write_session(writer)
         # each file has numbers of its own for the channels
         for stream in self._streams:
             stream.channel = None
@@ -242,6 +265,8 @@ class Intake:
         topic = stream.topic.name
         if topic == "node/health" and fields.get("replay") is True:
             self._replayed.add(stream.src)
+        if topic == "session/control" and fields.get("command") == "start":
+            self._note_start(str(fields.get("id", "")))
         if topic == END_TOPIC and stream.direct:
             self._compare_end(listener, stream.src, fields, received_ns)
 
@@ -367,9 +392,14 @@ def begin_recording(
     except RecordingError as error:
         return Intake(None, str(error), selection=config.selection())
 
+    scenario = files["scenario"].content if "scenario" in files else None
+    given, simulated = os.environ.get(SESSION_VARIABLE, ""), facts.get("simulation", {})
+    session = identity_entries(given, key, clock.now_ns(), scenario, simulated)
+    recorded = {**facts, SESSION_NAME: session}
+
     def create_file(number: int) -> RecordingWriter:
         writer = RecordingWriter.create(key, config, number, disk)
-        write_provenance(writer, config, files, clock.now_ns(), facts)
+        write_provenance(writer, config, files, clock.now_ns(), recorded)
         return writer
 
     rotation = FileRotation(config, create_file, disk)
@@ -378,4 +408,6 @@ def begin_recording(
         writer = rotation.begin(clock.monotonic_ns())
     except RecordingError as error:
         fault = str(error)
-    return Intake(writer, fault, selection=config.selection(), rotation=rotation)
+    intake = Intake(writer, fault, selection=config.selection(), rotation=rotation)
+    intake.session = session
+    return intake

@@ -19,7 +19,7 @@ from services.viz_node.node import page_of_rig
 from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import SiteFileOption, refuse_unused
+from telenano.cli.options import SameSessionOption, SiteFileOption, refuse_unused
 from telenano.cli.output import report_errors, say
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.multi_file import RecordingSource, open_recordings, recordings_of
@@ -79,6 +79,7 @@ def view(
     revoke: Annotated[
         str | None, typer.Option("--revoke", metavar="NAME", help="Revoke the address of a person at once, and end.")
     ] = None,
+    same_session: SameSessionOption = False,
 ) -> None:
     """Serve the operator's page of a running rig, or of a recording, until Ctrl-C; prints the addresses to open.
 
@@ -113,7 +114,7 @@ def view(
         if demo and files:
             raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
         files = [DEMO_RECORDING] if demo else [file for path in files or () for file in recordings_of(path)]
-        recordings = open_recordings(files, by_index=True) if files else None
+        recordings = open_recordings(files, by_index=True, same_session=same_session) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(AddressBook.load(site_file), "").close()
@@ -131,7 +132,7 @@ def view(
                 _serve_again(
                     partial(_serve_rig, site_file, page)
                     if recordings is None
-                    else partial(_serve_recording, recordings, files, page)
+                    else partial(_serve_recording, recordings, files, page, same_session)
                 )
     # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
@@ -167,12 +168,12 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
             time.sleep(end.restart_in_s or 0.0)
 
 
-def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: Served) -> None:
+def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: Served, same_session: bool) -> None:
     def judged() -> Mapping[str, Any]:
         # What draws the figures takes longer to import than the page to open.
         from telenano.analysis.recording_document import judged_recording
 
-        return judged_recording(open_recordings(files, by_index=True))
+        return judged_recording(open_recordings(files, by_index=True, same_session=same_session))
 
     document = RecordingDocument(recordings, judged, LevelCache(files))
     with (

@@ -291,6 +291,8 @@ def write_report(
     missing: Sequence[str] = (),
     options: FigureOptions = ON_SCREEN,
     show: Callable[[str], None] = lambda text: None,
+    *,
+    same_session: bool = False,
 ) -> dict[str, Any]:
     """Write `fig12.png` and `summary.json` of a recording, or of the parts of one, to a folder.
 
@@ -300,18 +302,20 @@ def write_report(
         missing: Sentences on what is known to be missing besides what the recording itself shows.
         options: The formats and the style of the figure.
         show: Called with what is done next, each of which takes seconds for a recording of minutes.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
 
     Returns:
         The summary.
 
     Raises:
-        RecordingError: A file lacks something; the message names the file and what it lacks.
+        RecordingError: A file lacks something, or two are not of one session; the message names them.
         ReportError: A file cannot be written, and none is left half written; or the figure needs a package that is
             not installed, and the summary is written without it. The error has the summary.
     """
     paths = [path] if isinstance(path, Path) else path
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
-    recording, indexed = open_recordings(paths), open_recordings(paths, by_index=True)
+    recording = open_recordings(paths, same_session=same_session)
+    indexed = open_recordings(paths, by_index=True, same_session=same_session)
     show("1 of 3: reading the session")
     session = Session.of(indexed)
     show(f"2 of 3: reading all messages of its {session.duration_s:.0f} s, and judging")

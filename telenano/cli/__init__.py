@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from telenano.cli.options import FormatOption as FormatOption
     from telenano.cli.options import JsonOption as JsonOption
     from telenano.cli.options import RigFileOption as RigFileOption
+    from telenano.cli.options import SameSessionOption as SameSessionOption
     from telenano.cli.options import SiteFileOption as SiteFileOption
     from telenano.cli.options import StyleOption as StyleOption
     from telenano.cli.options import TableOption as TableOption

@@ -80,6 +80,13 @@ SiteOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing until the result, and serve no page.")]
+SameSessionOption = Annotated[
+    bool,
+    typer.Option(
+        "--same-session",
+        help="Join files of which it is not recorded that they are of one session, as those of earlier versions.",
+    ),
+]
 CountOption = Annotated[
     int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
 ]

@@ -25,7 +25,9 @@ from telenano.laws.config import ControllerConfig
 from telenano.recording.disk_watch import free_bytes
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.session_folder import SessionFolder
+from telenano.recording.session_identity import SESSION_VARIABLE, given_identity
 from telenano.runtime.bus.bus import ZmqBus
+from telenano.runtime.bus.local_endpoint import RIG_VARIABLE
 from telenano.runtime.bus.places import Place, Places
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
@@ -36,7 +38,7 @@ from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
-from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP
+from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP, name_of
 from telenano.wire.printable import quoted
 
 # A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
@@ -151,13 +153,16 @@ def run_rig(
         commands = {node: node_command(node, *files, modules.get(node, ""), table) for node in nodes}
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
+        session = given_identity(os.environ.get(RIG_VARIABLE, ""), clock.now_ns(), conducts=plan.site != "slave")
+        named = Inherited(environment={SESSION_VARIABLE: session})
+        inherited = {**{node: named for node in nodes if name_of(node) == name_of(RECORDER)}, **beside}
         children = NodeProcesses(
             commands,
             STOP_ORDER,
             log_directory,
             epoch_ns,
             lambda node: show(f"stopping {node}"),
-            beside,
+            inherited,
             (*held, *files_held.descriptors),
             files_held.refresh,
         )
@@ -392,7 +397,9 @@ def report_of(
 
     try:
         with outcome.report_later(plan):
-            return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
+            step = show if is_long else lambda step: None
+            # These files are of the session that this launcher has conducted.
+            return write_report(recordings, plan.out, outcome.missing, options, step, same_session=True)
     except RecordingError as error:
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:

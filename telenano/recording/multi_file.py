@@ -8,6 +8,7 @@ from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
 from telenano.recording.recorded_fields import RecordedFields
+from telenano.recording.session_identity import one_session
 from telenano.wire.errors import NoRecordingError, RecordingError
 
 
@@ -125,13 +126,26 @@ def recordings_of(path: Path) -> list[Path]:
     return paths
 
 
-def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> RecordingSource:
-    """Open a recording, or several files of one; RecordingError names the file that cannot be read.
+def files_of(recording: RecordingSource) -> list[Recording]:
+    """Return the files that a recording is read from."""
+    if isinstance(recording, MultiFileRecording):
+        return recording.files
+    return [recording] if isinstance(recording, Recording) else []
+
+
+def open_recordings(
+    paths: Sequence[str | Path], *, by_index: bool = False, same_session: bool = False
+) -> RecordingSource:
+    """Open a recording, or several files of one session; a file that is given twice is read once.
 
     Args:
         paths: The files.
         by_index: Whether a file is read by its index where that is sound (`telenano.recording.indexed`): it opens at
             once, and damage between its chunks is not found.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
+
+    Raises:
+        RecordingError: A file cannot be read, or two are not of one session; the message names them.
     """
     if not paths:
         raise RecordingError("no recording was given")
@@ -141,5 +155,5 @@ def open_recordings(paths: Sequence[str | Path], *, by_index: bool = False) -> R
         from telenano.recording.indexed import IndexedRecording
 
         kind = IndexedRecording
-    recordings = [kind(path) for path in paths]
+    recordings = one_session([kind(path) for path in paths], same_session=same_session)
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -15,6 +15,7 @@ from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.reader import Recording
+from telenano.recording.session_identity import one_session
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError
 
 _CHUNK_BYTES = 1 << 20
@@ -130,7 +131,8 @@ class CopyWriter:
             for name, entries in recording.metadata.items():
                 if name in metadata and metadata[name] == entries:
                     continue
-                name = f"{recording.path.stem}/{name}" if name in metadata else name
+                while name in metadata:
+                    name = f"{recording.path.stem}/{name}"
                 metadata[name] = entries
                 self.add_metadata(name, entries)
 
@@ -171,13 +173,18 @@ def filter_recording(
     return CopyResult.of(target, [recording], chosen, skipped)
 
 
-def merge_recordings(sources: Sequence[Path], target: Path) -> CopyResult:
-    """Merge recordings in the order of the times of reception.
+def merge_recordings(sources: Sequence[Path], target: Path, *, same_session: bool = False) -> CopyResult:
+    """Merge recordings of one session in the order of the times of reception.
+
+    Args:
+        sources: The recordings.
+        target: The file to make.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
 
     Raises:
-        RecordingError: A source is not a recording, or the target exists.
+        RecordingError: A source is not a recording, two are not of one session, or the target exists.
     """
-    recordings = [Recording(source) for source in sources]
+    recordings = one_session([Recording(source) for source in sources], same_session=same_session)
     skipped = [part for recording in recordings for part in recording.structural_damage]
     streams = (recording.raw(skipped.append) for recording in recordings)
     merged = heapq.merge(*streams, key=lambda message: message.log_ns)

@@ -96,6 +96,7 @@ class SessionFolder:
         target = self.path / _MERGED_NAME
         unfinished = target.with_suffix(".part")
         unfinished.unlink(missing_ok=True)
-        merge_sites([*self.own()[0], *far], unfinished)
+        # The launcher knows which files the other site recorded, whatever the recorder there writes of its session.
+        merge_sites([*self.own()[0], *far], unfinished, same_session=True)
         unfinished.replace(target)
         return target

@@ -9,12 +9,13 @@ from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyResult, CopyWriter
+from telenano.recording.session_identity import one_session
 from telenano.recording.site_clock import ClockShift, SiteClock, read_site_clock
 from telenano.wire.errors import RecordingError
 from telenano.wire.nodes import LINK, name_of, site_of
 
 
-def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
+def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = False) -> CopyResult:
     """Merge the recordings of the master's site (first) and of the slave's, of each one or more parts.
 
     Times of reception at the slave are put on the master's clock, offset and drift, where the clocks differ
@@ -22,17 +23,26 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     what is in them stays on the clock of who sent it. A channel that both have is taken from the recorder that received
     it nearby.
 
+    Args:
+        sources: The recordings.
+        target: The file to make.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
+
     Raises:
-        RecordingError: The sources are not of two sites, no offset was measured, or the target exists.
+        RecordingError: The sources are not of two sites or not of one session, no offset was measured, or the target
+            exists.
     """
-    recordings = [Recording(source) for source in sources]
+    recordings = one_session([Recording(source) for source in sources], same_session=same_session)
     sites = [site_of(recording.metadata.get("recording", {}).get("node", "")) for recording in recordings]
     if sites != sorted(sites) or set(sites) != {"master", "slave"}:
-        sites_read = ", ".join(f"{source} of {site or 'no site'}" for source, site in zip(sources, sites, strict=True))
+        sites_read = ", ".join(
+            f"{recording.path} of {site or 'no site'}" for recording, site in zip(recordings, sites, strict=True)
+        )
         raise RecordingError(
             f"give the recordings of the master's site first and of the slave's second; these are {sites_read}"
         )
-    clock = slave_clock(open_recordings([Path(source) for source in sources[: sites.count("master")]]))
+    of_master_site = [recording.path for recording in recordings[: sites.count("master")]]
+    clock = slave_clock(open_recordings(of_master_site, same_session=True))
     of_slave, of_master = (
         {_identity(channel) for r, at in zip(recordings, sites, strict=True) if at == site for channel in _channels(r)}
         for site in ("slave", "master")

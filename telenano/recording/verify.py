@@ -14,6 +14,7 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import MultiFileRecording
 from telenano.recording.reader import Recording
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
+from telenano.recording.session_identity import one_session
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.package_topics import row_of
 from telenano.wire.codec import keys_twice, sound_header
@@ -48,12 +49,18 @@ class Verdict(BaseModel):
     findings: tuple[Finding, ...]
 
 
-def verify(paths: Sequence[Path]) -> Verdict:
+def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
     """Check recordings; several are taken as the files of one, so that what is missing between them is reported.
 
-    Raises RecordingError when a file is not a recording at all.
+    Args:
+        paths: The files.
+        same_session: Whether files are joined of which it is not recorded that they are of one session.
+
+    Raises:
+        RecordingError: A file is not a recording at all, or two are not of one session.
     """
-    recordings = sorted((Recording(path) for path in paths), key=lambda recording: recording.span_ns)
+    files = one_session([Recording(path) for path in paths], same_session=same_session)
+    recordings = sorted(files, key=lambda recording: recording.span_ns)
     findings: list[Finding] = []
     total = 0
     between: list[Finding] = []

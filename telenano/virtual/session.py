@@ -6,6 +6,7 @@
 What is recorded is in the folder of the plan.
 """
 
+import json
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -191,6 +192,9 @@ class SimulatedRig(Engine):
             disk=FolderDisk(plan.out, disk),
             counts_inputs=True,
         )
+        # What a person commands is part of what makes this session the one that it is.
+        given = [(time_s, one.name, one.target, str(dict(one.parameters))) for time_s, one in commands]
+        self.facts["simulation"]["commands"] = json.dumps(sorted(given))
         self.plan = plan
         nodes = (*([FAR_RECORDER] if far else ()), *plan.nodes)
         self._processes = VirtualProcesses(self, plan.out)

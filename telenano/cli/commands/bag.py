@@ -12,7 +12,14 @@ from pydantic import BaseModel
 
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
+from telenano.cli.options import (
+    CountOption,
+    ExcludeOption,
+    JsonOption,
+    SameSessionOption,
+    TopicsOption,
+    command_group,
+)
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
 from telenano.recording.channel_filter import Selection
 from telenano.wire.errors import RecordingError
@@ -103,13 +110,14 @@ def cat(
     start: StartOption = 0.0,
     end: EndOption = None,
     count: CountOption = None,
+    same_session: SameSessionOption = False,
 ) -> None:
     """Print messages with their record fields, one a line as JSON."""
     with report_errors(as_json=False):
         from telenano.recording.multi_file import open_recordings
         from telenano.recording.tables import line
 
-        recording = open_recordings(files)
+        recording = open_recordings(files, same_session=same_session)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         chosen.demand_some_of(files[0], recording.channels)
         for message in islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count):
@@ -145,14 +153,16 @@ def merge(
             "--sites", help="Of the two sites of one session, the master's first: on its clock, each message once."
         ),
     ] = False,
+    same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Merge recordings in the order of time."""
+    """Merge recordings of one session in the order of time."""
     with report_errors(as_json):
         from telenano.recording.rewrite import merge_recordings
         from telenano.recording.site_merge import merge_sites
 
-        _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
+        merged = merge_sites if sites else merge_recordings
+        _print_model(merged(files, out, same_session=same_session), as_json)
 
 
 @app.command()
@@ -175,15 +185,15 @@ def split(
 
 
 @app.command()
-def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
+def verify(files: FilesArgument, same_session: SameSessionOption = False, as_json: JsonOption = False) -> None:
     """Verify checksums, order, numbers and contents, and list what is missing; exit code 1 if anything is.
 
-    Several files are taken as the parts of one recording.
+    Several files are taken as the parts of one recording, and have to be of one session.
     """
     with report_errors(as_json):
         from telenano.recording.verify import verify as check
 
-        verdict = check(files)
+        verdict = check(files, same_session=same_session)
     if as_json:
         print_json(verdict.model_dump(mode="json"))
     else:

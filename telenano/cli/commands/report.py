@@ -7,7 +7,7 @@ import typer
 
 from telenano.analysis.figure_style import FigureOptions
 from telenano.analysis.report import write_report
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
+from telenano.cli.options import FormatOption, JsonOption, SameSessionOption, StyleOption
 from telenano.cli.output import fail_with_summary, print_summary, report_errors
 from telenano.recording.multi_file import recordings_of
 from telenano.wire.errors import ConfigError, ReportError
@@ -26,6 +26,7 @@ def report(
     ] = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write figure and summary of a recording again, and print it; exit code 3 if something is missing in it."""
@@ -36,7 +37,7 @@ def report(
         out = out or folders[0]
         files = [file for path in files for file in recordings_of(path)]
         try:
-            summary = write_report(files, out, options=FigureOptions.of(formats, style))
+            summary = write_report(files, out, options=FigureOptions.of(formats, style), same_session=same_session)
         except ReportError as error:
             fail_with_summary(error, str(out), as_json=as_json)
     print_summary(summary, str(out), tables=True, as_json=as_json)

@@ -229,7 +229,7 @@ def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan,
 def _print_slave(outcome: Outcome, plan: Plan, *, as_json: bool) -> None:
     kept: dict[str, Any] = {"file": "", "complete": None, "missing": list(outcome.missing)}
     if outcome.recordings:
-        info = open_recordings(outcome.recordings).info()
+        info = open_recordings(outcome.recordings, same_session=True).info()
         missing = [*info.missing, *outcome.missing]
         kept = {"file": info.path, "complete": not missing, "missing": missing, "messages": info.messages}
     # The path stands alone, as in earlier versions.

@@ -156,7 +156,7 @@ def test_recordings_of_both_sites_together_are_reported_as_one(
     made = Made(**CLOCKS[clock])
     paths = [made.write(tmp_path, site) for site in ("master", "slave")]
     both = tmp_path / "both.mcap"
-    merge_sites(paths, both)
+    merge_sites(paths, both, same_session=True)
     summary = write_report(both, tmp_path / "report")
     same(summary, with_one_clock)
     lags = [message.log_ns - message.publish_ns for message in Recording(both).messages(["afm/state"])]
@@ -452,7 +452,7 @@ def test_recordings_of_both_sites_tell_silence_from_loss_alone_and_together(
     away: dict[str, Any] = {what: lambda topic, time_s: topic == "afm/state" and 3.2 < time_s < 3.6}
     paths = [Made(ahead_s=ahead_s, **away).write(tmp_path, site) for site in ("master", "slave")]
     both = tmp_path / "both.mcap"
-    merge_sites(paths, both)
+    merge_sites(paths, both, same_session=True)
     for path in (paths[0], both):
         summary = telenano.open(path).summary
         assert summary["verdict"] == verdict

@@ -63,7 +63,7 @@ def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path
     assert run_json("filter", path, "--topics", "/state/", "--out", tmp_path / "f.mcap")["messages"] == 40
     parts = run_json("split", path, "--interval", "0.01", "--out", tmp_path / "parts")["parts"]
     assert len(parts) == 4
-    run("merge", *(part["path"] for part in parts), "--out", tmp_path / "m.mcap")
+    run("merge", *(part["path"] for part in parts), "--same-session", "--out", tmp_path / "m.mcap")
     assert len(run_json("info", tmp_path / "m.mcap")["channels"]) == len(run_json("info", path)["channels"])
     path.write_bytes(path.read_bytes()[:2000])
     recovered = run_json("recover", path, "--out", tmp_path / "r.mcap")

@@ -137,7 +137,9 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     reported: list[str] = []
     ran = Outcome("", False, True, (path,), "", {})
 
-    def made(recordings: Any, out: Path, missing: Any, options: Any, show: Any) -> dict[str, Any]:
+    def made(
+        recordings: Any, out: Path, missing: Any, options: Any, show: Any, *, same_session: bool
+    ) -> dict[str, Any]:
         show("1 of 4: reading the session")
         return {"recording": str(recordings[0]), "out": str(out)}
 
@@ -164,7 +166,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     assert report_of(Outcome("", True, False, (path,), "", {}), plan, reported.append) is None
     assert report_of(Outcome("", False, True, (), "elsewhere", {}), plan, reported.append) is None
 
-    def broken(*given: Any) -> Any:
+    def broken(*given: Any, **named: Any) -> Any:
         raise RecordingError("no session in it")
 
     monkeypatch.setattr("telenano.analysis.report.write_report", broken)
@@ -172,7 +174,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(RecordingError, match="no session in it"):
         report_of(ran, plan, reported.append)
 
-    def interrupted(*given: Any) -> Any:
+    def interrupted(*given: Any, **named: Any) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("telenano.analysis.report.write_report", interrupted)

@@ -130,7 +130,7 @@ def test_the_information_shows_each_message_once_in_the_order_of_the_file(path: 
 def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="missing"):
         open_recordings([path, tmp_path / "missing.mcap"], by_index=True)
-    assert list(open_recordings([path, path], by_index=True).select()) == 2 * list(Recording(path).select())
+    assert list(open_recordings([path, path], by_index=True).select()) == list(Recording(path).select())
 
 
 @pytest.mark.check("takes 1.8 s")

@@ -47,7 +47,7 @@ def test_each_message_is_there_once_on_the_masters_clock(tmp_path: Path) -> None
     master = write(tmp_path, "recorder@master", hand + both, ((7.0, 1.0), (2.0, 0.001), (9.0, 0.5)))
     slave = write(tmp_path, "recorder@slave", tip + here, ())
     target = tmp_path / "both.mcap"
-    result = merge_sites([master, slave], target)
+    result = merge_sites([master, slave], target, same_session=True)
     found = list(Recording(target).messages())
     assert result.messages == len(found) == 10 + 3 + 10 + 4 + 3
     assert [message.log_ns for message in found] == sorted(message.log_ns for message in found)
@@ -76,7 +76,7 @@ def test_a_channel_that_both_have_is_taken_from_the_recorder_near_it(tmp_path: P
         tmp_path, "recorder@slave", [("afm/state", "afm_node@slave", s, BEGAN + s * MS) for s in range(5)], ()
     )
     target = tmp_path / "both.mcap"
-    merge_sites([writer.path, slave], target)
+    merge_sites([writer.path, slave], target, same_session=True)
     tips = [message for message in Recording(target).messages() if message.topic == "afm/state"]
     assert [(message.seq, message.log_ns) for message in tips] == [(seq, BEGAN + seq * MS) for seq in range(5)]
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_joined_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"master\.mcap: has no link/status or link/network"):
         slave_clock(Recording(master))
     with pytest.raises(RecordingError, match=r"slave\.mcap of slave, .*master\.mcap of master"):
-        merge_sites([slave, master], tmp_path / "x.mcap")
+        merge_sites([slave, master], tmp_path / "x.mcap", same_session=True)
     assert not (tmp_path / "x.mcap").exists()
 
 

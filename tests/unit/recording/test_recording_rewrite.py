@@ -76,7 +76,7 @@ def test_a_split_and_a_merge_give_the_recording_back(make_file: MakeFile, tmp_pa
     parts = split_recording(source, tmp_path / "parts", interval_s=0.015)
     assert [part.messages for part in parts] == [30, 30, 20]
     target = tmp_path / "merged.mcap"
-    merge_recordings([Path(part.path) for part in reversed(parts)], target)
+    merge_recordings([Path(part.path) for part in reversed(parts)], target, same_session=True)
     assert contents(target) == contents(source)
     assert Recording(target).attachments == Recording(source).attachments
     assert diff_recordings(source, target).same
@@ -101,7 +101,7 @@ def test_what_two_recordings_attach_under_one_name_is_kept_apart(tmp_path: Path)
         writer.finish()
         paths.append(writer.path)
     target = tmp_path / "all.mcap"
-    merge_recordings(paths, target)
+    merge_recordings(paths, target, same_session=True)
     assert Recording(target).attachments == {"site.yaml": b"one", "b/site.yaml": b"two"}
 
 
@@ -154,17 +154,17 @@ def test_a_process_that_follows_one_that_has_ended_has_lost_nothing(tmp_path: Pa
     first = with_end(tmp_path, list(range(3)), 3)
     second = states(tmp_path, list(range(6, 9)), "b.mcap")
     merged = tmp_path / "merged.mcap"
-    merge_recordings([first, second], merged)
+    merge_recordings([first, second], merged, same_session=True)
     assert verify([merged]).sound
     assert Recording(merged).info().complete
     # nor between two parts
-    assert verify([first, second]).sound
+    assert verify([first, second], same_session=True).sound
 
 
 def test_parts_are_joined_and_what_is_missing_between_them_is_named(tmp_path: Path) -> None:
     first = states(tmp_path, list(range(20)), "a.mcap", finish=False)
     second = states(tmp_path, list(range(25, 50)), "b.mcap")
-    joined = open_recordings([second, first])
+    joined = open_recordings([second, first], same_session=True)
     assert [message.seq for message in joined.messages(["haptic/state"])] == [*range(20), *range(25, 50)]
     info = joined.info()
     assert (info.path, info.messages, info.lost, info.closed, info.complete) == (str(first), 45, 5, False, False)

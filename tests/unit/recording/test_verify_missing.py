@@ -301,7 +301,7 @@ def test_two_files_of_one_recording_are_joined_without_a_word(make: Callable[...
     first = written(make, [0, 1, 2])
     second = written(make, [3, 4], begin_ns=EPOCH_NS + SECOND_NS)
     for paths in ([first, second], [second, first]):
-        assert verify(paths) == Verdict(sound=True, messages=5, findings=())
+        assert verify(paths, same_session=True) == Verdict(sound=True, messages=5, findings=())
 
 
 @pytest.mark.parametrize(("begin", "missing"), [(4, "3 to 3 (1)"), (5, "3 to 4 (2)"), (12, "3 to 11 (9)")])
@@ -310,7 +310,7 @@ def test_what_is_missing_between_two_files_is_named_down_to_one_message(
 ) -> None:
     first = written(make, [0, 1, 2])
     second = written(make, [begin, begin + 1], begin_ns=EPOCH_NS + SECOND_NS)
-    verdict = verify([second, first])
+    verdict = verify([second, first], same_session=True)
     assert not verdict.sound
     assert numbers(verdict) == [missing]
     (gap,) = verdict.findings
@@ -324,16 +324,16 @@ def test_between_two_files_a_publisher_that_ended_or_began_again_has_lost_nothin
     file.end({"haptic/state": 1, "session/event": 1})
     first = file.close()
     after_end = written(make, [9], begin_ns=EPOCH_NS + SECOND_NS)
-    assert gaps(verify([first, after_end])) == []
+    assert gaps(verify([first, after_end], same_session=True)) == []
     again = written(make, [0, 1], begin_ns=EPOCH_NS + 2 * SECOND_NS)
-    assert gaps(verify([written(make, [5, 6]), again])) == []
+    assert gaps(verify([written(make, [5, 6]), again], same_session=True)) == []
 
 
 def test_a_publisher_of_which_one_file_has_the_first_message_alone_has_not_ended_in_it(
     make: Callable[..., File],
 ) -> None:
     second = written(make, [3], begin_ns=EPOCH_NS + SECOND_NS)
-    assert numbers(verify([written(make, [0]), second])) == ["1 to 2 (2)"]
+    assert numbers(verify([written(make, [0]), second], same_session=True)) == ["1 to 2 (2)"]
 
 
 def test_messages_that_follow_one_another_are_judged_by_their_headers(

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, print_json, report_errors
+from telenano.cli import JsonOption, SameSessionOption, print_json, report_errors
 
 _WITHOUT = (
     "A simulated device has no calibration. Of a real one give the files that were in use with --handle and --stage; "
@@ -24,6 +24,7 @@ def budget(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the page and budget.json.")
     ] = None,
+    same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """State the error of a session's figures by its sources, and the delay of the loop by its stages."""
@@ -40,7 +41,7 @@ def budget(
             None if handle is None else HandleCalibration.from_file(handle),
             None if stage is None else InstrumentCalibration.from_file(stage),
         )
-        recording = open_recordings(recordings)
+        recording = open_recordings(recordings, same_session=same_session)
         session = Session.of(recording)
         summary = session.summary(recording)
         figures = figure_budgets(summary, shares)

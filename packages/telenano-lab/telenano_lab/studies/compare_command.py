@@ -11,6 +11,7 @@ from telenano.analysis import FigureOptions
 from telenano.cli import (
     FormatOption,
     JsonOption,
+    SameSessionOption,
     StyleOption,
     TableOption,
     print_json,
@@ -43,6 +44,7 @@ def compare(
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
+    same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Draw sessions over one another, and put their figures into one table; with statistics where seeds differ."""
@@ -53,7 +55,13 @@ def compare(
         if len(sessions) < 2 and not paper and not published:
             raise ConfigError("compare: give two sessions or more, or one with --paper or --published")
         comparison = compare_sessions(
-            sessions, out, FigureOptions.of(formats, style), published or (), paper=paper, tables=table
+            sessions,
+            out,
+            FigureOptions.of(formats, style),
+            published or (),
+            paper=paper,
+            tables=table,
+            same_session=same_session,
         )
     print_comparison(comparison, out, as_json=as_json)
 
@@ -73,6 +81,7 @@ def compare_sessions(
     *,
     paper: bool = False,
     tables: str = "csv",
+    same_session: bool = False,
 ) -> Comparison:
     """Write figure and tables of sessions into a folder; return the rows of the tables.
 
@@ -86,7 +95,7 @@ def compare_sessions(
 
     kinds = table_formats(tables)
     points = [*([paper_points()] if paper else []), *map(read_published, published)]
-    comparison = read(sessions)
+    comparison = read(sessions, same_session=same_session)
     rows = rows_of(comparison)
     statistics = statistics_of(rows, [session.scenario for session in comparison])
     summaries = {session.name: session.summary for session in comparison}

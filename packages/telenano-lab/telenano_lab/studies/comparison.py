@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.analysis import FigureOptions, Session
-from telenano.recording import open_recordings, recordings_of
+from telenano.recording import demand_several, files_of, open_recordings, recordings_of
 from telenano.settings import LoadedScenario
 from telenano_lab.studies.figure_colours import LINES, ON_SCREEN
 from telenano_lab.studies.published import PANELS, Published, nearest
@@ -73,11 +73,22 @@ def _named(path: Path) -> Path:
     return path.parent if path.stem == "session" else path.with_suffix("")
 
 
-def compare(paths: Sequence[Path]) -> list[Compared]:
-    """Read sessions; RecordingError names a file that has none, ConfigError a folder without a recording."""
+def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compared]:
+    """Read sessions, each once.
+
+    Args:
+        paths: A recording of each, or the folder with its files.
+        same_session: Whether the files of a folder are joined that do not say that they are of one session.
+
+    Raises:
+        RecordingError: A file has no session, the files of a folder are not of one, or two paths are of one session.
+        ConfigError: A folder has no recording.
+    """
+    opened = {path: open_recordings(recordings_of(path), same_session=same_session) for path in paths}
+    once = demand_several([files_of(recording) for recording in opened.values()])
+    opened = {path: recording for (path, recording), wanted in zip(opened.items(), once, strict=True) if wanted}
     rows = []
-    for name, path in zip(names_of(paths), paths, strict=True):
-        recording = open_recordings(recordings_of(path))
+    for name, recording in zip(names_of(list(opened)), opened.values(), strict=True):
         session = Session.of(recording)
         scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
         rows.append(Compared(name, session, session.summary(recording), scenario))
