@@ -17,6 +17,7 @@ WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
     "telenano/cli/commands/up.py": "the date in the name of the folder of a session",
+    "telenano/analysis/kept_summary.py": "whether a source was edited after this process began",
     "telenano/analysis/page.py": "the date in the foot of a page",
     "telenano/testing/conformance/examination.py": "whether the clock of a client is that of this machine",
     "telenano/cli/commands/simulate.py": "the date in the name of the folder of a session",
