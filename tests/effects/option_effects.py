@@ -185,10 +185,14 @@ WITHOUT: Mapping[str, str] = {
 
 @dataclass
 class Seen:
-    """What a command leaves: exit code, lines of its output, and its files."""
+    """What a command leaves: exit code, lines of its output and of its messages, and its files.
+
+    They are told apart, because the messages of a bar of progress are as many as the machine is slow.
+    """
 
     code: int
     lines: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     files: dict[str, Any] = field(default_factory=dict)
 
     def items(self) -> Iterator[tuple[str, Any]]:
@@ -196,6 +200,8 @@ class Seen:
         yield "exit code", self.code
         yield "number of lines", len(self.lines)
         yield from ((f"line {number}", line) for number, line in enumerate(self.lines))
+        yield "number of messages", len(self.messages)
+        yield from ((f"message {number}", line) for number, line in enumerate(self.messages))
         yield "files", sorted(self.files)
         yield from ((f"content of {name}", content) for name, content in self.files.items())
 
@@ -205,11 +211,12 @@ def run(words: Sequence[str], folder: Path) -> Seen:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     result = CliRunner().invoke(app, list(words))
-    text = re.sub(r"[0-9.]+ (s|ms|kB|MB)\b", "", result.output)
-    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and ".tmp" not in path.name]
-    return Seen(
-        result.exit_code, text.splitlines(), {str(path.relative_to(folder)): content_of(path) for path in paths}
+    output, messages = (
+        re.sub(r"[0-9.]+ (s|ms|kB|MB)\b", "", text).splitlines() for text in (result.stdout, result.stderr)
     )
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and ".tmp" not in path.name]
+    files = {str(path.relative_to(folder)): content_of(path) for path in paths}
+    return Seen(result.exit_code, output, messages, files)
 
 
 def content_of(path: Path) -> Any:
