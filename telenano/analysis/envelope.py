@@ -82,7 +82,7 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
     early = _trend(sizes[:half], small_n)[0]
     if whole + whole_error < -LEAST_CHANGE and late < 0.0:
-        # what falls to a swing that stays falls more slowly at the end
+        # A motion that falls to a swing that stays falls more slowly at the end.
         return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
     stays = max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier
     # the later half and all of it, each in its own errors, together tell of a fall
@@ -144,7 +144,7 @@ def falls_as_noise(values: Series, noise_n: float) -> bool:
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
     power = np.abs(np.fft.rfft(centred(values) * window)) ** 2 / float(np.cumsum(window * window)[-1])
     octaves = [power[2**k : 2 ** (k + 1)] for k in range(1, int(math.log2(len(power))))]
-    # of the white part the density is the variance
+    # The density of the white part is its variance.
     above = [own for own in octaves if float(own.mean()) > _WHITE_OVER * noise_n * noise_n]
     if len(above) < _OCTAVES or len(above) != len(octaves[: len(above)]):
         return False

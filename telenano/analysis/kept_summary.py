@@ -84,7 +84,7 @@ class KeptSummary:
 
     def _found_key(self) -> dict[str, Any] | None:
         """Return what it counts for; None where nothing can be kept, or a file is not as it was when it was opened."""
-        # what comes with the library is not written to by it
+        # The library writes nothing beside what comes with it.
         if self._seen is None or self.path.is_relative_to(_LIBRARY):
             return None
         try:

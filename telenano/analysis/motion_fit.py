@@ -168,14 +168,14 @@ def _growing(mode: Mode, window: Window, change: float, cycles: float, least: fl
     """Return what a mode does whose fit surely grows."""
     # A growth is seen over the residue, and from each part to the next if it turns often enough.
     is_rising = window.seen(mode) > least and (cycles < LEAST_TURNS or rises(window.fit, mode, change))
-    # what has been seen for two swings is said to go on for a stretch more
+    # A motion that was seen for two swings is said to go on for a stretch more.
     own = window.values[-max(2, math.ceil(len(window.values) * min(1.0, max(cycles, 1.0) / change))) :]
     # in the time of its growth, or of a turn that is seen, it goes as far as more than half of what it is
     end_n = min(mode.end_n, 2.0 * float(np.ptp(own)))
     reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= LEAST_TURNS else 1.0) > window.small_n
     if is_rising and reaches and end_n > max(2.0 * SURE_ERRORS * window.left_n, window.rounded_n):
         return Fate.GROWING
-    # what may only just be seen is not said to be at rest
+    # A motion that may only just be seen is not said to be at rest.
     within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
     is_near = end_n > within_n or (is_rising and reaches and cycles >= 0.5 and end_n > window.rounded_n)
     return Fate.UNSURE if is_near else Fate.NEGLIGIBLE

@@ -109,7 +109,7 @@ def hand_in_words(scenario: "Scenario", origin: str) -> str:
     Raises:
         ConfigError: The hand cannot be read; the message names the key.
     """
-    # what is kept of a recording is read without these, whose import takes longer
+    # A kept summary is read without these, whose import takes longer.
     from telenano.hand.config import recorded_hand
     from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig
 

@@ -27,7 +27,7 @@ _MOST_WAITING = 4 << 20
 _NONE = {type(None)}
 
 Columns = dict[str, list[Any]]
-# by column, the types of its values
+# The types of the values of each column.
 Kinds = dict[str, set[type]]
 Write = Callable[[Columns], None]
 # open the table of a channel, with the columns that it has

@@ -59,7 +59,7 @@ def simulate_nanonis(
             ready = f"a model of a LabJack T7 at its external input is at {host}:{t7_port}"
             part = nanonis_model.ExternalInput(model)
             serving.append(t7_in_front_of(part, t7, afm, (host, t7_port), lambda: typer.echo(ready)))
-        # one client at a port, as at the instrument
+        # A port serves one client, as at the instrument.
         serving.append(
             serve_requests(
                 nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
