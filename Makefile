@@ -49,6 +49,12 @@ PIP := $(BIN)/python -P -m pip install --quiet --disable-pip-version-check
 # Without $(2) nothing is compiled that is not imported: of what a demo installs that is most, and a fifth of its bytes.
 install = $(BIN)/uv pip install --quiet $(2) --python $(BIN)/python $(1) 2>/dev/null || $(PIP) $(1)
 
+# The packages that were installed from a folder of packages/ which is gone: two of one entry serve neither.
+GONE := import json, pathlib; from importlib.metadata import distributions as found; \
+  urls = {one.name: json.loads(one.read_text("direct_url.json") or "{}").get("url", "") for one in found()}; \
+  print(*(name for name, url in urls.items() if "/packages/telenano-" in url and url.startswith(pathlib.Path.cwd().as_uri()) \
+  and not pathlib.Path(url.removeprefix("file://")).exists()))
+
 # The rig and its page need less than half of the whole.
 $(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -65,6 +71,7 @@ $(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 $(VENV)/.complete: $(VENV)/.rig requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
 	@echo "installing what the packages and tests need in $(VENV), once"
 	@$(call install,--require-hashes -r requirements.lock,--compile-bytecode)
+	@gone=$$($(BIN)/python -P -c '$(GONE)'); [ -z "$$gone" ] || $(BIN)/python -P -m pip uninstall --quiet --yes $$gone
 	@$(call install,--no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES)))
 	@$(PIP) --require-hashes -r deploy/locks/gwyddion.lock 2>/dev/null || \
 	  echo "Gwyddion's converter has no build for this machine: images of most makers are refused" >&2
