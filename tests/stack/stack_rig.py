@@ -168,9 +168,14 @@ def mode(rig: Rig) -> str:
 
 
 def arm(rig: Rig) -> None:
-    """Arm both devices of a rig as a person does, and wait until the tip follows."""
+    """Arm both devices of a rig as a person does, and let the tip, when it follows, go back to its place.
+
+    A tip that stays withdrawn is further from the sample than the travel of a hand in its middle: the hand comes to its
+    end, whose wall takes the force of the operator, and a law that carries forces loses contact.
+    """
     for device in ("afm_node", "haptic_node"):
         rig.wait_until(
             lambda device=device: rig.telenano("session", "arm", "--target", device).returncode == 0, f"{device} armed"
         )
     rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
+    rig.wait_until(lambda: rig.telenano("session", "arm", "--return").returncode == 0, "a tip at its place")
