@@ -24,7 +24,6 @@ otherwise spend it, nothing would bring a hand back that was let go, and by rate
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
@@ -62,22 +61,6 @@ _LEAD_S = 0.1
 _LEAD_M = 1e-9
 # The stage belongs to the hand until it has stood for this time.
 _IDLE_S = 0.2
-
-
-@dataclass(slots=True)
-class Across:
-    """What a half knows of x and y, which no law does.
-
-    own_m: where its device is, or is led, at the scale of the tip [m]; sent_m: the one that was sent last [m]; own_n:
-    force on the tip, at the slave's half [N]. far: what the other half sent last, which is where the hand wants the tip
-    [m] at the slave's half, and the force on the tip [N] at the master's; far_m: where the stage is [m], there.
-    """
-
-    own_m: tuple[float, float] = (0.0, 0.0)
-    sent_m: tuple[float, float] = (0.0, 0.0)
-    own_n: tuple[float, float] = (0.0, 0.0)
-    far: tuple[float, float] = (0.0, 0.0)
-    far_m: tuple[float, float] = (0.0, 0.0)
 
 
 class MotionParams(NamedTuple):
