@@ -20,7 +20,7 @@ from telenano.laws.clamp import clamped
 from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
 from telenano.laws.integration import Heard, TimingParams, silence_ns
-from telenano.laws.lateral import NO_STORE, Store
+from telenano.laws.lateral import NO_ENERGY, EnergyTank
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.freshness import FreshnessState
@@ -218,11 +218,11 @@ class ControllerHalf(Node):
     def energy_account(self) -> EnergyAccount:
         """Return what this half of the law knows of energy."""
 
-    def lateral_account(self) -> Store:
+    def lateral_account(self) -> EnergyTank:
         """Return the energy at the port across: none where this half has no such port."""
-        return NO_STORE
+        return NO_ENERGY
 
-    def _is_passive_across(self, across: Store) -> bool:
+    def _is_passive_across(self, across: EnergyTank) -> bool:
         """Return whether no more has left across than was granted."""
         return across.entered_j + self.lateral.feel.granted_j >= -energy.TOLERANCE_J
 

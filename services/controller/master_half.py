@@ -15,10 +15,10 @@ from telenano.laws.lateral import (
     LOST,
     MET,
     NO_NEWS,
+    EnergyTank,
     LateralFar,
     LateralHand,
     LateralMasterState,
-    Store,
     lateral_at_rest,
     lateral_master_step,
 )
@@ -275,7 +275,7 @@ class MasterController(ControllerHalf):
         force_n = memory.across.force_n[2]
         return memory.hand._replace(force_n=memory.hand.force_n + force_n) if force_n else memory.hand
 
-    def lateral_account(self) -> Store:
+    def lateral_account(self) -> EnergyTank:
         return self.memory.across.store
 
     def _lateral_force(self) -> tuple[float, float]:
