@@ -14,7 +14,7 @@ from telenano.link.fate import Direction, Fate, Release
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Reader, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.link_node import FATES_AT_ONCE, DelayNode, DirectionPath, SiteEndpoint
+from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
@@ -22,9 +22,8 @@ from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire.codec import read_header
 from telenano.wire.errors import EndpointError
-from telenano.wire.messages import Scalar, SessionControl
+from telenano.wire.messages import Scalar
 from telenano.wire.nodes import LINK
-from telenano.wire.received import Received
 
 
 class Carrier(Protocol):
@@ -54,11 +53,11 @@ class Carrier(Protocol):
         """Note that bytes will not be sent, and the impairment that is the cause."""
 
 
-class ByteLink(DelayNode):
-    """Forwards the bytes of a carrier when the engine releases them, and reports on link/status."""
+class ByteLink(ImpairedLink):
+    """Forwards the bytes of a carrier when the engine releases them, and reports on link/status.
 
-    # A re-run would need the bytes, which no recording holds.
-    journalled = False
+    It keeps no journal, because a re-run would need the bytes, which no recording holds.
+    """
 
     def __init__(
         self,
@@ -84,29 +83,17 @@ class ByteLink(DelayNode):
         """
         super().__init__(context, settings, *outlets, folder)
         self._carrier = carrier
-        self._numbers = {way.name: 0 for way in self._ways}
+        self._numbers = {way.name: 0 for way in self.directions}
         now_ns = self.clock.monotonic_ns()
         self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
         """Take bytes that have arrived from a client, and send what is due."""
-        way = self._forward if direction == "forward" else self._backward
+        way = self.forward if direction == "forward" else self.backward
         number = self._numbers[direction]
         self._numbers[direction] += 1
-        self.steps += 1
-        self._send(way, way.engine.submit(self.clock.now_ns(), self._carrier.topic, payload, number, client))
-        # Small reports hold up the next message for less than one of a tenth of a second would.
-        self._unreported += 1
-        if self._unreported >= FATES_AT_ONCE:
-            for task in self._fates:
-                self.defer(task)
-
-    def on_message(self, received: Received) -> None:
-        """Note the start of a session, which is all that a link for bytes has of one."""
-        self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
-        message = received.message
-        if type(message) is SessionControl and message.command == "start":
-            self.engine.begin_session(received.received_ns)
+        self.send(way, way.engine.submit(self.clock.now_ns(), self._carrier.topic, payload, number, client))
+        self.count_unreported()
 
     def deadline_ns(self) -> int:
         return min(super().deadline_ns(), self._end_ns)
@@ -118,11 +105,11 @@ class ByteLink(DelayNode):
 
     def make_safe(self) -> None:
         """Report the fates that are not reported yet; what is still in transit stays unsent."""
-        self._publish_status()
-        for way in self._ways:
-            self._publish_fates(way)
+        self.publish_status()
+        for way in self.directions:
+            self.publish_fates(way)
 
-    def _send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
+    def send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
         for release in releases:
             fate = release.fate
             late_ns = self.clock.now_ns() - (fate.release_ns or 0)
@@ -130,8 +117,8 @@ class ByteLink(DelayNode):
                 way.name, release.payload, fate.src, delay_ns=fate.delay_ns, late_ns=late_ns, is_copy=fate.copy > 0
             )
 
-    def _take_fates(self, way: DirectionPath) -> list[Fate]:
-        fates = super()._take_fates(way)
+    def take_fates(self, way: DirectionPath) -> list[Fate]:
+        fates = super().take_fates(way)
         for fate in fates:
             if fate.dropped:
                 self._carrier.dropped(way.name, fate.dropped, fate.size_bytes, is_copy=fate.copy > 0)

@@ -4,63 +4,32 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Protocol
+from typing import NamedTuple
 
-from telenano.link.config import LinkSettings, Setting
+from telenano.link.config import LinkSettings
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
-from telenano.link.direction import DirectionEngine
-from telenano.link.engine import LinkEngine, LinkState
-from telenano.link.fate import Direction, Fate, Release
+from telenano.link.engine import LinkState
+from telenano.link.fate import Fate, Release
 from telenano.link.questions import Questions
 from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
 from telenano.runtime.link_stops import FarStop, FarStopState
-from telenano.runtime.loop.deadlines import PeriodicDeadline
-from telenano.runtime.loop.deferred import Task
-from telenano.runtime.loop.node import Node, NodeBus, NodeContext
-from telenano.timing.clock_offset import OffsetFilter, OffsetState
+from telenano.runtime.loop.node import NodeBus, NodeContext
+from telenano.timing.clock_offset import OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.codec import WireError, accept
-from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import ClockPong, LinkDirection, LinkFate, Message, SessionControl, SessionEvent
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import ClockPong, SessionControl, SessionEvent
 from telenano.wire.node_state import FindInput
 from telenano.wire.nodes import LINK, TIP
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
-STATUS_PERIOD_NS = 100_000_000
 # This setting is none: it measures what the line between two machines carries.
 TRAIN = "line.train"
-# seconds of exchanges of time stamps in view, one a report
-_CLOCK_WINDOW = 64
-# This number of rows of ground truth make a message worth sending.
-FATES_AT_ONCE = 32
-# This number of rows fit into a message, with a margin.
-_MOST_FATES = 1000
 # What the link drops while the instrument has not obeyed an emergency stop; its fate names this cause.
 _HELD_BACK = ("teleop/forward", "session/control")
 _STOP = "stop"
-
-
-class SiteEndpoint(Protocol):
-    """The endpoint at a site: sends bytes as they are."""
-
-    def send(self, topic: str, payload: bytes) -> None:
-        """Send a message with the header of its first publisher."""
-
-    def publish(self, topic: str, **fields: object) -> Message:
-        """Send a message of the link's own."""
-
-    def sequence_numbers(self) -> dict[str, int]:
-        """Return the seq of the link's next message on each topic."""
-
-
-class DirectionPath(NamedTuple):
-    """A direction of the link."""
-
-    name: Direction
-    engine: DirectionEngine
-    endpoint: str
-    outlet: SiteEndpoint
 
 
 class DelayNodeState(NamedTuple):
@@ -85,21 +54,15 @@ class DelayNodeState(NamedTuple):
     questions: Questions | None = None
 
 
-class DelayNode(Node):
+class DelayNode(ImpairedLink):
     """Forwards messages between the sites when the engine releases them, and reports on link/status.
 
     An emergency stop for the instrument is kept until the instrument has obeyed it (`FarStop`).
     """
 
-    inputs = ("session/control",)
-    commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # After this the tick is at the master's side.
-    idle_after = "teleop/backward"
-    acts_on_health = True
     state_kind = DelayNodeState
     state_version = 2
-    period_s = 0.0
 
     def __init__(
         self,
@@ -126,40 +89,26 @@ class DelayNode(Node):
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
-        super().__init__(context)
-        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
-        # The settings that were named last, and what they were named; a restored link has others than it began with.
-        self._named = settings, settings.network_name
-        self._forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
-        self._backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
-        self._ways = (self._forward, self._backward)
-        self._forwarded = {way.endpoint: 0 for way in self._ways}
+        super().__init__(context, settings, to_slave, to_master, folder)
+        self._forwarded = {way.endpoint: 0 for way in self.directions}
         # The newest message that was sent on, by topic.
-        self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
-        self._offset = OffsetFilter(_CLOCK_WINDOW)
+        self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self.directions}
         self._questions = Questions()
         self._answer = (0, 0)
         self._session_id = ""
-        self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
+        self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self.directions)
         self._between = ONE_MACHINE
         self._spans_machines, self._send_train = spans_machines, send_train
-        self._unreported = 0
         self._stop = FarStop(context.kept_stop)
-        # These tasks report what happened to the messages of each direction.
-        self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
-        # The report has the state of the link as well, its delays, which late readers need and which the clocks change,
-        # and the next exchange of time stamps.
-        self._report: tuple[Task, ...] = (*self._fates, self._publish_status, self._declare_forward)
-        self._report += partial(self._declare, self._backward), self._ask
-        self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
-        self.state = "running"
+        # The report has the delays as well, which late readers need and which the clocks change, and asks for the next
+        # exchange of time stamps.
+        self.report_tasks += self._declare_forward, partial(self._declare, self.backward), self._ask
 
     def deadline_ns(self) -> int:
-        release_ns = self.engine.next_release_ns()
-        due_ns = min(self._status.deadline_ns, self.freshness.deadline_ns(), self._stop.due_ns)
+        due_ns = min(super().deadline_ns(), self._stop.due_ns)
         if self._spans_machines:
             due_ns = min(due_ns, self._questions.due_ns(2 * self._between.transit_ns))
-        return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
+        return due_ns
 
     def on_message(self, received: Received) -> None:
         self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
@@ -178,7 +127,7 @@ class DelayNode(Node):
         elif type(message) is SessionEvent:
             self._note_answer(message)
         elif received.topic in _HELD_BACK and self._stop.holds_back(message):
-            self._forward.engine.leave_out(
+            self.forward.engine.leave_out(
                 received.received_ns, received.topic, received.payload, message.seq, message.src, _STOP
             )
             return
@@ -186,31 +135,22 @@ class DelayNode(Node):
             # The hand's force profile begins with the first of the repetitions, at this side of the link.
             self._session_id = message.id
             self.engine.begin_session(received.received_ns)
-        for way in self._ways:
+        for way in self.directions:
             if direction in (way.name, "both"):
                 # An emergency stop is no part of the experiment, and a line that stands still would hold it.
                 due = way.engine.submit(
                     received.received_ns, received.topic, received.payload, message.seq, message.src, at_once=is_stop
                 )
-                self._send(way, due)
-        self.steps += 1
-        self._unreported += 1
-        if self._unreported >= FATES_AT_ONCE and direction == "backward":
-            for task in self._fates:
-                self.defer(task)
+                self.send(way, due)
+        self.count_unreported(may_report=direction == "backward")
 
     def on_deadline(self, now_ns: int) -> None:
         self.begin_turn(now_ns)
-        epoch_ns = now_ns + self.clock.epoch_offset_ns
-        for way in self._ways:
-            self._send(way, way.engine.due(epoch_ns))
+        self.send_due(now_ns)
         self._send_stop(now_ns)
         if self._spans_machines and self._questions.take(now_ns, 2 * self._between.transit_ns):
             self._ask()
-        if now_ns >= self._status.deadline_ns:
-            self._status.advance(now_ns)
-            for task in self._report:
-                self.defer(task)
+        self.report_if_due(now_ns)
 
     def capture(self) -> DelayNodeState:
         return DelayNodeState(
@@ -218,11 +158,11 @@ class DelayNode(Node):
             forward_delay=self._forward_delay,
             backward_delay=self._backward_delay,
             between=self._between,
-            clock=self._offset.capture(),
+            clock=self.offset.capture(),
             answer=self._answer,
             session_id=self._session_id,
-            status_ns=self._status.deadline_ns,
-            unreported=self._unreported,
+            status_ns=self.status.deadline_ns,
+            unreported=self.unreported,
             stop=self._stop.capture(),
             questions=copy(self._questions),
         )
@@ -230,53 +170,38 @@ class DelayNode(Node):
     def restore(self, state: DelayNodeState, find: FindInput) -> None:
         self.engine.restore(state.engine, find)
         self._forward_delay, self._backward_delay = state.forward_delay, state.backward_delay
-        self._between, self._unreported = state.between, state.unreported
-        self._offset.restore(state.clock)
+        self._between, self.unreported = state.between, state.unreported
+        self.offset.restore(state.clock)
         self._answer, self._session_id = state.answer, state.session_id
-        self._status.deadline_ns = state.status_ns
+        self.status.deadline_ns = state.status_ns
         self._stop.restore(state.stop)
         self._questions = Questions() if state.questions is None else copy(state.questions)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
-        numbers = self._forward.outlet.sequence_numbers()
+        numbers = self.forward.outlet.sequence_numbers()
         return {**{output_name(topic, f"{LINK}@slave"): seq for topic, seq in numbers.items()}, **self._forwarded}
 
     def on_control(self, control: SessionControl) -> str:
-        """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
-        if control.command != "set":
+        """Change the settings, or measure the line between two machines with a train of datagrams."""
+        if control.command != "set" or dict(control.parameters) != {TRAIN: True}:
             return super().on_control(control)
-        if dict(control.parameters) == {TRAIN: True}:
-            if self._send_train is None or not self._send_train():
-                raise RefusedError(
-                    "no train was sent: no datagrams cross, the line is full, or one was sent just before"
-                )
-            return "a train of datagrams was sent each way: link/network has what the line carried"
-        if not control.parameters:
-            raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
-        try:
-            self.engine.reconfigure(self.engine.settings.changed(control.parameters), self.clock.now_ns())
-        except ConfigError as error:
-            raise RefusedError(f"the link keeps its settings: {error}") from error
-        text = "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
-        self.event("link", "info", f"link settings changed: {text}")
-        return text
-
-    def make_safe(self) -> None:
-        """Do nothing: a link that stands still makes the devices safe by its silence."""
+        if self._send_train is None or not self._send_train():
+            raise RefusedError("no train was sent: no datagrams cross, the line is full, or one was sent just before")
+        return "a train of datagrams was sent each way: link/network has what the line carried"
 
     def publish_end(self, bus: NodeBus) -> None:
         """Publish at both sites what was sent there, and up to which number messages were sent on."""
-        for way, publisher in ((self._backward, bus), (self._forward, self._forward.outlet)):
+        for way, publisher in ((self.backward, bus), (self.forward, self.forward.outlet)):
             newest = self._newest[way.endpoint].values()
             publish_end(publisher, way.endpoint, {(fate.topic, fate.src): fate.seq + 1 for fate in newest})
 
-    def _send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
+    def send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
         if not releases:
             return
         declared, newest = self._declared(way), self._newest[way.endpoint]
         for release in releases:
-            if way is self._forward and self._stop.identifier and self._is_void(release):
+            if way is self.forward and self._stop.identifier and self._is_void(release):
                 continue
             if declared.changed_by(release):
                 self._declare(way)
@@ -307,8 +232,8 @@ class DelayNode(Node):
         was_unreached = self._stop.is_unreached
         if (payload := self._stop.copy(now_ns, self.clock.now_ns())) is None:
             return
-        self._forward.outlet.send("session/control", payload)
-        self._forwarded[self._forward.endpoint] += 1
+        self.forward.outlet.send("session/control", payload)
+        self._forwarded[self.forward.endpoint] += 1
         if self._stop.is_unreached and not was_unreached:
             text = f"{TIP} has not answered an emergency stop: it is kept and sent until it has, and no sample crosses"
             self.event("link", "warning", text)
@@ -320,24 +245,24 @@ class DelayNode(Node):
             self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
 
     def _declared(self, way: DirectionPath) -> DeclaredDelay:
-        return self._forward_delay if way is self._forward else self._backward_delay
+        return self._forward_delay if way is self.forward else self._backward_delay
 
     def _declare(self, way: DirectionPath) -> None:
         """Publish the delay of a direction where it counts: that of the way back does at the master only."""
         fields = {"direction": way.name, **self._declared(way).current._asdict()}
-        if way is self._forward:
+        if way is self.forward:
             way.outlet.publish("link/delay", **fields, **self._between.at_slave())
-        self._backward.outlet.publish("link/delay", **fields, **self._between.at_master())
+        self.backward.outlet.publish("link/delay", **fields, **self._between.at_master())
 
     def _declare_forward(self) -> None:
         if self._spans_machines:
-            self._between = between_sites(self._offset)
+            self._between = between_sites(self.offset)
             self._tell_change()
-        self._declare(self._forward)
+        self._declare(self.forward)
 
     def _tell_change(self) -> None:
         """Tell of a line that has become longer or shorter for good, which a loop feels as delay."""
-        if (changed := self._offset.present.take_change(self.clock.now_ns())) is None:
+        if (changed := self.offset.present.take_change(self.clock.now_ns())) is None:
             return
         before_ms, after_ms, low_ms, high_ms = (1e-6 * value for value in changed[1:])
         word = "longer" if after_ms > before_ms else "shorter"
@@ -351,71 +276,18 @@ class DelayNode(Node):
     def _ask(self) -> None:
         """Ask the other site for its time."""
         self._questions.ask(self.clock.monotonic_ns())
-        self._forward.outlet.publish("clock/ping")
+        self.forward.outlet.publish("clock/ping")
 
     def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
         self._answer = (pong.t_ns, received_ns)
-        is_longer = self._offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
-        in_doubt = self._offset.present.is_in_doubt
+        is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
+        in_doubt = self.offset.present.is_in_doubt
         self._questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
         if is_longer and self._spans_machines:
             # Until its readers know, a hand is switched off by the age of what is as fresh as the line allows.
             self._declare_forward()
-            self._declare(self._backward)
+            self._declare(self.backward)
 
-    def _publish_fates(self, way: DirectionPath) -> None:
-        self._unreported = 0
-        fates = tuple(_link_fate(fate) for fate in self._take_fates(way))
-        for first in range(0, len(fates), _MOST_FATES):
-            self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
-
-    def _take_fates(self, way: DirectionPath) -> list[Fate]:
-        return way.engine.take_fates()
-
-    def _publish_status(self) -> None:
-        if self._named[0] is not self.engine.settings:
-            self._named = self.engine.settings, self.engine.settings.network_name
-        settings, network = self.engine.settings.flattened(only_set=True), self._named[1]
-        self.publish(
-            "link/status",
-            forward=_direction(self._forward, settings, network),
-            backward=_direction(self._backward, settings, network),
-            clock=self._offset.report(of_line=self._spans_machines),
-            **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
-        )
-
-
-def _link_fate(fate: Fate) -> LinkFate:
-    """Return a row of link/fates."""
-    return LinkFate(
-        topic=fate.topic,
-        seq=fate.seq,
-        is_duplicate=fate.copy > 0,
-        arrived_ns=fate.arrived_ns,
-        delay_ns=fate.delay_ns,
-        queue_ns=fate.queue_ns,
-        held_ns=fate.held_ns,
-        dropped=fate.dropped,
-        duplicated=fate.duplicated,
-        reordered=fate.reordered,
-        corrupted=fate.corrupted,
-    )
-
-
-def _direction(way: DirectionPath, settings: dict[str, Setting], network: str) -> LinkDirection:
-    stats, prefix = way.engine.stats(), way.name + "."
-    return LinkDirection(
-        profile=network,
-        settings={key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
-        messages_in=stats.messages_in,
-        messages_out=stats.messages_out,
-        dropped={cause: count for cause, count in stats.dropped.items() if count},
-        duplicated=stats.duplicated,
-        reordered=stats.reordered,
-        corrupted=stats.corrupted,
-        queue_depth=stats.in_flight,
-        delay_valid=stats.delay_count > 0,
-        delay_mean_s=stats.delay_mean_s or 0.0,
-        delay_min_s=stats.delay_min_s or 0.0,
-        delay_max_s=stats.delay_max_s or 0.0,
-    )
+    def clock_status(self) -> dict[str, object]:
+        answer = {"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}
+        return {"clock": self.offset.report(of_line=self._spans_machines), **answer}
