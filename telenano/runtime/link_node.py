@@ -1,10 +1,10 @@
 """The link process: the only path between the sites, with the impairments in force on each direction."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+
+import msgspec
 
 from telenano.link.config import LinkSettings
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
@@ -32,26 +32,26 @@ _HELD_BACK = ("teleop/forward", "session/control")
 _STOP = "stop"
 
 
-class DelayNodeState(NamedTuple):
+class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the node.
 
-    Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps by second
-    that it follows from; when the newest answer was sent and received [ns], 0 before it; the command that began the
-    session; when the next report is due [ns], and how many messages it has to tell of; the emergency stop that the
-    instrument has not obeyed yet; when the other site is asked for its time.
+    The delays that readers know; what lies between the sites; when the newest answer was sent and received [ns], 0
+    before it; the command that began the session; when the other site is asked for its time. `capture` writes the
+    others: the engine, the exchanges of time stamps by second, when the next report is due [ns], how many messages it
+    has to tell of, and the emergency stop that the instrument has not obeyed yet.
     """
 
     engine: LinkState
     forward_delay: DeclaredDelay
     backward_delay: DeclaredDelay
-    between: BetweenSites
+    between: BetweenSites = ONE_MACHINE
     clock: OffsetState
-    answer: tuple[int, int]
-    session_id: str
+    answer: tuple[int, int] = (0, 0)
+    session_id: str = ""
     status_ns: int
     unreported: int
     stop: FarStopState = FarStopState()
-    questions: Questions | None = None
+    questions: Questions = msgspec.field(default_factory=Questions)
 
 
 class DelayNode(ImpairedLink):
@@ -93,11 +93,14 @@ class DelayNode(ImpairedLink):
         self._forwarded = {way.endpoint: 0 for way in self.directions}
         # The newest message that was sent on, by topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self.directions}
-        self._questions = Questions()
-        self._answer = (0, 0)
-        self._session_id = ""
-        self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self.directions)
-        self._between = ONE_MACHINE
+        self.memory = DelayNodeState(
+            engine=self.engine.capture(),
+            forward_delay=DeclaredDelay(DECLARED[self.forward.name]),
+            backward_delay=DeclaredDelay(DECLARED[self.backward.name]),
+            clock=self.offset.capture(),
+            status_ns=self.status.deadline_ns,
+            unreported=0,
+        )
         self._spans_machines, self._send_train = spans_machines, send_train
         self._stop = FarStop(context.kept_stop)
         # The report has the delays as well, which late readers need and which the clocks change, and asks for the next
@@ -107,7 +110,7 @@ class DelayNode(ImpairedLink):
     def deadline_ns(self) -> int:
         due_ns = min(super().deadline_ns(), self._stop.due_ns)
         if self._spans_machines:
-            due_ns = min(due_ns, self._questions.due_ns(2 * self._between.transit_ns))
+            due_ns = min(due_ns, self.memory.questions.due_ns(2 * self.memory.between.transit_ns))
         return due_ns
 
     def on_message(self, received: Received) -> None:
@@ -118,8 +121,8 @@ class DelayNode(ImpairedLink):
         if direction is None:
             return
         message = received.message
-        if self._spans_machines and received.topic == self._backward_delay.topic:
-            self._questions.hear(received.received_ns - self.clock.epoch_offset_ns)
+        if self._spans_machines and received.topic == self.memory.backward_delay.topic:
+            self.memory.questions.hear(received.received_ns - self.clock.epoch_offset_ns)
         is_stop = type(message) is SessionControl and message.command == "estop"
         if type(message) is SessionControl and is_stop:
             if fault := self._stop.record(message, received.payload, self.clock.monotonic_ns()):
@@ -131,9 +134,9 @@ class DelayNode(ImpairedLink):
                 received.received_ns, received.topic, received.payload, message.seq, message.src, _STOP
             )
             return
-        if type(message) is SessionControl and message.command == "start" and message.id != self._session_id:
+        if type(message) is SessionControl and message.command == "start" and message.id != self.memory.session_id:
             # The hand's force profile begins with the first of the repetitions, at this side of the link.
-            self._session_id = message.id
+            self.memory.session_id = message.id
             self.engine.begin_session(received.received_ns)
         for way in self.directions:
             if direction in (way.name, "both"):
@@ -148,34 +151,22 @@ class DelayNode(ImpairedLink):
         self.begin_turn(now_ns)
         self.send_due(now_ns)
         self._send_stop(now_ns)
-        if self._spans_machines and self._questions.take(now_ns, 2 * self._between.transit_ns):
+        if self._spans_machines and self.memory.questions.take(now_ns, 2 * self.memory.between.transit_ns):
             self._ask()
         self.report_if_due(now_ns)
 
     def capture(self) -> DelayNodeState:
-        return DelayNodeState(
-            engine=self.engine.capture(),
-            forward_delay=self._forward_delay,
-            backward_delay=self._backward_delay,
-            between=self._between,
-            clock=self.offset.capture(),
-            answer=self._answer,
-            session_id=self._session_id,
-            status_ns=self.status.deadline_ns,
-            unreported=self.unreported,
-            stop=self._stop.capture(),
-            questions=copy(self._questions),
-        )
+        memory = self.memory
+        memory.engine, memory.clock, memory.stop = self.engine.capture(), self.offset.capture(), self._stop.capture()
+        memory.status_ns, memory.unreported = self.status.deadline_ns, self.unreported
+        return memory
 
     def restore(self, state: DelayNodeState, find: FindInput) -> None:
+        self.memory = state
         self.engine.restore(state.engine, find)
-        self._forward_delay, self._backward_delay = state.forward_delay, state.backward_delay
-        self._between, self.unreported = state.between, state.unreported
         self.offset.restore(state.clock)
-        self._answer, self._session_id = state.answer, state.session_id
-        self.status.deadline_ns = state.status_ns
         self._stop.restore(state.stop)
-        self._questions = Questions() if state.questions is None else copy(state.questions)
+        self.status.deadline_ns, self.unreported = state.status_ns, state.unreported
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
@@ -245,18 +236,18 @@ class DelayNode(ImpairedLink):
             self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
 
     def _declared(self, way: DirectionPath) -> DeclaredDelay:
-        return self._forward_delay if way is self.forward else self._backward_delay
+        return self.memory.forward_delay if way is self.forward else self.memory.backward_delay
 
     def _declare(self, way: DirectionPath) -> None:
         """Publish the delay of a direction where it counts: that of the way back does at the master only."""
         fields = {"direction": way.name, **self._declared(way).current._asdict()}
         if way is self.forward:
-            way.outlet.publish("link/delay", **fields, **self._between.at_slave())
-        self.backward.outlet.publish("link/delay", **fields, **self._between.at_master())
+            way.outlet.publish("link/delay", **fields, **self.memory.between.at_slave())
+        self.backward.outlet.publish("link/delay", **fields, **self.memory.between.at_master())
 
     def _declare_forward(self) -> None:
         if self._spans_machines:
-            self._between = between_sites(self.offset)
+            self.memory.between = between_sites(self.offset)
             self._tell_change()
         self._declare(self.forward)
 
@@ -275,19 +266,23 @@ class DelayNode(ImpairedLink):
 
     def _ask(self) -> None:
         """Ask the other site for its time."""
-        self._questions.ask(self.clock.monotonic_ns())
+        self.memory.questions.ask(self.clock.monotonic_ns())
         self.forward.outlet.publish("clock/ping")
 
     def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
-        self._answer = (pong.t_ns, received_ns)
-        is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self._answer)
+        self.memory.answer = (pong.t_ns, received_ns)
+        is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self.memory.answer)
         in_doubt = self.offset.present.is_in_doubt
-        self._questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
+        self.memory.questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
         if is_longer and self._spans_machines:
             # Until its readers know, a hand is switched off by the age of what is as fresh as the line allows.
             self._declare_forward()
             self._declare(self.backward)
 
     def clock_status(self) -> dict[str, object]:
-        answer = {"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}
+        answer = (
+            {"answer_sent_ns": self.memory.answer[0], "answer_received_ns": self.memory.answer[1]}
+            if self.memory.answer[1]
+            else {}
+        )
         return {"clock": self.offset.report(of_line=self._spans_machines), **answer}
