@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
+from services.delay_node.node import DelayNode
 from telenano.link.config import LinkSettings
-from telenano.runtime.link_node import TRAIN, DelayNode
+from telenano.runtime.wiring.link_transports import TRAIN
 from telenano.wire.errors import RefusedError
 
 MS = 1_000_000

@@ -1,4 +1,4 @@
-"""The link process: the only path between the sites, with the impairments in force on each direction."""
+"""The link of a rig: the only path between the sites, with the impairments in force on each direction."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from services.delay_node.far_stop import FarStop, FarStopState
 from telenano.link.config import LinkSettings
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from telenano.link.engine import LinkState
@@ -13,8 +14,8 @@ from telenano.link.fate import Fate, Release
 from telenano.link.questions import Questions
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
-from telenano.runtime.link_stops import FarStop, FarStopState
 from telenano.runtime.loop.node import NodeBus, NodeContext
+from telenano.runtime.wiring.link_transports import TRAIN
 from telenano.timing.clock_offset import OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.codec import WireError, accept
@@ -25,8 +26,6 @@ from telenano.wire.nodes import LINK, TIP
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
-# This setting is none: it measures what the line between two machines carries.
-TRAIN = "line.train"
 # What the link drops while the instrument has not obeyed an emergency stop; its fate names this cause.
 _HELD_BACK = ("teleop/forward", "session/control")
 _STOP = "stop"

@@ -6,24 +6,14 @@ with this one. The truth of each message is `link/fates`, with the topic of the 
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Protocol, Self
 
-from telenano.link.config import LinkSettings
-from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import Reader, ZmqBus
-from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
-from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
-from telenano.runtime.wiring.participant import Participant, StopSignals
-from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire.codec import read_header
-from telenano.wire.errors import EndpointError
-from telenano.wire.messages import Scalar
-from telenano.wire.nodes import LINK
+from telenano.link import Direction, Fate, LinkSettings, Release
+from telenano.runtime import AddressBook, DirectionPath, ImpairedLink, NodeContext, NodeProcess, Reader, SiteEndpoint
+from telenano.timing import NEVER_NS, Clock
+from telenano.wire import LINK, EndpointError, Scalar, read_header
 
 
 class Carrier(Protocol):
@@ -131,17 +121,12 @@ class ByteLinkProcess:
     The reader calls `link.arrive` with what it receives, and the link calls `carrier.send` with what it releases.
     """
 
-    def __init__(
-        self,
-        participant: Participant,
-        signals: StopSignals,
-        realtime: RealtimeStatus,
-        outlets: tuple[ZmqPublisher, ZmqPublisher],
-    ) -> None:
-        self.clock: Clock = participant.clock
-        self._participant, self._signals, self._realtime, self._outlets = participant, signals, realtime, outlets
-        self._node: ByteLink
-        self._bus: ZmqBus
+    def __init__(self, process: NodeProcess) -> None:
+        self.clock: Clock = process.participant.clock
+        self._process = process
+        self._to_slave, self._to_master = (process.participant.bind(f"{LINK}@{site}") for site in ("slave", "master"))
+        self._link: ByteLink
+        self._run: Callable[[], None]
 
     @classmethod
     @contextlib.contextmanager
@@ -151,15 +136,12 @@ class ByteLinkProcess:
         Raises:
             EndpointError: A link runs already.
         """
-        signals, key = StopSignals(), f"{LINK}@master"
-        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
-        realtime = apply_realtime(None, StructuredLog(key), key)
-        with Participant.open(key, book, signals.descriptor) as participant:
+        with NodeProcess.open(f"{LINK}@master", book) as process:
             try:
-                outlets = participant.bind(f"{LINK}@slave"), participant.bind(key)
+                link = cls(process)
             except EndpointError as error:
                 raise EndpointError(f"{error}; another link runs beside it with --rig NAME") from error
-            yield cls(participant, signals, realtime, outlets)
+            yield link
 
     def begin(
         self,
@@ -183,22 +165,23 @@ class ByteLinkProcess:
         Raises:
             ConfigError: A file of the settings cannot be used.
         """
-        participant, (to_slave, to_master) = self._participant, self._outlets
+        participant, to_master = self._process.participant, self._to_master
         if keep is not None:
             to_master.carry = lambda topic, payload: keep(topic, *read_header(topic, payload), payload)
         readers = participant.subscribers(participant.book.sources(participant.key, ByteLink.inputs))
-        self._bus = participant.bus_of(to_master, [*readers, reader])
-        context = participant.context(self._bus)
-        self._node = ByteLink(context, settings, (to_slave, to_master), carrier, duration_s=duration_s)
+        bus = participant.bus_of(to_master, [*readers, reader])
+        outlets = self._to_slave, to_master
+        self._link = ByteLink(participant.context(bus), settings, outlets, carrier, duration_s=duration_s)
+        self._run = partial(self._process.run, self._link, bus)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
         """Take bytes that have arrived from a client, and send what is due."""
-        self._node.arrive(direction, payload, client)
+        self._link.arrive(direction, payload, client)
 
     def event(self, kind: str, level: str, text: str, **data: Scalar) -> None:
         """Publish a session/event and write it to the log."""
-        self._node.context.publish_event(kind, level, text, data)
+        self._link.context.publish_event(kind, level, text, data)
 
     def run(self) -> None:
         """Run until the duration is over or a signal comes."""
-        self._signals.run(self._node, self._bus, self._realtime, guarded=True)
+        self._run()
