@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from telenano.link.config import LinkSettings as LinkSettings
     from telenano.link.direction import DirectionEngine as DirectionEngine
     from telenano.link.fate import Direction as Direction
+    from telenano.link.fate import Fate as Fate
+    from telenano.link.fate import Release as Release
     from telenano.link.models.outages import Outages as Outages
     from telenano.link.profiles import Profile as Profile
     from telenano.link.profiles import profile_named as profile_named

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from telenano.wire.codec import decode as decode
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import keys_twice as keys_twice
+    from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
     from telenano.wire.errors import EndpointError as EndpointError
     from telenano.wire.errors import RecordingError as RecordingError

@@ -32,7 +32,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -47,6 +46,7 @@ from telenano.extend.virtual_mass import (
     at_rest,
     at_tip,
     let_go,
+    mass_signal,
     periods_in,
     rescaled,
     resumed,
@@ -393,14 +393,7 @@ def master_send(
     params: BoundedModelParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference, the hand's force, and the energy that has been sent to the tip."""
-    p, mass = params.mass, state.mass
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
-        force_n=hand.force_n / p.force_scale,
-        energy_j=state.store.sent_j,
-        active=mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, state.store.sent_j, state.mass.coupled)
 
 
 @compiled
