@@ -33,12 +33,11 @@ from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import raise_file_limit, shallow_idle
-from telenano.runtime.wiring import beside as beside_process
 from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
-from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP, name_of
+from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, RELAY, STOP_ORDER, TIP, name_of
 from telenano.wire.printable import quoted
 
 # A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
@@ -147,10 +146,9 @@ def run_rig(
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
-        modules = {node: inherited.module for node, inherited in beside.items()}
         files = plan.site_file, plan.scenario_file
         table = files_held.table
-        commands = {node: node_command(node, *files, modules.get(node, ""), table) for node in nodes}
+        commands = {node: node_command(node, *files, table) for node in nodes}
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         session = given_identity(os.environ.get(RIG_VARIABLE, ""), clock.now_ns(), conducts=plan.site != "slave")
@@ -184,7 +182,7 @@ def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
     """Return what runs beside the nodes of a site that reaches the other one through a relay."""
     if not (plan.book.relay and plan.nodes and plan.site):
         return {}
-    return {f"{beside_process.NAME}@{plan.site}": Inherited(module=beside_process.__name__)}
+    return {f"{RELAY}@{plan.site}": Inherited()}
 
 
 def forget_stops(plan: Plan) -> None:
