@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
+from telenano.extend.advice import AdvisedSession
+from telenano.launcher.advisers import Advisers, absent_laws, advisers_for
 from telenano.launcher.external_recording import ExternalRecording, readable_here
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.session import SessionNode
-from telenano.launcher.shown_watch import ShownWatch, laws_as_shown
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import ProcFiles, Watchdog
@@ -169,7 +170,7 @@ def run_rig(
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
-        rig.shown = _shown_watch(plan, participant)
+        rig.advisers = _advisers(plan, participant)
         if plan.site != "slave":
             # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
@@ -230,17 +231,20 @@ def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]
     return lambda monotonic_ns: None
 
 
-def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:
-    """Return what compares the session with what its law was shown to hold; None where its settings are not known."""
+def _advisers(plan: Plan, participant: Participant) -> Advisers | None:
+    """Return what packages advise of a session; None where there are none, or its settings are not known."""
     if plan.attach:
         return None
     try:
-        laws = laws_as_shown(plan.loaded.section("controller", ControllerConfig))
+        controller = plan.loaded.section("controller", ControllerConfig)
     except ConfigError:
         return None
-    sources = plan.book.sources(participant.key, ShownWatch.inputs)
-    readers = participant.subscribers(sources, newest_only=True)
-    return ShownWatch(participant.clock, participant.log, laws, readers)
+    session = AdvisedSession(controller, participant.clock.monotonic_ns, absent_laws())
+    if not (advisers := advisers_for(session, participant.log)):
+        return None
+    inputs = sorted({topic for adviser in advisers.values() for topic in adviser.inputs})
+    readers = participant.subscribers(plan.book.sources(participant.key, inputs), newest_only=True)
+    return Advisers(participant.log, advisers, readers)
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
