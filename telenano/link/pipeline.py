@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from telenano.link.config import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
 from telenano.link.fate import Direction
 from telenano.link.models.events import Corruptor, Overtaking
 from telenano.link.models.jitter import JitterSource, RandomDelay
@@ -31,6 +30,7 @@ from telenano.link.models.traces import (
     read_text,
 )
 from telenano.link.random_streams import Occurrence, RandomStream, stream
+from telenano.settings.link_settings import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
 from telenano.wire.errors import ConfigError
 from telenano.wire.node_state import Part, part
 

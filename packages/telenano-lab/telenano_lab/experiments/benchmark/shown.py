@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from telenano.analysis import wilson
-from telenano.link import LinkSettings
 from telenano.lockstep import Schedule
+from telenano.settings import LinkSettings
 from telenano_lab.experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
 from telenano_lab.experiments.benchmark.results import HELD, digest_of
 from telenano_lab.experiments.benchmark.run import course_of
