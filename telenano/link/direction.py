@@ -14,7 +14,8 @@ from telenano.link.fate import Direction, DirectionStats, Fate, Figures, Release
 from telenano.link.models.jitter import RandomDelay
 from telenano.link.models.outages import Outages
 from telenano.link.models.queueing import ServedQueue, Waiting
-from telenano.link.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
+from telenano.link.pipeline import InFlight, Pipeline, PipelineState, TopicPipeline
+from telenano.settings.link_files import Files, read_files
 from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.wire.node_state import FindInput
 
