@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 
 from services.delay_node.far_stop import FarStop, FarStopState
-from telenano.link.config import LinkSettings
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from telenano.link.engine import LinkState
 from telenano.link.fate import Fate, Release
@@ -16,6 +15,7 @@ from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
 from telenano.runtime.loop.node import NodeBus, NodeContext
 from telenano.runtime.wiring.link_transports import TRAIN
+from telenano.settings.link_settings import LinkSettings
 from telenano.timing.clock_offset import OffsetState
 from telenano.wire import TOPICS
 from telenano.wire.codec import WireError, accept

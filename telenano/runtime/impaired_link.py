@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
-from telenano.link.config import LinkSettings, Setting
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine
 from telenano.link.fate import Direction, Fate, Release
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.settings.link_settings import LinkSettings, Setting
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import LinkDirection, LinkFate, Message, SessionControl

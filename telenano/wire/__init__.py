@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Count as Count
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
+    from telenano.wire.messages import LawStatus as LawStatus
     from telenano.wire.messages import Lengths as Lengths
     from telenano.wire.messages import LinkClock as LinkClock
     from telenano.wire.messages import LinkDelay as LinkDelay

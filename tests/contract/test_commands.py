@@ -21,11 +21,11 @@ from telenano.afm.sim import simulated_afm
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
 from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.settings.config import flatten
+from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.wire import Message, decode
 from telenano.wire.errors import RefusedError

@@ -34,7 +34,6 @@ from telenano.launcher.processes import StopObserver
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.laws.config import OWN_LAWS, ControllerConfig
-from telenano.link.config import LinkSettings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
@@ -45,6 +44,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.testing.frames import Frames, stream
 from telenano.wire import Message, compose

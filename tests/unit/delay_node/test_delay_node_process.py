@@ -12,7 +12,7 @@ from services.afm_node.node import AfmNode
 from services.delay_node.node import DelayNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.link.config import LinkSettings
+from telenano.settings.link_settings import LinkSettings
 from telenano.timing.freshness import Freshness
 from telenano.wire import decode, encode
 from telenano.wire.ends import read_end

@@ -7,8 +7,8 @@ import pytest
 from recorder_samples import fields_of
 
 from services.delay_node.node import DelayNode
-from telenano.link.config import LinkSettings
 from telenano.runtime.wiring.link_transports import TRAIN
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.errors import RefusedError
 
 MS = 1_000_000

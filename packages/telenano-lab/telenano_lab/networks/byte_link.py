@@ -10,8 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol, Self
 
-from telenano.link import Direction, Fate, LinkSettings, Release
+from telenano.link import Direction, Fate, Release
 from telenano.runtime import AddressBook, DirectionPath, ImpairedLink, NodeContext, NodeProcess, Reader, SiteEndpoint
+from telenano.settings import LinkSettings
 from telenano.timing import NEVER_NS, Clock
 from telenano.wire import LINK, EndpointError, Scalar, read_header
 

@@ -21,8 +21,9 @@ from telenano_lab.networks.udp_command import Keeper
 from telenano_lab.networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_lab.networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.link import Direction, LinkSettings
+from telenano.link import Direction
 from telenano.recording import FileSettings, RecordingWriter
+from telenano.settings import LinkSettings
 from telenano.signals import run, start
 from telenano.testing import NodeBench
 from telenano.wire import ConfigError, encode
