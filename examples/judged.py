@@ -29,7 +29,9 @@ axes.plot(session["time_s"], session["scaled_tip_force_n"], lw=1.0, label="tip, 
 for number, hold in enumerate(session.holds, start=1):
     facts = "".join(f", {fact.text}" for fact in hold.facts)
     print(f"hold {number} {hold.start_s:.2f}..{hold.end_s:.2f} s {hold.verdict}: {hold.reason}{facts}")
-    axes.axvspan(hold.judged_from_s, hold.judged_to_s, color=VERDICT_COLOURS[hold.verdict], alpha=0.4, lw=0)
+    # a hold that nothing could be judged of has its colour from end to end
+    begin_s, end_s = hold.judged_from_s or hold.start_s, hold.judged_to_s or hold.end_s
+    axes.axvspan(begin_s, end_s, color=VERDICT_COLOURS[hold.verdict], alpha=0.4, lw=0)
     axes.text(hold.start_s, axes.get_ylim()[0], f" {hold.verdict.replace('_', ' ')}", fontsize=8, va="bottom")
 axes.set(title=f"{RECORDING.name}: {session.verdict}", xlabel="time (s)", ylabel="force (N)")
 axes.legend(frameon=False)
