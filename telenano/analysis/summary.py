@@ -25,7 +25,7 @@ Everything in it is read from the recording. What the session does not show is `
 
 `[]` stands for each item of a list, `<name>` for any key of a map.
 A channel has the name of its topic, followed by `@` and the site where its messages were received behind the link.
-The meaning of each verdict is in [the chapter on verdicts](studies.md#what-the-verdicts-mean).
+The meaning of each verdict is in [the chapter on verdicts](verdicts.md#what-the-verdicts-mean).
 
 """
 
