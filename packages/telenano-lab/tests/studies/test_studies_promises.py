@@ -157,7 +157,7 @@ PRINTED_HANDS: dict[str, Hand] = {"constant force": "force", "arm of 300 N/m": "
 
 
 def printed_shares() -> dict[tuple[str, Hand, float], tuple[float, float]]:
-    """Give median and least share of the force, as docs/study-results.md prints them for a law, a hand and a round trip."""
+    """Give median and least share of the force, as docs/study-results.md has them for law, hand and round trip."""
     found, law = {}, ""
     heads, *lines = DOCUMENT[DOCUMENT.index("\n| | 0 ms |") + 1 :].split("\n\n")[0].splitlines()
     delays_ms = [float(head) for head in re.findall(r"(\d+) ms", heads)]
