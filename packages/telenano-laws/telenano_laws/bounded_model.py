@@ -12,7 +12,7 @@ G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derive
 
 1. One account of energy covers both ports. The model's potential V may rise only by what the dampers at the hand have
    taken (Z), and the tip may get only E_0 and what the hand has sent from Z; the work that the tip got is measured. So
-   a wrong or late model costs force or motion, and makes no energy (README, "Why it is passive").
+   a wrong or late model costs force or motion, and makes no energy (docs/bounded-model.md, "Why it is passive").
 2. Hand and tip move at one time. The tip does at t what the hand's force was at t - T, so a hand that moves at once
    is ahead of it. M_e = c_2 K tau^2 and B_e = c_1 K tau - B_v, with tau = T + B_g / K, hold the hand back by about tau:
    exp(s tau) = 1 + s tau + s^2 tau^2 / 2 ... is the impedance K of a contact that is tau late, and these two terms of
