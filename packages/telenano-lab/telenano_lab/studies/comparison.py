@@ -42,6 +42,8 @@ _RESULTS = (".csv", ".json", ".mat", ".parquet", ".pdf", ".png", ".svg")
 # Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
 Floats = npt.NDArray[np.float64]
+# The least and the greatest value of an ordinate, None where matplotlib chooses.
+Limits = tuple[float, float] | None
 # These keys of a scenario are said by the law and by the round trip of the link.
 _SAID = re.compile(r"controller\.law|delay_node\..*delay_s|delay_node\.profile")
 _AXES = (
@@ -153,6 +155,27 @@ def _known(values: Sequence[float]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values]
 
 
+class Drawn(NamedTuple):
+    """What a figure shows of a session: x and y of alpha_f F_s and x_m over time, and of F_s against h."""
+
+    diverged: bool
+    curves: tuple[tuple[Floats, Floats], ...]
+
+    @classmethod
+    def of(cls, session: Compared) -> "Drawn":
+        """Read the curves of a session."""
+        series = session.session.series()
+        path = series.tip_path()
+        return cls(
+            session.summary["verdict"] == "diverged",
+            (
+                (series.tip_time_s, series.force_scale * series.tip_force_n),
+                (series.hand_time_s, 100.0 * series.hand_position_m),
+                (1e9 * path.separation_m, 1e9 * path.force_n),
+            ),
+        )
+
+
 class Condition(NamedTuple):
     """Sessions whose scenarios are the same but for their seeds, and what they are called in a figure."""
 
@@ -225,32 +248,23 @@ def compare_figures(
     from matplotlib.figure import Figure
 
     conditions = conditions_in(sessions)
+    drawn = [[Drawn.of(session) for session in condition.sessions] for condition in conditions]
+    everyone = [one for several in drawn for one in several]
+    limits = [_limits([(one.curves[place][1], one.diverged) for one in everyone]) for place in range(len(_AXES))]
     with options.styled():
         if len(conditions) > len(LINES):
-            pages = range(0, len(conditions), _ON_A_PAGE)
-            limits = _limits([_curves(session)[0] for session in sessions], sessions)
-            return [_multiples(conditions[n : n + _ON_A_PAGE], options, published, limits) for n in pages]
+            parts = (slice(first, first + _ON_A_PAGE) for first in range(0, len(conditions), _ON_A_PAGE))
+            return [_multiples(conditions[part], drawn[part], options, published, limits[:1]) for part in parts]
         paper = options.style == "paper"
         figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
         panels = list(figure.subplots(3, 1))
-        first = sessions[0].session.series()
-        panels[0].plot(
-            first.hand_time_s,
-            first.hand_force_n,
-            color=FigureOptions.REFERENCE,
-            lw=2.4,
-            zorder=0,
-            label=f"$F_m$, {sessions[0].name}",
-        )
-        for condition, look in zip(conditions, looks(len(conditions)), strict=True):
-            _draw(panels, condition, look)
-        for number, point in enumerate(published):
-            label = "published" if len(published) == 1 else f"published {number + 1}"
-            _draw_published(panels, point, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
-        for place, (panel, (x, y)) in enumerate(zip(panels, _AXES, strict=True)):
-            panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
+        _draw_reference(panels[0], sessions[0], f"$F_m$, {sessions[0].name}", 2.4)
+        for condition, own, look in zip(conditions, drawn, looks(len(conditions)), strict=True):
+            _draw(panels, own, look, f"{condition.label}: {condition.outcome}")
+        _draw_published(panels, published)
+        _limit(panels, everyone, limits)
+        for panel, (x, y) in zip(panels, _AXES, strict=True):
             panel.set(xlabel=x, ylabel=y)
-            _limited(panel, [_curves(session)[place] for session in sessions], sessions)
         options.lettered(panels)
         _legend(figure, panels, 1 if paper else 2)
     return [figure]
@@ -258,9 +272,10 @@ def compare_figures(
 
 def _multiples(
     conditions: Sequence[Condition],
+    drawn: Sequence[Sequence[Drawn]],
     options: FigureOptions,
     published: Sequence[Published],
-    limits: tuple[float, float] | None,
+    limits: Sequence[Limits],
 ) -> "Figure":
     """Draw a panel a condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
     from matplotlib.figure import Figure
@@ -271,22 +286,13 @@ def _multiples(
     width = FigureOptions.COLUMN_IN if paper else 10.0
     figure = Figure(figsize=(width, 0.6 + 1.8 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for number, panel in enumerate(grid.flat):
-        if number >= len(conditions):
-            panel.set_axis_off()
-            continue
-        condition = conditions[number]
-        first = condition.sessions[0].session.series()
-        panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
-        panel.plot(
-            first.hand_time_s, first.hand_force_n, color=FigureOptions.REFERENCE, lw=2.0, zorder=0, label="$F_m$"
-        )
-        _draw([panel], condition, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
-        for point in published:
-            _draw_published([panel], point, {"marker": _MARKERS[0], "label": "published"})
-        if limits is not None:
-            panel.set_ylim(limits)
-            _mark_leaving(panel, [_curves(session)[0] for session in condition.sessions], condition.sessions)
+    for panel in grid.flat[len(conditions) :]:
+        panel.set_axis_off()
+    for panel, condition, own in zip(grid.flat, conditions, drawn, strict=False):
+        _draw_reference(panel, condition.sessions[0], "$F_m$", 2.0)
+        _draw([panel], own, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
+        _draw_published([panel], published)
+        _limit([panel], own, limits)
         # A title that is wider than its panel would lie on that of the next one.
         lines = textwrap.wrap(f"{condition.label}: {condition.outcome}", 30 if paper else 44)
         panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 8)
@@ -312,67 +318,61 @@ def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
     figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=columns, fontsize=8, frameon=False)
 
 
-def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[str, Any]) -> None:
+def _draw_published(panels: "Sequence[Axes]", published: Sequence[Published]) -> None:
+    """Draw published points into the panels of their curves, each file with a marker of its own."""
     curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
-    for names, panel in zip(curves, panels, strict=False):
-        points = [point for name in names for point in published.of(name)]
-        if points:
-            x, y, x_error, y_error = zip(*(point[1:5] for point in points), strict=True)
-            panel.errorbar(
-                x, y, xerr=x_error, yerr=y_error, color="0.25", ls="", ms=4.0, mfc="white", capsize=2.0, lw=0.9, **look
-            )
+    for number, file in enumerate(published):
+        look: dict[str, Any] = {
+            "marker": _MARKERS[number % len(_MARKERS)],
+            "label": "published" if len(published) == 1 else f"published {number + 1}",
+        }
+        for names, panel in zip(curves, panels, strict=False):
+            points = [point for name in names for point in file.of(name)]
+            if points:
+                x, y, x_error, y_error = zip(*(point[1:5] for point in points), strict=True)
+                panel.errorbar(
+                    x, y, xerr=x_error, yerr=y_error, color="0.25", ls="", ms=4.0, mfc="white", capsize=2.0, lw=0.9,
+                    **look,
+                )  # fmt: skip
 
 
-def _curves(session: Compared) -> tuple[tuple[Floats, Floats], ...]:
-    """Return x and y of what the panels show of a session: alpha_f F_s and x_m over time, and F_s against h."""
+def _draw_reference(panel: "Axes", session: Compared, label: str, width: float) -> None:
+    """Draw the force of the hand in a session, which the curves of a panel are compared with."""
     series = session.session.series()
-    path = series.tip_path()
-    return (
-        (series.tip_time_s, series.force_scale * series.tip_force_n),
-        (series.hand_time_s, 100.0 * series.hand_position_m),
-        (1e9 * path.separation_m, 1e9 * path.force_n),
-    )
+    look: dict[str, Any] = {"color": FigureOptions.REFERENCE, "lw": width, "zorder": 0, "label": label}
+    panel.plot(series.hand_time_s, series.hand_force_n, **look)
 
 
-def _draw(panels: "Sequence[Axes]", condition: Condition, look: Look, label: str = "") -> None:
-    """Draw the sessions of a condition into the panels, the first with its label."""
-    several = len(condition.sessions) > 1
-    for number, session in enumerate(condition.sessions):
-        style = ":" if _diverged(session) else look.style
-        named = (label or f"{condition.label}: {condition.outcome}") if number == 0 else None
-        for place, (panel, (x, y)) in enumerate(zip(panels, _curves(session), strict=False)):
-            panel.plot(
-                x, y, color=look.colour, ls=style, lw=0.7 if several else 1.0, label=None if place else named
-            )  # fmt: skip
+def _draw(panels: "Sequence[Axes]", drawn: Sequence[Drawn], look: Look, label: str) -> None:
+    """Draw the sessions of a condition into the panels, the first with the label."""
+    width = 0.7 if len(drawn) > 1 else 1.0
+    for number, session in enumerate(drawn):
+        style = ":" if session.diverged else look.style
+        for place, (panel, (x, y)) in enumerate(zip(panels, session.curves, strict=False)):
+            named = label if number == place == 0 else None
+            panel.plot(x, y, color=look.colour, ls=style, lw=width, label=named)
 
 
-def _diverged(session: Compared) -> bool:
-    return bool(session.summary["verdict"] == "diverged")
-
-
-def _limits(curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> tuple[float, float] | None:
+def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
     """Return the limits of an ordinate by the sessions that did not diverge; None where there are none, or all."""
-    kept = [y for (_, y), session in zip(curves, sessions, strict=True) if not _diverged(session)]
-    found = [y[np.isfinite(y)] for y in kept]
-    if not found or len(found) == len(sessions) or not all(y.size for y in found):
+    found = [y[np.isfinite(y)] for y, diverged in curves if not diverged]
+    if not found or len(found) == len(curves) or not all(y.size for y in found):
         return None
     low, high = min(float(y.min()) for y in found), max(float(y.max()) for y in found)
     margin = _MARGIN * (high - low) or 1.0
     return low - margin, high + margin
 
 
-def _limited(panel: "Axes", curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> None:
-    """Let the sessions that did not diverge set the ordinate."""
-    if (limits := _limits(curves, sessions)) is not None:
-        panel.set_ylim(limits)
-        _mark_leaving(panel, curves, sessions)
-
-
-def _mark_leaving(panel: "Axes", curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> None:
-    """Put a cross where a session that diverged leaves the panel for the first time."""
-    low, high = panel.get_ylim()
-    for (x, y), session in zip(curves, sessions, strict=True):
-        outside = np.flatnonzero((y < low) | (y > high))
-        if _diverged(session) and outside.size:
-            at = outside[0]
-            panel.plot([x[at]], [np.clip(y[at], low, high)], "x", color="0.1", ms=6.0, clip_on=False, label=_LEAVES)
+def _limit(panels: "Sequence[Axes]", drawn: Sequence[Drawn], limits: Sequence[Limits]) -> None:
+    """Set the ordinates, and put a cross where a session that diverged leaves a panel for the first time."""
+    for place, (panel, bounds) in enumerate(zip(panels, limits, strict=True)):
+        panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
+        if bounds is None:
+            continue
+        panel.set_ylim(bounds)
+        for x, y in (session.curves[place] for session in drawn if session.diverged):
+            outside = np.flatnonzero((y < bounds[0]) | (y > bounds[1]))
+            if outside.size:
+                at = outside[0]
+                look: dict[str, Any] = {"color": "0.1", "ms": 6.0, "clip_on": False, "label": _LEAVES}
+                panel.plot([x[at]], [np.clip(y[at], *bounds)], "x", **look)
