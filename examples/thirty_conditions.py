@@ -48,7 +48,7 @@ if __name__ == "__main__":
     for row in last.itertuples():
         x, y = ROUND_TRIPS_MS.index(row.round_trip_ms), LAWS.index(row.law)
         axes.barh(y, 0.96, left=x - 0.48, height=0.9, color=VERDICT_COLOURS[row.session_verdict])
-        # what the hand holds for each newton at the tip, where the motion came to rest
+        # A cell at rest has the newtons that the hand holds for each one at the tip.
         text = f"{row.hold_ratio:.2f}" if row.session_verdict == "stable" and row.hold_ratio > 0.0 else ""
         axes.text(x, y, text, ha="center", va="center", fontsize=8)
     for verdict in dict.fromkeys(last["session_verdict"]):
