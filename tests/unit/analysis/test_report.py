@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from telenano.analysis import Session
 from telenano.analysis.fig12 import draw_fig12
-from telenano.analysis.report import Session, figure_title, write_files, write_report
+from telenano.analysis.report import figure_title, write_files, write_report
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
