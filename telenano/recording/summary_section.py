@@ -48,7 +48,7 @@ _OFFSET = struct.Struct("<HQ")
 # the same, and the channel alone
 _NUMBER = struct.Struct("<H8x")
 _ENTRY = struct.Struct("<QQ")
-INDEX_HEAD = struct.Struct("<HI")
+_INDEX_HEAD = struct.Struct("<HI")
 _NAME_LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
@@ -249,11 +249,11 @@ class _Summary:
 
     def _index(self, chunk: Block, number: int) -> tuple[int, int]:
         """Return place and size [bytes] of the entries of a channel in the index of a chunk."""
-        start = channels_in(self._indexes[chunk.offset])[number]
+        start = _channels_in(self._indexes[chunk.offset])[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
-        channel, size = INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
-        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - INDEX_HEAD.size)
-        return start + RECORD_HEAD.size + INDEX_HEAD.size, size
+        channel, size = _INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
+        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - _INDEX_HEAD.size)
+        return start + RECORD_HEAD.size + _INDEX_HEAD.size, size
 
     def _entries(self, chunk: Block, number: int) -> Iterator[tuple[int, int]]:
         start, size = self._index(chunk, number)
@@ -284,23 +284,15 @@ class _Summary:
 # The first number of each gap, and how many are missing in it, by channel name and source.
 _Gaps = dict[tuple[str, str], list[tuple[int, int]]]
 # by the place of a chunk, the channels in it and the places of their message indexes, as the file has them
-ChannelIndexes = dict[int, bytes]
+_ChannelIndexes = dict[int, bytes]
 
 
-def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes] | None:
-    """Return the structure of a closed file by its index, and where the messages of a channel are.
+def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, _ChannelIndexes, Statistics]:
+    """Return the structure of a closed file by its index, where the messages of a channel are, and the statistics.
 
-    None represents a file that has to be read as a whole. What lies between the chunks is not looked at, and the
-    checksum of a chunk is in its head.
+    What lies between the chunks is not looked at, and the checksum of a chunk is in its head.
     """
-    try:
-        return _layout_by_index(data, path)[:2]
-    except (_DisagreementError, *UNREADABLE, ValueError, KeyError, IndexError):
-        return None
-
-
-def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes, Statistics]:
-    layout, indexes, counts = Layout(path=path, finished=True), ChannelIndexes(), None
+    layout, indexes, counts = Layout(path=path, finished=True), _ChannelIndexes(), None
     others: list[tuple[int, int, int]] = []
     _demand(len(data) >= 2 * len(MAGIC) + _FOOTER.size)
     for opcode, body in _summary_records(data):
@@ -337,7 +329,7 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes
     return layout, indexes, counts
 
 
-def channels_in(indexes: bytes) -> dict[int, int]:
+def _channels_in(indexes: bytes) -> dict[int, int]:
     """Return by its number each channel that a chunk has, and the place of its message index in the file."""
     return dict(_OFFSET.iter_unpack(indexes))
 

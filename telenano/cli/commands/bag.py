@@ -80,11 +80,10 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
 def _read(file: Path, by_index: "RecordingInfo | None") -> dict[str, Any]:
     if by_index is not None and not any(row.topic.startswith("session/") for row in by_index.channels):
         return {**by_index.model_dump(mode="json"), "people": {}}
-    from telenano.recording.multi_file import open_recordings
     from telenano.recording.people import people_in
     from telenano.recording.reader import Recording
 
-    recording = Recording(file) if by_index is None else open_recordings([file], by_index=True)
+    recording = Recording(file)
     return {**(by_index or recording.info()).model_dump(mode="json"), "people": people_in(recording)}
 
 
