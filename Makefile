@@ -137,8 +137,8 @@ bench: setup ## Measure the tables of docs/performance.md; a quarter of an hour.
 	-$(call install,-e '.[peers]')
 	$(BIN)/python benchmarks/tables.py
 
-# the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
-reliability: setup ## Inject faults into real rigs and renew the table of docs/reliability.md; it needs root.
+# the table of docs/faults-measured.md, from faults injected into real rigs; needs root for the two sites
+reliability: setup ## Inject faults into real rigs and renew the table of docs/faults-measured.md; it needs root.
 	@mkdir -p out && rm -f out/faults.jsonl
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
 	  tests/stack/test_estop_kept.py tests/stack/test_stalled_link.py tests/stack/test_lease_live.py \
@@ -146,7 +146,7 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/r
 	  tests/stack/test_two_sites.py tests/stack/test_relay.py tests/stack/test_blocked_ways.py tests/stack/test_compose.py tests/stack/test_hangs.py \
 	  tests/stack/test_full_line.py --deselect tests/stack/test_full_line.py::test_a_law_rests_in_contact_over_1_mbit_each_way \
 	  "tests/stack/test_faulty_packages.py::test_code_of_a_package_that_fails_leaves_hand_and_tip_safe[never returns-law]"
-	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
+	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/faults-measured.md
 
 # schemas of messages, scenarios, sites and summaries, golden vectors, the tables of SPEC.md, the pages of keys and commands
 regenerate: setup ## Write every committed file that is made from the code, and print which ones changed.

@@ -24,16 +24,16 @@ import zmq
 from wire_examples import ordinary_example
 
 from services.controller.master_half import MasterController
+from services.delay_node.node import DelayNode
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
 from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.journal import InputJournal
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.settings.link_settings import LinkSettings
 from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, decode, encode
 from telenano.wire.codec import fields_of

@@ -24,9 +24,9 @@ NETWORKS = ("clean", "wifi", "lte", "cicv5g_n78_arterial", "starlink_driving", "
 REFERENCE = "lte"
 CARRY = """
 import sys, time
-from telenano.link.config import LinkSettings
+from telenano.settings.link_settings import LinkSettings
 from telenano.link.direction import DirectionEngine
-from telenano.link.profiles import PROFILES
+from telenano.settings.network_profiles import PROFILES
 name = sys.argv[1] if sys.argv[1] in PROFILES else sys.argv[2]
 engine = DirectionEngine("forward", LinkSettings.of({"profile": name, "seed": 3}), 0)
 topics, payload, best = ("teleop/forward", "law/status", "node/health"), bytes(300), 1e9

@@ -1,7 +1,9 @@
 """What both halves of a law share as nodes: the law in force, its parameters, and how both change at run time."""
 
 from abc import abstractmethod
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
+
+import msgspec
 
 from telenano.extend.laws import (
     NO_SIGNAL,
@@ -17,14 +19,14 @@ from telenano.laws import energy
 from telenano.laws.clamp import clamped
 from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
-from telenano.laws.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
-from telenano.laws.lateral import NO_STORE, Across, Store
+from telenano.laws.integration import Heard, TimingParams, silence_ns
+from telenano.laws.lateral import NO_ENERGY, EnergyTank
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import ConfigError, RefusedError, described
 from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward
-from telenano.wire.node_state import Part, part
+from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.received import Received
 
 STATUS_PERIOD_S = 0.01
@@ -32,24 +34,27 @@ ROUND_TRIP_UNKNOWN = (0.0, False)
 ZERO_XY = (0.0, 0.0)
 
 
-class HalfState(NamedTuple):
+class HalfState(msgspec.Struct, array_like=True, kw_only=True):
     """The state that both halves have.
 
-    config: the settings in force where they were changed since the start; law: the state of the law, None before the
-    first sample; signal: the newest one of the other half; hand_stamp: number and time stamp [ns] of the sample of the
-    hand in hand; reported_j: energy of the last report.
+    config: the settings in force where they were changed since the start; signal: the newest one of the other half;
+    lateral_m: where the device is, or is led, across the sample at the scale of the tip [m]; far_lateral: what the
+    other half sent last, which is where the hand wants the tip [m] at the slave's half, and the force on the tip [N] at
+    the master's; far_place: where the stage is [m], there; hand_stamp: number and time stamp [ns] of the newest sample
+    of the hand; reported_j: energy of the last report. `capture` writes law (None before the first sample), steps and
+    freshness.
     """
 
-    config: ControllerConfig | None
-    law: Part | None
-    signal: PortSignal
-    lateral_m: tuple[float, float]
-    far_lateral: tuple[float, float]
-    far_place: tuple[float, float]
-    switching: bool
+    config: ControllerConfig | None = None
+    law: Part | None = None
+    signal: PortSignal = NO_SIGNAL
+    lateral_m: tuple[float, float] = ZERO_XY
+    far_lateral: tuple[float, float] = ZERO_XY
+    far_place: tuple[float, float] = ZERO_XY
+    switching: bool = False
     port: energy.Port
-    hand_stamp: tuple[int, int]
-    reported_j: float
+    hand_stamp: tuple[int, int] = (0, 0)
+    reported_j: float = 0.0
     band: DeadbandState
     steps: int
     freshness: FreshnessState
@@ -66,27 +71,28 @@ class ControllerHalf(Node):
     What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal.
     """
 
-    timing: MasterTiming | SlaveTiming
+    # The one state of the half, of the kind `state_kind`, and the part of it that both halves have.
+    memory: Any
+    half: HalfState
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context)
-        self.config = self._built_with = config
+        self.config = config
         self.law: Law = KNOWN_LAWS[config.law]
         self.params: Any = config.params()
         self.law_state: Any = None
-        self.signal: PortSignal = NO_SIGNAL
-        self.across = Across()
+        self.half = HalfState(
+            port=energy.opened(0.0, 0.0),
+            band=initial_deadband_state(NO_SIGNAL),
+            steps=0,
+            freshness=self.freshness.capture(),
+        )
         self.lateral = config.lateral_params()
-        self.switching = False
-        self.port = energy.opened(0.0, 0.0)
         self.timing_params = self.timing_of(config)
-        self._hand_stamp = (0, 0)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
-        self._reported_j = 0.0
         self._band = config.deadband.to_params()
-        self._band_state = initial_deadband_state(NO_SIGNAL)
         self._failing: dict[str, str] = {}
         # law/status as it was at its tick, until it is sent
         self._status: dict[str, Any] = {}
@@ -132,11 +138,12 @@ class ControllerHalf(Node):
     @property
     def heard(self) -> Heard:
         """When the newest signal of the other half came."""
-        return self.timing.heard
+        heard: Heard = self.memory.timing.heard
+        return heard
 
     def forget(self) -> None:
         """Forget the signal of the other half; it is waited for again."""
-        self.signal = NO_SIGNAL
+        self.half.signal = NO_SIGNAL
         self.state = "safe"
 
     def make_safe(self) -> None:
@@ -165,18 +172,20 @@ class ControllerHalf(Node):
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
 
     def _adopt(self, config: ControllerConfig) -> None:
-        self.config, self.params, self.timing_params = config, config.params(), self.timing_of(config)
+        self.config = self.half.config = config
+        self.params, self.timing_params = config.params(), self.timing_of(config)
         self.law = KNOWN_LAWS[config.law]
         self._band = config.deadband.to_params()
         self.lateral = config.lateral_params()
 
     def _switch(self) -> None:
-        self.signal = NO_SIGNAL
-        self._band_state = initial_deadband_state(NO_SIGNAL)
-        self.port = energy.opened(self.port.position_m, self.port.force_n)
-        self._reported_j = 0.0
+        half = self.half
+        half.signal = NO_SIGNAL
+        half.band = initial_deadband_state(NO_SIGNAL)
+        half.port = energy.opened(half.port.position_m, half.port.force_n)
+        half.reported_j = 0.0
         # before the first tick there is nothing to take over
-        self.switching = self.law_state is not None
+        half.switching = self.law_state is not None
 
     @property
     @abstractmethod
@@ -191,49 +200,35 @@ class ControllerHalf(Node):
     def started(self) -> Any:
         """Return the state in which this half of the law starts."""
 
-    def capture_half(self) -> HalfState:
-        """Return the state that both halves have."""
-        return HalfState(
-            config=None if self.config is self._built_with else self.config,
-            law=None if self.law_state is None else part(self.law_state),
-            signal=self.signal,
-            lateral_m=self.across.own_m,
-            far_lateral=self.across.far,
-            far_place=self.across.far_m,
-            switching=self.switching,
-            port=self.port,
-            hand_stamp=self._hand_stamp,
-            reported_j=self._reported_j,
-            band=self._band_state,
-            steps=self.steps,
-            freshness=self.freshness.capture(),
-        )
+    def capture(self) -> Any:
+        self.half.law = None if self.law_state is None else part(self.law_state)
+        self.half.steps, self.half.freshness = self.steps, self.freshness.capture()
+        return self.memory
 
-    def restore_half(self, state: HalfState) -> None:
-        """Continue from a state that both halves have."""
-        if state.config is not None:
-            self._adopt(state.config)
-        self.law_state = None if state.law is None else state.law.like(self.started())
-        self.signal, self.switching, self.port, self.steps = state.signal, state.switching, state.port, state.steps
-        self.across = Across(state.lateral_m, far=state.far_lateral, far_m=state.far_place)
-        self._hand_stamp = state.hand_stamp
-        self._reported_j, self._band_state = state.reported_j, state.band
-        self.freshness.restore(state.freshness)
+    def restore(self, state: Any, find: FindInput) -> None:
+        self.memory = state
+        self.half = half = state.half
+        if half.config is not None:
+            self._adopt(half.config)
+        self.law_state = None if half.law is None else half.law.like(self.started())
+        self.steps = half.steps
+        self.freshness.restore(half.freshness)
 
     @abstractmethod
     def energy_account(self) -> EnergyAccount:
         """Return what this half of the law knows of energy."""
 
-    def lateral_account(self) -> Store:
+    def lateral_account(self) -> EnergyTank:
         """Return the energy at the port across: none where this half has no such port."""
-        return NO_STORE
+        return NO_ENERGY
 
-    def _is_passive_across(self, across: Store) -> bool:
+    def _is_passive_across(self, across: EnergyTank) -> bool:
         """Return whether no more has left across than was granted."""
         return across.entered_j + self.lateral.feel.granted_j >= -energy.TOLERANCE_J
 
     def receive_signal(self, message: TeleopForward | TeleopBackward) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
+        half = self.half
         if message.law != self.law.name:
             return False
         # F_s is the reaction along +z, F_m the push along -z
@@ -243,12 +238,12 @@ class ControllerHalf(Node):
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
             # the master's half: the lateral force on the tip [N], and where the stage is [m]
-            self.across.far, self.across.far_m = message.force_n[:2], message.position_m[:2]
+            half.far_lateral, half.far_place = message.force_n[:2], message.position_m[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
             # the slave's half: where the hand wants the tip over the sample [m]
-            self.across.far = message.position_m[:2]
-        self.signal = port_signal(
+            half.far_lateral = message.position_m[:2]
+        half.signal = port_signal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
             force_n=force_n,
@@ -266,7 +261,7 @@ class ControllerHalf(Node):
         if self.heard.received_ns < 0:
             return NO_SIGNAL
         # The last two fields change with each look; `_replace` takes five times as long.
-        return PortSignal(*self.signal[:-2], self._silence_s(), self.round_trip_s()[0])
+        return PortSignal(*self.half.signal[:-2], self._silence_s(), self.round_trip_s()[0])
 
     def round_trip_s(self) -> tuple[float, bool]:
         """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
@@ -274,24 +269,27 @@ class ControllerHalf(Node):
 
     def signal_fields(self, signal: PortSignal) -> dict[str, object]:
         """Return the part of a teleop message that both directions share, without the force."""
+        half = self.half
         return {
             "law": self.law.name,
             "active": signal.active,
-            "position_m": (*self.across.own_m, 0.0 - signal.position_m),
+            "position_m": (*half.lateral_m, 0.0 - signal.position_m),
             "velocity_m_per_s": to_site_frame(signal.velocity_m_per_s),
             "wave_sqrt_w": to_site_frame(signal.wave_sqrt_w) if self.law.uses_waves else None,
             "energy_j": signal.energy_j if self.law.uses_energy else None,
-            "hand_seq": self._hand_stamp[0],
-            "hand_t_ns": self._hand_stamp[1],
+            "hand_seq": half.hand_stamp[0],
+            "hand_t_ns": half.hand_stamp[1],
         }
 
     def passes_deadband(self, signal: PortSignal, dt: float) -> bool:
         """Ask the dead band whether a signal is to be sent, dt [s] after the last; while the law changes, all are."""
-        self._band_state, send = deadband(self._band, self._band_state, signal, dt)
-        return send or self.switching
+        half = self.half
+        half.band, send = deadband(self._band, half.band, signal, dt)
+        return send or half.switching
 
     def report_status(self, other_energy_j: float | None) -> None:
         """Have law/status sent once in some ticks; other_energy_j [J]: what entered the other port, if known."""
+        half = self.half
         if self.steps % self._status_ticks or self.law_state is None:
             return
         account: EnergyAccount = self.energy_account()
@@ -299,14 +297,14 @@ class ControllerHalf(Node):
             account = account._replace(granted_j=account.granted_j + 0.5 * self.lateral.feel.granted_j)
         has_other_energy = other_energy_j is not None
         across = self.lateral_account()
-        port_j = self.port.energy_j + across.entered_j
+        port_j = half.port.energy_j + across.entered_j
         net_j = port_j + (other_energy_j or 0.0)
         round_trip_s, measured = self.round_trip_s()
-        entered_j, self._reported_j = port_j - self._reported_j, port_j
-        offered = self._band_state.offered
+        entered_j, half.reported_j = port_j - half.reported_j, port_j
+        offered = half.band.offered
         self._status = {
             "law": self.law.name,
-            "switching": self.switching,
+            "switching": half.switching,
             "port_energy_j": port_j,
             "port_power_w": entered_j / (self._status_ticks * self.config.period_s),
             "net_valid": has_other_energy,
@@ -316,7 +314,7 @@ class ControllerHalf(Node):
             # Each is judged by itself, so that what enters across hides nothing of the law.
             "passive": bool(energy.is_passive(net_j - across.entered_j, has_other_energy, account))
             and self._is_passive_across(across),
-            "saved_percent": 100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
+            "saved_percent": 100.0 * (offered - half.band.sent) / offered if offered else 0.0,
             "heard": self.heard.received_ns >= 0,
             "silence_s": self._silence_s() if self.heard.received_ns >= 0 else 0.0,
             "round_trip_valid": measured,

@@ -1,7 +1,9 @@
 """The half of a law at the operator's site, as a node: it runs on the arrival of messages."""
 
 import math
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
+
+import msgspec
 
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
 from telenano.extend.laws import EnergyAccount, HandSample, MasterReference
@@ -13,10 +15,10 @@ from telenano.laws.lateral import (
     LOST,
     MET,
     NO_NEWS,
+    EnergyTank,
     LateralFar,
     LateralHand,
     LateralMasterState,
-    Store,
     lateral_at_rest,
     lateral_master_step,
 )
@@ -24,7 +26,6 @@ from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
-from telenano.wire.node_state import FindInput
 from telenano.wire.received import Received
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
@@ -46,7 +47,7 @@ _NEWS = {
 }
 
 
-class MasterState(NamedTuple):
+class MasterState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the master half.
 
     drifts: whether the newest warning of a drift stands; across: the lateral path, where it has a mode of its own, and
@@ -59,15 +60,15 @@ class MasterState(NamedTuple):
 
     half: HalfState
     timing: MasterTiming
-    hand: HandSample
-    reference: MasterReference
-    tip_reference_m: float
-    switch_s: float
-    armed: bool
-    answered: tuple[int, int]
-    slave_status: LawStatus | None
+    hand: HandSample = HandSample(0.0, 0.0, 0.0, False)
+    reference: MasterReference = MasterReference(0.0, 0.0, 0.0, False)
+    tip_reference_m: float = 0.0
+    switch_s: float = 0.0
+    armed: bool = False
+    answered: tuple[int, int] = (0, 0)
+    slave_status: LawStatus | None = None
     across: LateralMasterState
-    sent_m: tuple[float, float]
+    sent_m: tuple[float, float] = ZERO_XY
     drifts: bool
     felt_ns: int = -1
 
@@ -83,53 +84,21 @@ class MasterController(ControllerHalf):
 
     inputs = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
     state_kind = MasterState
-    timing: MasterTiming
+    memory: MasterState
     # After this the tick is at the slave's side.
     idle_after = "haptic/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
-        self.hand = HandSample(0.0, 0.0, 0.0, False)
-        self.reference = MasterReference(0.0, 0.0, 0.0, False)
-        self._tip_reference_m = 0.0
-        self._switch_s = 0.0
-        self._armed = False
-        self._felt_ns = 0
-        self.timing = integration.master_begin()
-        self._answered_hand_stamp = (0, 0)
-        self._slave_status: LawStatus | None = None
-        self._across = lateral_at_rest()
-        self._drifts = False
-
-    def capture(self) -> MasterState:
-        return MasterState(
-            half=self.capture_half(),
-            timing=self.timing,
-            hand=self.hand,
-            reference=self.reference,
-            tip_reference_m=self._tip_reference_m,
-            switch_s=self._switch_s,
-            armed=self._armed,
-            answered=self._answered_hand_stamp,
-            slave_status=self._slave_status,
-            across=self._across,
-            sent_m=self.across.sent_m,
-            drifts=self._drifts,
-            felt_ns=self._felt_ns,
+        self.memory = MasterState(
+            half=self.half, timing=integration.master_begin(), across=lateral_at_rest(), drifts=False, felt_ns=0
         )
 
-    def restore(self, state: MasterState, find: FindInput) -> None:
-        self.restore_half(state.half)
-        self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
-        self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
-        self._armed, self._felt_ns = state.armed, state.felt_ns
-        self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
-        self._across, self.across.sent_m, self._drifts = state.across, state.sent_m, state.drifts
-
     def started(self) -> Any:
-        return self.law.master_start(self.params, self.hand)
+        return self.law.master_start(self.params, self.memory.hand)
 
     def on_message(self, received: Received) -> None:
+        memory = self.memory
         if self.rejects(received):
             return
         message = received.message
@@ -137,13 +106,13 @@ class MasterController(ControllerHalf):
             self._on_hand(message)
         elif type(message) is TeleopBackward:
             if self.receive_signal(message):
-                self.timing = integration.master_heard(self.timing, received.received_ns, message.hand_t_ns)
-                if self.switching:
+                memory.timing = integration.master_heard(memory.timing, received.received_ns, message.hand_t_ns)
+                if self.half.switching:
                     self._take_over()
-            self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
+            memory.answered = (message.hand_seq, message.hand_t_ns)
             self._settle()
         elif type(message) is LawStatus:
-            self._slave_status = message
+            memory.slave_status = message
         elif type(message) is LinkDelay:
             self.freshness.record(message)
 
@@ -152,11 +121,11 @@ class MasterController(ControllerHalf):
 
     def forget(self) -> None:
         super().forget()
-        self.timing = integration.master_stalled(self.timing)
+        self.memory.timing = integration.master_stalled(self.memory.timing)
 
     @property
     def touches(self) -> bool:
-        return self.signal.active and self.signal.in_contact
+        return self.half.signal.active and self.half.signal.in_contact
 
     def retuned(self, old: Any, new: Any) -> Any:
         return self.law.retune(old, new, self.law_state)
@@ -167,29 +136,33 @@ class MasterController(ControllerHalf):
     def round_trip_s(self) -> tuple[float, bool]:
         if self.heard.received_ns < 0:
             return ROUND_TRIP_UNKNOWN
-        return integration.round_trip_periods(self.timing, self.timing_params) * self.config.period_s, True
+        return integration.round_trip_periods(self.memory.timing, self.timing_params) * self.config.period_s, True
 
     def _switch(self) -> None:
+        memory = self.memory
         super()._switch()
-        self.timing = integration.master_silenced(self.timing)
-        self._switch_s = 0.0
-        if self.switching:
-            self.law_state = self._resumed(self.reference, self._tip_reference_m)
+        memory.timing = integration.master_silenced(memory.timing)
+        memory.switch_s = 0.0
+        if self.half.switching:
+            self.law_state = self._resumed(memory.reference, memory.tip_reference_m)
 
     def _resumed(self, reference: MasterReference, tip_reference_m: float) -> Any:
-        sample = HandSample(reference.position_m, reference.velocity_m_per_s, self.hand.force_n, self.hand.following)
+        sample = HandSample(
+            reference.position_m, reference.velocity_m_per_s, self.memory.hand.force_n, self.memory.hand.following
+        )
         return self.law.master_resume(self.params, sample, tip_reference_m)
 
     def _take_over(self) -> None:
         """Run the new law from the position of the hand and from where the slave reports the base."""
-        self.switching = False
-        tip_m = self.signal.position_m if self.signal.active else self._tip_reference_m
-        self.law_state = self._resumed(self.reference, tip_m)
+        half = self.half
+        half.switching = False
+        tip_m = half.signal.position_m if half.signal.active else self.memory.tip_reference_m
+        self.law_state = self._resumed(self.memory.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
         commanded, repeated = self._settle(), message.device == "stale"
-        self.timing, step = integration.master_sampled(
-            self.timing, self.timing_params, message.t_ns, repeated, commanded
+        self.memory.timing, step = integration.master_sampled(
+            self.memory.timing, self.timing_params, message.t_ns, repeated, commanded
         )
         if not repeated:
             self._take_sample(message, step.periods * self.config.period_s, begins=step.begins)
@@ -200,10 +173,11 @@ class MasterController(ControllerHalf):
 
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
         """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on the way."""
-        self._hand_stamp = (message.seq, message.t_ns)
-        self._armed = self._feels(message) and message.armed is True
-        following = self.hand.following
-        self.hand = HandSample(
+        memory, half = self.memory, self.half
+        half.hand_stamp = (message.seq, message.t_ns)
+        memory.armed = self._feels(message) and message.armed is True
+        following = memory.hand.following
+        memory.hand = HandSample(
             to_paper_axis(message.position_m),
             to_paper_axis(message.velocity_m_per_s),
             to_paper_axis(message.operator_force_n),
@@ -214,117 +188,126 @@ class MasterController(ControllerHalf):
             self._move_across(message, dt_s)
         elif x or y:
             scale = self.config.law_config().position_scale
-            self.across.own_m = scale * x, scale * y
+            half.lateral_m = scale * x, scale * y
         else:
-            self.across.own_m = ZERO_XY
+            half.lateral_m = ZERO_XY
         if self.law_state is None:
-            self.law_state = self.law.master_start(self.params, self.hand)
+            self.law_state = self.law.master_start(self.params, memory.hand)
         if begins:
-            self.port = energy.opened(self.hand.position_m, self.hand.force_n)
+            half.port = energy.opened(memory.hand.position_m, memory.hand.force_n)
         # the sample's force acted over the way to the sample's position
-        counts = not begins and following and self.hand.following and self.reference.active
-        count = energy.with_inflow if counts and not self.switching else energy.moved_to
-        self.port = count(self.port, self.hand.position_m, self.hand.force_n)
+        counts = not begins and following and memory.hand.following and memory.reference.active
+        count = energy.with_inflow if counts and not half.switching else energy.moved_to
+        half.port = count(half.port, memory.hand.position_m, memory.hand.force_n)
 
     def _feels(self, message: HapticState) -> bool:
         """Return whether a fresh answer of the tip's site had reached the hand at a sample, or shortly before it."""
+        memory = self.memory
         age_s = self.freshness.answer_age_s(message.t_ns, message.answered_t_ns)
-        if self._felt_ns < 0 or age_s <= DEADLINES_S["teleop/backward"]:
-            self._felt_ns = message.t_ns
-        feels = self._felt_ns > 0 and 0 <= message.t_ns - self._felt_ns <= UNANSWERED_NS
-        if self._armed and message.armed is True and not feels:
-            silent_s = (message.t_ns - self._felt_ns) * 1e-9
+        if memory.felt_ns < 0 or age_s <= DEADLINES_S["teleop/backward"]:
+            memory.felt_ns = message.t_ns
+        feels = memory.felt_ns > 0 and 0 <= message.t_ns - memory.felt_ns <= UNANSWERED_NS
+        if memory.armed and message.armed is True and not feels:
+            silent_s = (message.t_ns - memory.felt_ns) * 1e-9
             text = f"no fresh answer has reached the hand for {silent_s * 1e3:.0f} ms: the tip does not follow it"
             self.event("fault", "warning", text, unanswered_s=silent_s)
         return feels
 
     def _send_signal(self, dt_s: float) -> None:
-        hand = self.hand._replace(following=False) if self.switching else self._guided_hand()
+        memory = self.memory
+        hand = memory.hand._replace(following=False) if self.half.switching else self._guided_hand()
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
-        self._tip_reference_m = signal.position_m
+        memory.tip_reference_m = signal.position_m
         # What the hand moves across is sent whether or not the dead band passes the law's signal.
         if self.passes_deadband(signal, dt_s) or self._has_moved_across():
-            self.across.sent_m = self.across.own_m
+            memory.sent_m = self.half.lateral_m
             force_n = to_site_frame(signal.force_n)
-            self.publish("teleop/forward", **self.signal_fields(signal), force_n=force_n, hand_armed=self._armed)
+            self.publish("teleop/forward", **self.signal_fields(signal), force_n=force_n, hand_armed=memory.armed)
         self.steps += 1
         self._watch_drift()
-        slave = self._slave_status
+        slave = memory.slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
 
     def _watch_drift(self) -> None:
         """Warn of a sample that surely drifts faster than hand and tip can stay together on, once until it does not."""
-        if self.law.sample_drift is None or self.switching or not self.touches:
+        memory = self.memory
+        if self.law.sample_drift is None or self.half.switching or not self.touches:
             return
         speed, error = self.law.sample_drift(self.params, self.law_state)
-        if self._drifts:
-            self._drifts = abs(speed) + 2.0 * error > _LEAST_DRIFT_M_PER_S
+        if memory.drifts:
+            memory.drifts = abs(speed) + 2.0 * error > _LEAST_DRIFT_M_PER_S
         elif abs(speed) - 2.0 * error > _LEAST_DRIFT_M_PER_S:
-            self._drifts = True
+            memory.drifts = True
             way = "recedes" if speed > 0.0 else "comes nearer"
             text = f"the sample {way} by {1e12 * abs(speed):.3g} ± {2e12 * error:.2g} pm/s: hand and tip may part"
             self.event("mode", "warning", text, drift_m_per_s=speed, error_m_per_s=error)
 
     def _move_across(self, message: HapticState, dt_s: float) -> None:
         """Take the hand's way across, in a mode of its own, and say what it has met or lost."""
+        memory, half = self.memory, self.half
         if dt_s <= 0.0:
             return
         x, y, _ = message.position_m
         speed_x, speed_y, _ = message.velocity_m_per_s
-        follows = self.hand.following and not self.switching
-        hand = LateralHand(x, y, self.hand.position_m, speed_x, speed_y, self.hand.velocity_m_per_s, following=follows)
-        is_signal_current = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
-        far = LateralFar(*self.across.far, *self.across.far_m, known=is_signal_current)
-        self._across = lateral_master_step(self.lateral, self._across, hand, far, dt_s)
-        travel = self._across.travel
-        self.across.own_m = travel.x_m, travel.y_m
-        if self._across.news != NO_NEWS:
-            force_n = math.sqrt(self.across.far[0] ** 2 + self.across.far[1] ** 2)
-            text = _NEWS[self._across.news]
+        follows = memory.hand.following and not half.switching
+        hand = LateralHand(
+            x, y, memory.hand.position_m, speed_x, speed_y, memory.hand.velocity_m_per_s, following=follows
+        )
+        is_signal_current = half.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
+        far = LateralFar(*half.far_lateral, *half.far_place, known=is_signal_current)
+        memory.across = lateral_master_step(self.lateral, memory.across, hand, far, dt_s)
+        travel = memory.across.travel
+        half.lateral_m = travel.x_m, travel.y_m
+        if memory.across.news != NO_NEWS:
+            force_n = math.sqrt(half.far_lateral[0] ** 2 + half.far_lateral[1] ** 2)
+            text = _NEWS[memory.across.news]
             self.event("mode", "info", text.format(force=force_n), lateral=text.split(":")[0], force_n=force_n)
 
     def _has_moved_across(self) -> bool:
         if self.lateral.motion.mode == DIRECT:
             return False
-        (x, y), (sent_x, sent_y) = self.across.own_m, self.across.sent_m
+        (x, y), (sent_x, sent_y) = self.half.lateral_m, self.memory.sent_m
         return abs(x - sent_x) + abs(y - sent_y) >= _LEAST_SENT_M
 
     def _guided_hand(self) -> HandSample:
         """Return the hand with the force of the hold of its depth, as a law takes it."""
-        force_n = self._across.force_n[2]
-        return self.hand._replace(force_n=self.hand.force_n + force_n) if force_n else self.hand
+        memory = self.memory
+        force_n = memory.across.force_n[2]
+        return memory.hand._replace(force_n=memory.hand.force_n + force_n) if force_n else memory.hand
 
-    def lateral_account(self) -> Store:
-        return self._across.store
+    def lateral_account(self) -> EnergyTank:
+        return self.memory.across.store
 
     def _lateral_force(self) -> tuple[float, float]:
         """Return the lateral force of the sample at the hand's scale [N]."""
         if self.lateral.motion.mode != DIRECT:
-            return self._across.force_n[:2]
-        x, y = self.across.far
+            return self.memory.across.force_n[:2]
+        x, y = self.half.far_lateral
         scale = self.config.law_config().force_scale if x or y else 0.0
         return scale * x, scale * y
 
     def _settle(self) -> bool:
         """Send the command that is due; return whether one was."""
-        dt_s = self.timing.due * self.config.period_s
+        memory = self.memory
+        dt_s = memory.timing.due * self.config.period_s
         if not dt_s:
             return False
-        self.timing = integration.master_settled(self.timing)
-        self.reference = self._coasting(dt_s) if self.switching else self._step_law(dt_s)
-        self.state = "running" if self.reference.active else "safe"
+        memory.timing = integration.master_settled(memory.timing)
+        memory.reference = self._coasting(dt_s) if self.half.switching else self._step_law(dt_s)
+        self.state = "running" if memory.reference.active else "safe"
         self._send_reference()
         return True
 
     def _send_reference(self) -> None:
+        memory = self.memory
         self.publish(
             "haptic/command",
-            mode="position" if self.reference.active else "off",
-            position_m=to_site_frame(self.reference.position_m),
-            velocity_m_per_s=to_site_frame(self.reference.velocity_m_per_s),
-            force_n=(*self._lateral_force(), self.reference.force_n),
-            hand_seq=self._answered_hand_stamp[0],
-            hand_t_ns=self._answered_hand_stamp[1],
+            mode="position" if memory.reference.active else "off",
+            position_m=to_site_frame(memory.reference.position_m),
+            velocity_m_per_s=to_site_frame(memory.reference.velocity_m_per_s),
+            force_n=(*self._lateral_force(), memory.reference.force_n),
+            hand_seq=memory.answered[0],
+            hand_t_ns=memory.answered[1],
         )
 
     def _step_law(self, dt_s: float) -> MasterReference:
@@ -336,11 +319,12 @@ class MasterController(ControllerHalf):
 
     def _coasting(self, dt_s: float) -> MasterReference:
         """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
-        self._switch_s += dt_s
-        last, fades = self.reference, math.exp(-dt_s / _COASTING_S)
-        active = last.active and self._switch_s <= self.config.switch_limit_s
-        position_m, velocity_m_per_s = self.hand.position_m, 0.0
-        if self.hand.following:
+        memory = self.memory
+        memory.switch_s += dt_s
+        last, fades = memory.reference, math.exp(-dt_s / _COASTING_S)
+        active = last.active and memory.switch_s <= self.config.switch_limit_s
+        position_m, velocity_m_per_s = memory.hand.position_m, 0.0
+        if memory.hand.following:
             position_m = last.position_m + _COASTING_S * (1.0 - fades) * last.velocity_m_per_s
             velocity_m_per_s = fades * last.velocity_m_per_s
         return MasterReference(position_m, velocity_m_per_s, last.force_n, active)

@@ -3,6 +3,8 @@
 import math
 from typing import Any, Literal, NamedTuple, cast
 
+import msgspec
+
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
 from telenano.extend.virtual_mass import bounded
@@ -16,7 +18,6 @@ from telenano.runtime.loop.node import NodeContext
 from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
-from telenano.wire.node_state import FindInput
 from telenano.wire.ranges import FORCE
 from telenano.wire.received import Received
 
@@ -37,27 +38,27 @@ class SetOff(NamedTuple):
     surface_m: float = math.inf
 
 
-class SlaveState(NamedTuple):
+class SlaveState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the slave half.
 
     tip, reference: the newest sample, and the newest reference; hand_armed: whether the hand was armed in the sample
     that the newest signal descends from; asked_m: the references of the newest commands, the
     newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
     lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
-    program of the instrument [ns]; entry: how far the hand is set off.
+    program of the instrument [ns], which images or measures by itself until then; entry: how far the hand is set off.
     """
 
     half: HalfState
     timing: SlaveTiming
-    tip: TipMeasurement
-    reference: SlaveReference
-    hand_armed: bool
-    asked_m: tuple[float, ...]
-    carried_out_m: float
-    lateral_n: tuple[float, float]
-    instrument_ns: int
-    instrument_lost: bool
-    occupied_until_ns: int
+    tip: TipMeasurement = NO_TIP
+    reference: SlaveReference = SlaveReference(0.0, True)
+    hand_armed: bool = False
+    asked_m: tuple[float, ...] = (0.0,)
+    carried_out_m: float = 0.0
+    lateral_n: tuple[float, float] = ZERO_XY
+    instrument_ns: int = 0
+    instrument_lost: bool = False
+    occupied_until_ns: int = 0
     across: LateralSlaveState
     entry: SetOff
 
@@ -71,54 +72,19 @@ class SlaveController(ControllerHalf):
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
     state_kind = SlaveState
-    timing: SlaveTiming
+    memory: SlaveState
     # After this the tick is in the link, which may share its processor.
     idle_after = "afm/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
-        self.tip = NO_TIP
-        self.reference = SlaveReference(0.0, True)
-        self._hand_armed = False
-        self.timing = integration.slave_begin()
-        self._clamp = config.clamp_params()
-        self._instrument_ns = 0
-        self._instrument_lost = False
-        self._asked_m: tuple[float, ...] = (0.0,)
-        self._carried_out_m = 0.0
-        # The instrument images or measures by itself until then, and obeys no hand.
-        self._occupied_until_ns = 0
-        self._across = lateral_slave_at_rest()
-        self._entry = SetOff()
-
-    def capture(self) -> SlaveState:
-        return SlaveState(
-            half=self.capture_half(),
-            timing=self.timing,
-            tip=self.tip,
-            reference=self.reference,
-            hand_armed=self._hand_armed,
-            asked_m=self._asked_m,
-            carried_out_m=self._carried_out_m,
-            lateral_n=self.across.own_n,
-            instrument_ns=self._instrument_ns,
-            instrument_lost=self._instrument_lost,
-            occupied_until_ns=self._occupied_until_ns,
-            across=self._across,
-            entry=self._entry,
+        self.memory = SlaveState(
+            half=self.half, timing=integration.slave_begin(), across=lateral_slave_at_rest(), entry=SetOff()
         )
-
-    def restore(self, state: SlaveState, find: FindInput) -> None:
-        self.restore_half(state.half)
-        self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
-        self._hand_armed = state.hand_armed
-        self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
-        self.across.own_n, self._instrument_ns = state.lateral_n, state.instrument_ns
-        self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
-        self._across, self._entry = state.across, state.entry
+        self._clamp = config.clamp_params()
 
     def started(self) -> Any:
-        return self.law.slave_start(self.params, self.tip)
+        return self.law.slave_start(self.params, self.memory.tip)
 
     def on_message(self, received: Received) -> None:
         if self.rejects(received):
@@ -127,11 +93,11 @@ class SlaveController(ControllerHalf):
         if type(message) is TeleopForward:
             self._on_forward(message, received.received_ns)
         elif type(message) is AfmState:
-            self._instrument_ns = self.freshness.stamp_ns(message.t_ns, received.received_ns)
+            self.memory.instrument_ns = self.freshness.stamp_ns(message.t_ns, received.received_ns)
             self._on_instrument(message, received.received_ns)
         elif type(message) is AfmProgram:
             occupied = message.program != "tactile" and message.state in ("running", "paused")
-            self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
+            self.memory.occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
         elif type(message) is LinkDelay:
             self.freshness.record(message)
 
@@ -139,9 +105,10 @@ class SlaveController(ControllerHalf):
         return config.slave_timing()
 
     def forget(self) -> None:
+        memory = self.memory
         super().forget()
-        self.timing = integration.slave_stalled(self.timing)
-        if self.tip.following:
+        memory.timing = integration.slave_stalled(memory.timing)
+        if memory.tip.following:
             self._lose_instrument()
 
     def energy_account(self) -> EnergyAccount:
@@ -149,7 +116,7 @@ class SlaveController(ControllerHalf):
 
     @property
     def touches(self) -> bool:
-        return self.tip.following and self.tip.in_contact
+        return self.memory.tip.following and self.memory.tip.in_contact
 
     def retuned(self, old: Any, new: Any) -> Any:
         return self.law.slave_retune(old, new, self.law_state)
@@ -160,125 +127,142 @@ class SlaveController(ControllerHalf):
 
     def _switch(self) -> None:
         super()._switch()
-        self.timing = integration.slave_silenced(self.timing)
-        if self.switching:
+        self.memory.timing = integration.slave_silenced(self.memory.timing)
+        if self.half.switching:
             self.law_state = self._standing()
 
     def _standing(self) -> Any:
         """Return the state of a half that begins at the last reference of the base."""
-        return self.law.slave_start(self.params, self.tip._replace(base_position_m=self.reference.position_m))
+        return self.law.slave_start(
+            self.params, self.memory.tip._replace(base_position_m=self.memory.reference.position_m)
+        )
 
     def _interrupted(self) -> Any:
         """Return the state of a half that takes the signals up again.
 
         What it counts continues: a master that has not noticed would take lower counters for those of old signals.
         """
-        return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.tip, self.config.period_s)[0]
+        return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.memory.tip, self.config.period_s)[0]
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
-        if self.timing.commands.waiting:
+        memory, half = self.memory, self.half
+        if memory.timing.commands.waiting:
             # The instrument has not answered the last tick, so its newest sample is used for as long as it is fresh.
             self._doubt_instrument()
-        early = self.law.local_loop and not self._instrument_lost and not self.switching
-        self.timing, settled = integration.slave_unanswered(self.timing, early)
+        early = self.law.local_loop and not memory.instrument_lost and not half.switching
+        memory.timing, settled = integration.slave_unanswered(memory.timing, early)
         self._settle(settled)
-        self._hand_stamp = (message.hand_seq, message.hand_t_ns)
-        self._hand_armed = message.hand_armed is True
+        half.hand_stamp = (message.hand_seq, message.hand_t_ns)
+        memory.hand_armed = message.hand_armed is True
         understood = self.receive_signal(message)
-        self.switching = self.switching and not (understood and message.active)
-        may_wait = not (self._instrument_lost or self.switching)
-        self.timing, tick = integration.slave_tick(
-            self.timing, self.timing_params, received_ns, self.clock.now_ns(), message.hand_t_ns, understood, may_wait
+        half.switching = half.switching and not (understood and message.active)
+        may_wait = not (memory.instrument_lost or half.switching)
+        memory.timing, tick = integration.slave_tick(
+            memory.timing,
+            self.timing_params,
+            received_ns,
+            self.clock.now_ns(),
+            message.hand_t_ns,
+            understood,
+            may_wait,
         )
         if self.law_state is None:
-            self.law_state = self.law.slave_start(self.params, self.tip)
-        elif tick.begins and not self.switching:
+            self.law_state = self.law.slave_start(self.params, memory.tip)
+        elif tick.begins and not half.switching:
             self.law_state = self._interrupted()
         if self.lateral.motion.mode != DIRECT:
-            follows = may_wait and not tick.begins and understood and message.active and self.tip.following
-            elapsed_s = self.timing.pacing.elapsed * self.config.period_s
-            across = self.across
-            self._across = lateral_slave_step(self.lateral, self._across, across.far, across.own_m, follows, elapsed_s)
+            follows = may_wait and not tick.begins and understood and message.active and memory.tip.following
+            elapsed_s = memory.timing.pacing.elapsed * self.config.period_s
+            memory.across = lateral_slave_step(
+                self.lateral, memory.across, half.far_lateral, half.lateral_m, follows, elapsed_s
+            )
         if tick.steps:
-            if self._instrument_lost:
-                self.reference = SlaveReference(self.reference.position_m, False)
-            elif not self.switching:
-                self._receive(self.latest_signal(), self.timing.pacing.elapsed)
+            if memory.instrument_lost:
+                memory.reference = SlaveReference(memory.reference.position_m, False)
+            elif not half.switching:
+                self._receive(self.latest_signal(), memory.timing.pacing.elapsed)
             self._publish_command(answers=True)
         self.steps += 1
         self.report_status(None)
 
     def _receive(self, signal: PortSignal, elapsed: int) -> None:
         """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
-        self.timing = integration.slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
-        dt_s = self.timing.pacing.step * self.config.period_s
-        tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
+        memory = self.memory
+        memory.timing = integration.slave_stepped(memory.timing, self.timing_params, self.clock.now_ns(), elapsed)
+        dt_s = memory.timing.pacing.step * self.config.period_s
+        tip = TipMeasurement(*memory.tip[:-1], memory.asked_m[0] - memory.carried_out_m)
         self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
-        self.reference = clamped(self._clamp, wanted, signal, tip)
+        memory.reference = clamped(self._clamp, wanted, signal, tip)
 
     def _publish_command(self, *, answers: bool) -> None:
-        follows = self.reference.active and self._hand_armed
+        memory, half = self.memory, self.half
+        follows = memory.reference.active and memory.hand_armed
         mode: Literal["position", "hold"] = "position" if follows else "hold"
         is_direct = self.lateral.motion.mode == DIRECT
-        moves = not is_direct and hand_moves(self._across)
-        across = {"lateral_m": (self._across.x_m, self._across.y_m)} if moves else {}
+        moves = not is_direct and hand_moves(memory.across)
+        across = {"lateral_m": (memory.across.x_m, memory.across.y_m)} if moves else {}
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
-            hand_seq=self._hand_stamp[0],
-            hand_t_ns=self._hand_stamp[1],
-            hand_armed=self._hand_armed,
-            hand_force_n=bounded(self.config.law_config().force_scale * self.signal.force_n, FORCE.high),
+            base_position_m=(
+                *(half.far_lateral if is_direct else ZERO_XY),
+                0.0 - memory.reference.position_m,
+            ),
+            hand_seq=half.hand_stamp[0],
+            hand_t_ns=half.hand_stamp[1],
+            hand_armed=memory.hand_armed,
+            hand_force_n=bounded(self.config.law_config().force_scale * half.signal.force_n, FORCE.high),
             **across,
         )
-        self.timing = integration.slave_commanded(self.timing, command.seq, answers)
-        self._asked_m = (self.reference.position_m, *self._asked_m[:_MOST_OUTSTANDING])
+        memory.timing = integration.slave_commanded(memory.timing, command.seq, answers)
+        memory.asked_m = (memory.reference.position_m, *memory.asked_m[:_MOST_OUTSTANDING])
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
-        silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
-        if self.tip.following and silence_s > DEADLINES_S["afm/state"]:
+        silence_s = (self.clock.now_ns() - self.memory.instrument_ns) * 1e-9
+        if self.memory.tip.following and silence_s > DEADLINES_S["afm/state"]:
             self._lose_instrument()
             text = f"no data from the AFM for {silence_s * 1e3:.0f} ms: the motor of the hand is switched off"
             self.event("fault", "warning", text, silence_s=silence_s)
 
     def _lose_instrument(self) -> None:
         """Hold the base where it was last commanded to be, until the instrument says where it is."""
-        self.tip = self.tip._replace(following=False)
+        memory = self.memory
+        memory.tip = memory.tip._replace(following=False)
         self.state = "safe"
-        self._instrument_lost = True
+        memory.instrument_lost = True
 
     def _on_instrument(self, message: AfmState, now_ns: int) -> None:
-        self.across.own_m, self.across.own_n = message.base_position_m[:2], message.tip_force_n[:2]
-        followed = self.tip.following
-        self._entry = SetOff(message.offset_m or 0.0)
-        self.tip = TipMeasurement(
+        memory, half = self.memory, self.half
+        half.lateral_m, memory.lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
+        followed = memory.tip.following
+        memory.entry = SetOff(message.offset_m or 0.0)
+        memory.tip = TipMeasurement(
             # The law sees the base where it would be without the offset, like a sample that lies deeper by as much.
-            base_position_m=to_paper_axis(message.base_position_m) + self._entry.offset_m,
+            base_position_m=to_paper_axis(message.base_position_m) + memory.entry.offset_m,
             force_n=message.tip_force_n[2],
             separation_m=message.separation_m,
             separation_valid=message.separation_valid,
             in_contact=message.in_contact,
             following=message.mode in ("follow", "hold")
-            and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
+            and not (memory.occupied_until_ns and self.clock.now_ns() < memory.occupied_until_ns),
             outstanding_m=0.0,
         )
-        if self.tip.following and not followed and self._entry.offset_m:
-            self._report_offset(self._entry.offset_m)
-        self.state = "running" if self.tip.following else "safe"
-        if self._instrument_lost:
-            self._instrument_lost = False
-            self.reference = SlaveReference(self.tip.base_position_m, True)
+        if memory.tip.following and not followed and memory.entry.offset_m:
+            self._report_offset(memory.entry.offset_m)
+        self.state = "running" if memory.tip.following else "safe"
+        if memory.instrument_lost:
+            memory.instrument_lost = False
+            memory.reference = SlaveReference(memory.tip.base_position_m, True)
             self.law_state = self._standing()
         self._count_port_energy()
-        follows = self.law_state is not None and self.signal.active and self.tip.following
+        follows = self.law_state is not None and half.signal.active and memory.tip.following
         # an instrument that has no command yet names the first one
         number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
-        later = max(self.timing.commands.newest - number, 0)
-        self._carried_out_m = self._asked_m[min(later, len(self._asked_m) - 1)]
-        self.timing, settled = integration.slave_measured(
-            self.timing, self.timing_params, now_ns, number, self.switching, follows
+        later = max(memory.timing.commands.newest - number, 0)
+        memory.carried_out_m = memory.asked_m[min(later, len(memory.asked_m) - 1)]
+        memory.timing, settled = integration.slave_measured(
+            memory.timing, self.timing_params, now_ns, number, half.switching, follows
         )
         self._settle(settled)
 
@@ -292,19 +276,22 @@ class SlaveController(ControllerHalf):
         self.event("mode", "info", text, offset_m=offset_m, apart_m=apart_m)
 
     def _count_port_energy(self) -> None:
+        memory = self.memory
         section = self.config.law_config()
-        count = energy.with_outflow if self.tip.following else energy.moved_to
-        self.port = count(
-            self.port, self.tip.base_position_m / section.position_scale, section.force_scale * self.tip.force_n
+        count = energy.with_outflow if memory.tip.following else energy.moved_to
+        self.half.port = count(
+            self.half.port,
+            memory.tip.base_position_m / section.position_scale,
+            section.force_scale * memory.tip.force_n,
         )
 
     def _settle(self, settled: Settled) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
         if settled.sends:
-            if self.switching:
+            if self.half.switching:
                 self.law_state = self._standing()
             dt_s = settled.periods * self.config.period_s
-            state, signal = self.law.slave_send(self.params, self.law_state, self.tip, dt_s)
+            state, signal = self.law.slave_send(self.params, self.law_state, self.memory.tip, dt_s)
             if settled.accounts:
                 self.law_state = state
             if settled.answers:
@@ -314,12 +301,12 @@ class SlaveController(ControllerHalf):
             self._publish_command(answers=False)
 
     def _publish_answer(self, signal: PortSignal) -> None:
-        if not self.passes_deadband(signal, self.timing.pacing.elapsed * self.config.period_s):
+        if not self.passes_deadband(signal, self.memory.timing.pacing.elapsed * self.config.period_s):
             return
         self.publish(
             "teleop/backward",
             **self.signal_fields(signal),
-            force_n=(*self.across.own_n, signal.force_n),
+            force_n=(*self.memory.lateral_n, signal.force_n),
             separation_m=signal.separation_m,
             separation_valid=signal.separation_valid,
             in_contact=signal.in_contact,

@@ -8,11 +8,11 @@ if __name__ == "__main__":
 
 import sys
 
-from telenano.link.config import LinkSettings, changes_text
-from telenano.runtime.link_node import DelayNode
+from services.delay_node.node import DelayNode
 from telenano.runtime.loop.node import Node, NodeBus
 from telenano.runtime.loop.realtime import has_fifo
 from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.settings.link_settings import LinkSettings, changes_text
 from telenano.wire.errors import ConfigError
 
 

@@ -80,8 +80,8 @@ def forms() -> dict[str, Any]:
     # the models of the laws take a second to import, which only a page needs
     from telenano.afm.programs.settings import InstrumentRequest
     from telenano.laws.config import LAWS, ControllerConfig
-    from telenano.link.config import LinkSettings
-    from telenano.link.profiles import PROFILES
+    from telenano.settings.link_settings import LinkSettings
+    from telenano.settings.network_profiles import PROFILES
 
     return {
         "afm_node": InstrumentRequest.model_json_schema(),

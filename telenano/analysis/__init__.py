@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from telenano.analysis.figure_style import FigureOptions as FigureOptions
     from telenano.analysis.holds import STRUCK_FORCES as STRUCK_FORCES
     from telenano.analysis.holds import Fact as Fact
+    from telenano.analysis.intervals import DEVIATIONS as DEVIATIONS
     from telenano.analysis.intervals import half_width as half_width
+    from telenano.analysis.intervals import student as student
     from telenano.analysis.intervals import wilson as wilson
     from telenano.analysis.mean_interval import mean_half_width as mean_half_width
     from telenano.analysis.page import Page as Page

@@ -71,7 +71,7 @@ class Conditions:
 
     def title(self) -> str:
         """Return the words of a title."""
-        from telenano.link.config import EVEN
+        from telenano.settings.link_settings import EVEN
 
         words = [self.scenario, self.law]
         if self.link_profile in EVEN or self.round_trip_ms:

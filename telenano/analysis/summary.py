@@ -17,15 +17,16 @@ _TAKEN_OFF = "with the offset of the slave's clock taken off"
 _TYPES = {"string": "text", "boolean": "true or false", "integer": "integer", "number": "number", "null": "null"}
 _PAGE = """# The keys of `summary.json`
 
+*Generated from the model of the summary by `make regenerate`; for whoever looks up a figure of a session and its unit.*
+
 `telenano up` and `telenano report` write `summary.json` beside the figure, `telenano report --json` prints it, and
-`telenano.open(FILE).summary` returns it as a dictionary.
-Everything in it is read from the recording. What the session does not show is `null`.
-`telenano/settings/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
-`telenano/analysis/summary.py`, which every summary has to fit, by `make regenerate`.
+`telenano.open(FILE).summary` returns it as a dictionary. Everything in it is read from the recording. What the session
+does not show is `null`. `telenano/settings/schemas/summary.json` is its JSON Schema, made from the same model in
+`telenano/analysis/summary.py`, which every summary has to fit.
 
 `[]` stands for each item of a list, `<name>` for any key of a map.
 A channel has the name of its topic, followed by `@` and the site where its messages were received behind the link.
-The meaning of each verdict is in [the chapter on verdicts](studies.md#what-the-verdicts-mean).
+The meaning of each verdict is in [the chapter on verdicts](verdicts.md#what-the-verdicts-mean).
 
 """
 

@@ -1,4 +1,4 @@
-"""The thresholds of the verdicts; with those of `telenano.analysis.holds`, docs/studies.md has them in one table."""
+"""The thresholds of the verdicts; with those of `telenano.analysis.holds`, docs/verdicts.md has them in one table."""
 
 # share of the hand's greatest force [1]: what moves less from peak to peak is rest, and a force below it presses not
 SMALL_SHARE = 0.05

@@ -13,7 +13,9 @@ from telenano.settings.plugins import NAME
 from telenano.wire.errors import ConfigError
 
 # What a package can bring.
-Kind = Literal["law", "device", "instrument", "operator", "sample", "program", "task", "command", "check"]
+Kind = Literal[
+    "law", "device", "instrument", "operator", "sample", "program", "task", "command", "analysis", "export", "check"
+]
 _TRY_IT: dict[Kind, str] = {
     "law": "telenano law check $name\ntelenano up fig12 --set controller.law=$name",
     "operator": "telenano up fig12 --set 'haptic_node.operator={kind: $name}'",
@@ -23,12 +25,14 @@ _TRY_IT: dict[Kind, str] = {
     "device": "telenano up fig12 --set haptic_node.driver=$name",
     "instrument": "telenano up fig12 --set afm_node.driver=$name",
     "command": "telenano up fig12 --headless &\ntelenano $dashed --duration 2",
+    "analysis": "telenano $dashed out/fig12/session.mcap",
+    "export": "telenano bag export out/fig12/session.mcap --to $name --out session.$name",
     "check": "telenano doctor",
 }
-# An instrument is a device of the AFM's node.
-_GROUPS = {"instrument": "devices"}
+# An instrument is a device of the AFM's node, and an analysis a command that reads recordings.
+_GROUPS = {"instrument": "devices", "analysis": "commands"}
 # A command is listed by a module of its own, which imports nothing.
-_MORE_FILES = {"command": {"command_body.py.txt": "command.py"}}
+_MORE_FILES = {"command": {"command_body.py.txt": "command.py"}, "analysis": {"analysis_body.py.txt": "command.py"}}
 
 
 def _taken(kind: Kind) -> Collection[str]:
@@ -41,7 +45,11 @@ def _taken(kind: Kind) -> Collection[str]:
         from telenano.settings.known_packages import known_of
 
         return known_of("task")
-    if kind == "command":
+    if kind == "export":
+        from telenano.recording.export import FORMATS
+
+        return FORMATS
+    if kind in ("command", "analysis"):
         from telenano.cli.lazy_commands import LAZY_COMMANDS
 
         return LAZY_COMMANDS

@@ -6,12 +6,13 @@ import fcntl
 import re
 import socket
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from telenano.extend.checks import Finding, Level
 from telenano.launcher.processors import FOR_A_RIG, fits_text
+from telenano.settings.known_packages import where_it_is
 from telenano.signals import children
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import extra_in
@@ -61,6 +62,14 @@ def check_python(version: Sequence[int]) -> Finding:
         return Finding("python", "ok", running)
     oldest = ".".join(map(str, _OLDEST_PYTHON))
     return Finding("python", "problem", running, f"install Python {oldest} or later and make the environment again")
+
+
+def check_advisers(installed: Collection[str]) -> Finding:
+    """Say whether a package advises of a session that is outside of what its law was shown to hold."""
+    if installed:
+        return Finding("advice", "ok", f"sessions are watched by {', '.join(installed)}")
+    found = "no package watches sessions: nothing is warned of where one is outside of what its law was shown to hold"
+    return Finding("advice", "ok", found, where_it_is("adviser benchmark"))
 
 
 def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:

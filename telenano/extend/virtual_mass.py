@@ -13,7 +13,7 @@ exact energy.
 import math
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import HandSample, PortSignal, TipMeasurement
+from telenano.extend.laws import HandSample, PortSignal, TipMeasurement, port_signal
 from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
 from telenano.numerics.discretisation import exact_discretisation
@@ -183,6 +183,26 @@ def rescaled(old: MassParams, new: MassParams, mass: Mass) -> Mass:
 def tip_reference(params: MassParams, mass: Mass) -> float:
     """Return x_ref = alpha_p x + offset [m]."""
     return params.position_scale * mass.position_m + mass.tip_offset_m
+
+
+@compiled
+def mass_signal(params: MassParams, mass: Mass, hand: HandSample, energy_j: float, active: bool) -> PortSignal:
+    """Return what the master sends of its mass: the tip's reference, its velocity, and the force of the hand.
+
+    Args:
+        params: The scales.
+        mass: The virtual mass.
+        hand: The newest sample.
+        energy_j: What the law counts at its port [J]; 0 where it counts nothing.
+        active: Whether the tip may follow.
+    """
+    return port_signal(
+        position_m=tip_reference(params, mass),
+        velocity_m_per_s=params.position_scale * mass.velocity_m_per_s,
+        force_n=hand.force_n / params.force_scale,
+        energy_j=energy_j,
+        active=active,
+    )
 
 
 @compiled

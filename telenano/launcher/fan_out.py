@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from telenano.launcher.plan import Plan
 from telenano.runtime.bus.local_endpoint import LONGEST_IPC_PATH, fan_out_endpoint, remove_fan_out
 from telenano.signals import children
-from telenano.wire.nodes import NODES
+from telenano.wire.nodes import FAN_OUT, NODES, module_of, name_of
 
 _STOP_S = 2.0
 _PARTS = ("rig", "endpoint", "launcher")
@@ -36,7 +36,7 @@ def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
     # It ends when its standard input does, so also with a launcher that is killed.
     endpoints = endpoints_of(plan)
     process = children.start(
-        [sys.executable, "-m", "telenano.runtime.bus.fan_out", *endpoints],
+        [sys.executable, "-m", module_of(name_of(FAN_OUT)), *endpoints],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

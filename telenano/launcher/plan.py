@@ -17,8 +17,6 @@ from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.laws.config import KNOWN_LAWS, ControllerConfig
-from telenano.link.config import EVEN, LinkSettings, changes_text
-from telenano.link.pipeline import read_files
 from telenano.recording.session_folder import RECORDING_NAME
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.transports import fetching
@@ -33,6 +31,8 @@ from telenano.settings.included import (
     site_file_named,
 )
 from telenano.settings.known_packages import KNOWN_MODEL_LAWS, KNOWN_PACKAGES, where_it_is
+from telenano.settings.link_files import read_files
+from telenano.settings.link_settings import EVEN, LinkSettings, changes_text
 from telenano.settings.named_instruments import IDEAL
 from telenano.settings.option import Option
 from telenano.settings.scenario import LoadedScenario, Scenario, scenario_document

@@ -49,11 +49,10 @@ class StopObserver:
 
 
 class Inherited(NamedTuple):
-    """What one process is given: variables of its environment, open descriptors, and the module of one of a package."""
+    """What one process inherits: variables of its environment, and open descriptors."""
 
     environment: Mapping[str, str] = {}
     descriptors: tuple[int, ...] = ()
-    module: str = ""
 
 
 class _Log(NamedTuple):
@@ -247,22 +246,22 @@ def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> d
     return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
 
 
-def node_command(
-    node: str, site_file: Path, scenario_file: Path, module: str = "", held: int | None = None
-) -> list[str]:
+def node_command(node: str, site_file: Path, scenario_file: Path, held: int | None = None) -> list[str]:
     """Return the command line that runs a node as a child of this process.
 
     Args:
         node: The node as node@site.
         site_file: The site file.
         scenario_file: The scenario.
-        module: The module of a package, if it is one.
         held: The descriptor by which the node finds what this process holds of these files and of others.
+
+    Raises:
+        ValueError: The table of nodes has no such process.
     """
     name, _, site = node.partition("@")
     given = [] if held is None else ["--held", str(held)]
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
-    return [sys.executable, "-m", module or module_of(name), *files, "--site", site, "--with-parent", *given]
+    return [sys.executable, "-m", module_of(name), *files, "--site", site, "--with-parent", *given]
 
 
 def _readable(line: str) -> str:

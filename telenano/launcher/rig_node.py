@@ -7,10 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from telenano.launcher.advisers import Advisers
 from telenano.launcher.liveness import Change, LivenessMonitor
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.recorder_wait import has_last
-from telenano.launcher.shown_watch import ShownWatch
 from telenano.launcher.supervisor import Supervisor
 from telenano.runtime.bus.places import PlaceNotice
 from telenano.runtime.loop.deadlines import PeriodicDeadline
@@ -77,8 +77,8 @@ class RigNode(Node):
         self.ended: dict[str, int] = {}
         self._recorder_states: dict[str, Scalar] = {}
         self.observe: Callable[[RigNode], None] = lambda node: None
-        # Compares the session with what its law was shown to hold; None where that is not looked at.
-        self.shown: ShownWatch | None = None
+        # What packages advise the person who runs the session; None where nothing is looked at.
+        self.advisers: Advisers | None = None
         self._places = _RemovedPaths()
         self.state = "starting"
         self._failure = ""
@@ -151,8 +151,9 @@ class RigNode(Node):
             self._report_change(change)
         self._look_after_places(now_ns)
         self.advance()
-        if self.shown is not None and (warning := self.shown.look(runs=self.phase == "running")):
-            self.report("warning", warning.text, **warning.facts)
+        if self.advisers is not None:
+            for warning in self.advisers.look(runs=self.phase == "running"):
+                self.report("warning", warning.text, **warning.facts)
         self.observe(self)
 
     def on_place(self, notice: PlaceNotice) -> None:

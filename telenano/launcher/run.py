@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
+from telenano.extend.advice import AdvisedSession
+from telenano.launcher.advisers import Advisers, absent_laws, advisers_for
 from telenano.launcher.external_recording import ExternalRecording, readable_here
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.session import SessionNode
-from telenano.launcher.shown_watch import ShownWatch, laws_as_shown
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import ProcFiles, Watchdog
@@ -33,12 +34,11 @@ from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import raise_file_limit, shallow_idle
-from telenano.runtime.wiring import beside as beside_process
 from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
-from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, STOP_ORDER, TIP, name_of
+from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, RELAY, STOP_ORDER, TIP, name_of
 from telenano.wire.printable import quoted
 
 # A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
@@ -147,10 +147,9 @@ def run_rig(
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
-        modules = {node: inherited.module for node, inherited in beside.items()}
         files = plan.site_file, plan.scenario_file
         table = files_held.table
-        commands = {node: node_command(node, *files, modules.get(node, ""), table) for node in nodes}
+        commands = {node: node_command(node, *files, table) for node in nodes}
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         session = given_identity(os.environ.get(RIG_VARIABLE, ""), clock.now_ns(), conducts=plan.site != "slave")
@@ -171,7 +170,7 @@ def run_rig(
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
-        rig.shown = _shown_watch(plan, participant)
+        rig.advisers = _advisers(plan, participant)
         if plan.site != "slave":
             # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
@@ -184,7 +183,7 @@ def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
     """Return what runs beside the nodes of a site that reaches the other one through a relay."""
     if not (plan.book.relay and plan.nodes and plan.site):
         return {}
-    return {f"{beside_process.NAME}@{plan.site}": Inherited(module=beside_process.__name__)}
+    return {f"{RELAY}@{plan.site}": Inherited()}
 
 
 def forget_stops(plan: Plan) -> None:
@@ -232,17 +231,20 @@ def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]
     return lambda monotonic_ns: None
 
 
-def _shown_watch(plan: Plan, participant: Participant) -> ShownWatch | None:
-    """Return what compares the session with what its law was shown to hold; None where its settings are not known."""
+def _advisers(plan: Plan, participant: Participant) -> Advisers | None:
+    """Return what packages advise of a session; None where there are none, or its settings are not known."""
     if plan.attach:
         return None
     try:
-        laws = laws_as_shown(plan.loaded.section("controller", ControllerConfig))
+        controller = plan.loaded.section("controller", ControllerConfig)
     except ConfigError:
         return None
-    sources = plan.book.sources(participant.key, ShownWatch.inputs)
-    readers = participant.subscribers(sources, newest_only=True)
-    return ShownWatch(participant.clock, participant.log, laws, readers)
+    session = AdvisedSession(controller, participant.clock.monotonic_ns, absent_laws())
+    if not (advisers := advisers_for(session, participant.log)):
+        return None
+    inputs = sorted({topic for adviser in advisers.values() for topic in adviser.inputs})
+    readers = participant.subscribers(plan.book.sources(participant.key, inputs), newest_only=True)
+    return Advisers(participant.log, advisers, readers)
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:

@@ -24,7 +24,6 @@ otherwise spend it, nothing would bring a hand back that was let go, and by rate
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
@@ -62,22 +61,6 @@ _LEAD_S = 0.1
 _LEAD_M = 1e-9
 # The stage belongs to the hand until it has stood for this time.
 _IDLE_S = 0.2
-
-
-@dataclass(slots=True)
-class Across:
-    """What a half knows of x and y, which no law does.
-
-    own_m: where its device is, or is led, at the scale of the tip [m]; sent_m: the one that was sent last [m]; own_n:
-    force on the tip, at the slave's half [N]. far: what the other half sent last, which is where the hand wants the tip
-    [m] at the slave's half, and the force on the tip [N] at the master's; far_m: where the stage is [m], there.
-    """
-
-    own_m: tuple[float, float] = (0.0, 0.0)
-    sent_m: tuple[float, float] = (0.0, 0.0)
-    own_n: tuple[float, float] = (0.0, 0.0)
-    far: tuple[float, float] = (0.0, 0.0)
-    far_m: tuple[float, float] = (0.0, 0.0)
 
 
 class MotionParams(NamedTuple):
@@ -210,8 +193,8 @@ class LateralFar(NamedTuple):
     known: bool
 
 
-class Touch(NamedTuple):
-    """What is known of a particle by its force: mean and variance without it, steps above, plateau [N], way without."""
+class ContactDetector(NamedTuple):
+    """What tells a particle by its force: mean and variance without it, steps above, plateau [N], way without."""
 
     mean_n: float
     variance_n2: float
@@ -222,8 +205,8 @@ class Touch(NamedTuple):
     y_m: float
 
 
-class Held(NamedTuple):
-    """The hand at its last sample [m], live: whether it followed, with mode and clutch as they were then.
+class Clutch(NamedTuple):
+    """The hand at its last sample [m] with mode and clutch as they were then; live: whether it followed.
 
     neutral: where it took hold [m]; depth_m: at which it is held, where it holds.
     """
@@ -240,7 +223,7 @@ class Held(NamedTuple):
     depth_m: float
 
 
-class Travel(NamedTuple):
+class Path(NamedTuple):
     """Sum of the ways of the tip [m]; where over the sample that is 0, once placed [m]; time since it moved [s]."""
 
     x_m: float
@@ -251,8 +234,8 @@ class Travel(NamedTuple):
     still_s: float
 
 
-class Felt(NamedTuple):
-    """The force of the tip as it is felt [N]; time left of a pulse [s], and its direction."""
+class RenderedForce(NamedTuple):
+    """The force of the tip as it is rendered at the hand [N]; time left of a pulse [s], and its direction."""
 
     x_n: float
     y_n: float
@@ -261,8 +244,8 @@ class Felt(NamedTuple):
     pulse_y: float
 
 
-class Store(NamedTuple):
-    """Energy that has entered across [J]; what is kept of that, and of the work of the depth; what was let go [J]."""
+class EnergyTank(NamedTuple):
+    """Energy that has entered across [J]; what is left of it, and of the work of the depth; what was dissipated [J]."""
 
     entered_j: float
     left_j: float
@@ -270,17 +253,20 @@ class Store(NamedTuple):
     spilled_j: float
 
 
-NO_STORE = Store(0.0, 0.0, 0.0, 0.0)
+NO_ENERGY = EnergyTank(0.0, 0.0, 0.0, 0.0)
 
 
 class LateralMasterState(NamedTuple):
-    """The master's half of the lateral path; force_n: what is shown to the hand across and along the law's axis [N]."""
+    """The master's half of the lateral path, under the names that its parts have in recordings.
 
-    held: Held
-    travel: Travel
-    touch: Touch
-    felt: Felt
-    store: Store
+    force_n: what is shown to the hand across and along the law's axis [N]; news: what became of a particle.
+    """
+
+    held: Clutch
+    travel: Path
+    touch: ContactDetector
+    felt: RenderedForce
+    store: EnergyTank
     force_n: tuple[float, float, float]
     news: int
 
@@ -289,11 +275,11 @@ class LateralMasterState(NamedTuple):
 def lateral_at_rest() -> LateralMasterState:
     """Return the state before the first sample."""
     return LateralMasterState(
-        Held(False, DIRECT, False, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        Travel(0.0, 0.0, False, 0.0, 0.0, 0.0),
-        Touch(0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0),
-        Felt(0.0, 0.0, 0.0, 0.0, 0.0),
-        NO_STORE,
+        Clutch(False, DIRECT, False, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        Path(0.0, 0.0, False, 0.0, 0.0, 0.0),
+        ContactDetector(0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0),
+        RenderedForce(0.0, 0.0, 0.0, 0.0, 0.0),
+        NO_ENERGY,
         (0.0, 0.0, 0.0),
         NO_NEWS,
     )
@@ -312,12 +298,12 @@ def _clipped(x: float, y: float, most: float) -> tuple[float, float]:
 
 
 @compiled
-def _held(params: LateralParams, before: Held, hand: LateralHand) -> Held:
+def _clutched(params: LateralParams, before: Clutch, hand: LateralHand) -> Clutch:
     """Return the hand at a sample; it takes hold where it begins, and where mode or clutch let it."""
     motion = params.motion
     takes_hold = not (before.live and before.engaged and before.mode == motion.mode)
     holds = params.depth.enabled and hand.following
-    return Held(
+    return Clutch(
         live=hand.following,
         mode=motion.mode,
         engaged=motion.engaged,
@@ -332,34 +318,34 @@ def _held(params: LateralParams, before: Held, hand: LateralHand) -> Held:
 
 
 @compiled
-def _stored(feel: FeelParams, state: LateralMasterState, hand: LateralHand) -> Store:
+def _tank_after(feel: FeelParams, state: LateralMasterState, hand: LateralHand) -> EnergyTank:
     """Return the energy after the work of the force that was shown since the last sample."""
-    before, store = state.held, state.store
+    before, tank = state.held, state.store
     if not before.live:
-        return store
+        return tank
     f_x, f_y, f_z = state.force_n
     across = f_x * (hand.x_m - before.x_m) + f_y * (hand.y_m - before.y_m)
-    left, left_z = store.left_j - across, store.left_z_j - f_z * (hand.z_m - before.z_m)
+    left, left_z = tank.left_j - across, tank.left_z_j - f_z * (hand.z_m - before.z_m)
     kept, kept_z = min(left, feel.store_j), min(left_z, feel.store_j)
-    return Store(store.entered_j - across, kept, kept_z, store.spilled_j + (left - kept) + (left_z - kept_z))
+    return EnergyTank(tank.entered_j - across, kept, kept_z, tank.spilled_j + (left - kept) + (left_z - kept_z))
 
 
 @compiled
-def _way(params: LateralParams, before: Held, held: Held, travel: Travel, dt: float) -> tuple[float, float]:
+def _step_m(params: LateralParams, before: Clutch, clutch: Clutch, path: Path, dt: float) -> tuple[float, float]:
     """Return the way of the tip in a step [m]."""
     motion, disc = params.motion, params.disc
     if motion.mode == POSITION:
         if not before.live:
             return 0.0, 0.0
-        x, y = motion.gain * (held.x_m - before.x_m), motion.gain * (held.y_m - before.y_m)
+        x, y = motion.gain * (clutch.x_m - before.x_m), motion.gain * (clutch.y_m - before.y_m)
         return _clipped(x, y, motion.speed_m_per_s * dt)
-    x, y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    x, y = clutch.x_m - clutch.neutral_x_m, clutch.y_m - clutch.neutral_y_m
     size = _length(x, y)
     share = motion.gain * dt * (1.0 - motion.dead_zone_m / size) if size > motion.dead_zone_m else 0.0
     x, y = _clipped(share * x, share * y, motion.speed_m_per_s * dt)
-    out_x, out_y = travel.origin_x_m + travel.x_m - disc.x_m, travel.origin_y_m + travel.y_m - disc.y_m
+    out_x, out_y = path.origin_x_m + path.x_m - disc.x_m, path.origin_y_m + path.y_m - disc.y_m
     size = _length(out_x, out_y)
-    if not (disc.enabled and travel.placed and 0.0 < size < disc.radius_m):
+    if not (disc.enabled and path.placed and 0.0 < size < disc.radius_m):
         return x, y
     # In the disc the tip goes outwards and along its edge only.
     inwards = min((x * out_x + y * out_y) / size, 0.0)
@@ -367,16 +353,16 @@ def _way(params: LateralParams, before: Held, held: Held, travel: Travel, dt: fl
 
 
 @compiled
-def _travelled(travel: Travel, way: tuple[float, float], far: LateralFar, dt: float) -> Travel:
-    x, y = travel.x_m + way[0], travel.y_m + way[1]
-    still = 0.0 if way[0] != 0.0 or way[1] != 0.0 else travel.still_s + dt
-    if far.known and (not travel.placed or still > _STILL_S):
-        return Travel(x, y, True, far.x_m - x, far.y_m - y, still)
-    return Travel(x, y, travel.placed, travel.origin_x_m, travel.origin_y_m, still)
+def _path_after(path: Path, way: tuple[float, float], far: LateralFar, dt: float) -> Path:
+    x, y = path.x_m + way[0], path.y_m + way[1]
+    still = 0.0 if way[0] != 0.0 or way[1] != 0.0 else path.still_s + dt
+    if far.known and (not path.placed or still > _STILL_S):
+        return Path(x, y, True, far.x_m - x, far.y_m - y, still)
+    return Path(x, y, path.placed, path.origin_x_m, path.origin_y_m, still)
 
 
 @compiled
-def _drawn_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
+def _displacement_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
     """Return by how much the hand is to move along a normal [m] for the tip to go aside_m [m] along it.
 
     Args:
@@ -390,37 +376,43 @@ def _drawn_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
 
 
 @compiled
-def _fixtures(params: LateralParams, held: Held, travel: Travel) -> tuple[float, float]:
+def _fixtures(params: LateralParams, clutch: Clutch, path: Path) -> tuple[float, float]:
     """Return the force of guide and disc on the hand [N]."""
     force_x, force_y = 0.0, 0.0
-    if not (travel.placed and held.engaged):
+    if not (path.placed and clutch.engaged):
         return force_x, force_y
-    x, y = travel.origin_x_m + travel.x_m, travel.origin_y_m + travel.y_m
-    e_x, e_y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    x, y = path.origin_x_m + path.x_m, path.origin_y_m + path.y_m
+    e_x, e_y = clutch.x_m - clutch.neutral_x_m, clutch.y_m - clutch.neutral_y_m
     guide, disc = params.guide, params.disc
     along_x, along_y = guide.x1_m - guide.x0_m, guide.y1_m - guide.y0_m
     length = _length(along_x, along_y)
     if guide.enabled and length > 0.0:
         n_x, n_y = -along_y / length, along_x / length
         aside = (x - guide.x0_m) * n_x + (y - guide.y0_m) * n_y
-        drawn = guide.stiffness_n_per_m * _drawn_m(params.motion, e_x * n_x + e_y * n_y, -aside)
+        drawn = guide.stiffness_n_per_m * _displacement_m(params.motion, e_x * n_x + e_y * n_y, -aside)
         drawn = min(max(drawn, -guide.max_force_n), guide.max_force_n)
         force_x, force_y = drawn * n_x, drawn * n_y
     out_x, out_y = x - disc.x_m, y - disc.y_m
     size = _length(out_x, out_y)
     if disc.enabled and size > 0.0:
         n_x, n_y = out_x / size, out_y / size
-        drawn = disc.stiffness_n_per_m * _drawn_m(params.motion, e_x * n_x + e_y * n_y, disc.radius_m - size)
+        drawn = disc.stiffness_n_per_m * _displacement_m(params.motion, e_x * n_x + e_y * n_y, disc.radius_m - size)
         drawn = min(max(drawn, 0.0), disc.max_force_n)
         force_x, force_y = force_x + drawn * n_x, force_y + drawn * n_y
     return force_x, force_y
 
 
 @compiled
-def _touched(feel: FeelParams, touch: Touch, far: LateralFar) -> tuple[Touch, int]:
+def _detect_contact(feel: FeelParams, contact: ContactDetector, far: LateralFar) -> tuple[ContactDetector, int]:
     """Return what is known of a particle after what was felt, and whether it was met or lost just now."""
-    size, way = _length(far.force_x_n, far.force_y_n), _length(far.x_m - touch.x_m, far.y_m - touch.y_m)
-    mean, variance, steps, plateau, faint = touch.mean_n, touch.variance_n2, touch.steps, touch.plateau_n, touch.faint_m
+    size, way = _length(far.force_x_n, far.force_y_n), _length(far.x_m - contact.x_m, far.y_m - contact.y_m)
+    mean, variance, steps, plateau, faint = (
+        contact.mean_n,
+        contact.variance_n2,
+        contact.steps,
+        contact.plateau_n,
+        contact.faint_m,
+    )
     news = NO_NEWS
     if steps < _MET_STEPS:
         if size > mean + _DEVIATIONS * math.sqrt(variance) + feel.contact_n:
@@ -436,51 +428,61 @@ def _touched(feel: FeelParams, touch: Touch, far: LateralFar) -> tuple[Touch, in
             steps, mean, variance, plateau, faint, news = 0, size, 0.0, 0.0, 0.0, LOST
     else:
         plateau, faint = plateau + way / (way + _PLATEAU_WAY_M) * (size - plateau), 0.0
-    return Touch(mean, variance, steps, plateau, faint, far.x_m, far.y_m), news
+    return ContactDetector(mean, variance, steps, plateau, faint, far.x_m, far.y_m), news
 
 
 @compiled
-def _felt(feel: FeelParams, felt: Felt, far: LateralFar, news: int, way: tuple[float, float], dt: float) -> Felt:
+def _rendered(
+    feel: FeelParams, rendered: RenderedForce, far: LateralFar, news: int, way: tuple[float, float], dt: float
+) -> RenderedForce:
     """Return the force of the tip as it is felt, which goes to nothing in a silence, and the pulse."""
     scale = feel.force_scale if far.known else 0.0
     x, y = _clipped(scale * far.force_x_n, scale * far.force_y_n, feel.max_force_n)
-    x, y = _clipped(x - felt.x_n, y - felt.y_n, feel.force_rate_n_per_s * dt)
+    x, y = _clipped(x - rendered.x_n, y - rendered.y_n, feel.force_rate_n_per_s * dt)
     if news == NO_NEWS:
-        return Felt(felt.x_n + x, felt.y_n + y, max(felt.pulse_s - dt, 0.0), felt.pulse_x, felt.pulse_y)
+        return RenderedForce(
+            rendered.x_n + x, rendered.y_n + y, max(rendered.pulse_s - dt, 0.0), rendered.pulse_x, rendered.pulse_y
+        )
     size = _length(way[0], way[1])
     back_x, back_y = (-way[0] / size, -way[1] / size) if size > 0.0 else (1.0, 0.0)
-    return Felt(felt.x_n + x, felt.y_n + y, feel.pulse_s, back_x, back_y)
+    return RenderedForce(rendered.x_n + x, rendered.y_n + y, feel.pulse_s, back_x, back_y)
 
 
 @compiled
-def _shown(
-    params: LateralParams, held: Held, travel: Travel, felt: Felt, store: Store, hand: LateralHand, dt: float
+def _force_n(
+    params: LateralParams,
+    clutch: Clutch,
+    path: Path,
+    rendered: RenderedForce,
+    tank: EnergyTank,
+    hand: LateralHand,
+    dt: float,
 ) -> tuple[float, float, float]:
     """Return the force that the hand is shown until the next sample [N], as much of it as there is energy for."""
     feel, depth = params.feel, params.depth
     v_x, v_y, v_z = hand.speed_x_m_per_s, hand.speed_y_m_per_s, hand.speed_z_m_per_s
-    drawn_x, drawn_y = _fixtures(params, held, travel)
-    share = felt.pulse_s / feel.pulse_s
+    drawn_x, drawn_y = _fixtures(params, clutch, path)
+    share = rendered.pulse_s / feel.pulse_s
     pulse = feel.pulse_n * 4.0 * share * (1.0 - share)
-    spring = feel.centring_n_per_m if held.engaged else 0.0
+    spring = feel.centring_n_per_m if clutch.engaged else 0.0
     damping = feel.damping_n_s_per_m
-    e_x, e_y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    e_x, e_y = clutch.x_m - clutch.neutral_x_m, clutch.y_m - clutch.neutral_y_m
     back_x, back_y = _clipped(-spring * e_x - damping * v_x, -spring * e_y - damping * v_y, feel.max_force_n)
-    f_x, f_y = felt.x_n + drawn_x + pulse * felt.pulse_x, felt.y_n + drawn_y + pulse * felt.pulse_y
+    f_x, f_y = rendered.x_n + drawn_x + pulse * rendered.pulse_x, rendered.y_n + drawn_y + pulse * rendered.pulse_y
     f_x, f_y = _clipped(f_x + back_x, f_y + back_y, feel.max_force_n)
     f_x, f_y = f_x - back_x, f_y - back_y
     f_z = 0.0
-    if held.holds:
-        f_z = depth.stiffness_n_per_m * (held.depth_m - held.z_m) - depth.damping_n_s_per_m * v_z
+    if clutch.holds:
+        f_z = depth.stiffness_n_per_m * (clutch.depth_m - clutch.z_m) - depth.damping_n_s_per_m * v_z
         f_z = min(max(f_z, -depth.max_force_n), depth.max_force_n)
     granted = 0.5 * feel.granted_j
-    left_j, back_j = store.left_j + granted, _most_j(_length(back_x, back_y), back_x * v_x + back_y * v_y, dt)
+    left_j, back_j = tank.left_j + granted, _most_j(_length(back_x, back_y), back_x * v_x + back_y * v_y, dt)
     share = _affordable(back_j, left_j)
     back_x, back_y = share * back_x, share * back_y
     # What the spring to the middle has taken is kept for it: it has to bring back a hand that was let go.
     kept_j = max(0.5 * spring * (e_x * e_x + e_y * e_y), share * back_j)
     share = _affordable(_most_j(_length(f_x, f_y), f_x * v_x + f_y * v_y, dt), left_j - kept_j)
-    share_z = _affordable(_most_j(abs(f_z), f_z * v_z, dt), store.left_z_j + granted)
+    share_z = _affordable(_most_j(abs(f_z), f_z * v_z, dt), tank.left_z_j + granted)
     return back_x + share * f_x, back_y + share * f_y, share_z * f_z
 
 
@@ -510,14 +512,14 @@ def lateral_master_step(
         far: What the slave's half has sent.
         dt: The time between the two samples [s].
     """
-    held, store = _held(params, state.held, hand), _stored(params.feel, state, hand)
-    moves = held.live and held.engaged and far.known
-    way = _way(params, state.held, held, state.travel, dt) if moves else (0.0, 0.0)
-    travel = _travelled(state.travel, way, far, dt)
-    touch, news = _touched(params.feel, state.touch, far) if far.known else (state.touch, NO_NEWS)
-    felt = _felt(params.feel, state.felt, far, news, way, dt)
-    force = _shown(params, held, travel, felt, store, hand, dt) if held.live else (0.0, 0.0, 0.0)
-    return LateralMasterState(held, travel, touch, felt, store, force, news)
+    clutch, tank = _clutched(params, state.held, hand), _tank_after(params.feel, state, hand)
+    moves = clutch.live and clutch.engaged and far.known
+    way = _step_m(params, state.held, clutch, state.travel, dt) if moves else (0.0, 0.0)
+    path = _path_after(state.travel, way, far, dt)
+    contact, news = _detect_contact(params.feel, state.touch, far) if far.known else (state.touch, NO_NEWS)
+    rendered = _rendered(params.feel, state.felt, far, news, way, dt)
+    force = _force_n(params, clutch, path, rendered, tank, hand, dt) if clutch.live else (0.0, 0.0, 0.0)
+    return LateralMasterState(clutch, path, contact, rendered, tank, force, news)
 
 
 class LateralSlaveState(NamedTuple):

@@ -75,7 +75,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -93,6 +92,7 @@ from telenano.extend.virtual_mass import (
     has_arrived,
     kept_near,
     let_go,
+    mass_signal,
     moved,
     paid_stretch,
     periods_in,
@@ -100,7 +100,6 @@ from telenano.extend.virtual_mass import (
     put_in,
     rescaled,
     resumed,
-    tip_reference,
     unpaid_j,
     worked,
 )
@@ -323,16 +322,7 @@ def master_send(
     params: PassivityParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference and the energy that has gone into the channel."""
-    p, mass = params.mass, state.mass
-    velocity = p.position_scale * mass.velocity_m_per_s
-    force = hand.force_n / p.force_scale
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=velocity,
-        force_n=force,
-        energy_j=state.port.sent_j,
-        active=mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, state.port.sent_j, state.mass.coupled)
 
 
 @compiled

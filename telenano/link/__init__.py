@@ -1,16 +1,15 @@
-"""What the network between the sites does to messages: models of delay, loss and queues, profiles, the engine."""
+"""What the network between the sites does to messages: models of delay, loss and queues, the engine."""
 
 from typing import TYPE_CHECKING
 
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.link.config import LinkSettings as LinkSettings
     from telenano.link.direction import DirectionEngine as DirectionEngine
     from telenano.link.fate import Direction as Direction
+    from telenano.link.fate import Fate as Fate
+    from telenano.link.fate import Release as Release
     from telenano.link.models.outages import Outages as Outages
-    from telenano.link.profiles import Profile as Profile
-    from telenano.link.profiles import profile_named as profile_named
     from telenano.link.random_streams import stream as stream
 else:
     __getattr__, __dir__ = face(__name__)

@@ -10,12 +10,13 @@ from heapq import heappop, heappush
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.link.config import DirectionSettings, LinkSettings
 from telenano.link.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
 from telenano.link.models.jitter import RandomDelay
 from telenano.link.models.outages import Outages
 from telenano.link.models.queueing import ServedQueue, Waiting
-from telenano.link.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
+from telenano.link.pipeline import InFlight, Pipeline, PipelineState, TopicPipeline
+from telenano.settings.link_files import Files, read_files
+from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.wire.node_state import FindInput
 
 # The limit is a day: no setting asks for more than an hour, but a heavy tail may draw anything.

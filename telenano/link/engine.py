@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine, DirectionState
 from telenano.link.fate import Fate
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.node_state import FindInput
 
 

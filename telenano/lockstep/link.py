@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.link.config import DirectionSettings, LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.fate import Direction
+from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.timing.play_out import PlayOut
 
 Times = npt.NDArray[np.int64]

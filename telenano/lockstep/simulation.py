@@ -32,7 +32,6 @@ from telenano.analysis.session import COLUMNS, Conditions, Session, hand_in_word
 from telenano.extend.instruments import SafetyParams
 from telenano.hand.config import HapticConfig
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import EVEN, LinkSettings
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.lockstep import Rig
@@ -41,6 +40,7 @@ from telenano.lockstep.trajectory import Trajectory, known_of
 from telenano.recording.column_table import ColumnTable
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
+from telenano.settings.link_settings import EVEN, LinkSettings
 from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError
 

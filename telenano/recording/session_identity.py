@@ -1,7 +1,7 @@
 """Whose session a recording is, and whether several files are of one: every command that joins files asks here.
 
 A recorder writes the metadata record `session` at the start of each file: the rig, when it began, the digest of the
-scenario, and what tells sessions apart (docs/recording.md has the rule as a table).
+scenario, and what tells sessions apart (docs/whole-recordings.md has the rule as a table).
 """
 
 import hashlib

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from telenano.settings.included import DEMO_RECORDING as DEMO_RECORDING
     from telenano.settings.included import TWO_SITES_FILE as TWO_SITES_FILE
     from telenano.settings.included import find_scenario as find_scenario
+    from telenano.settings.link_settings import LinkSettings as LinkSettings
     from telenano.settings.named_instruments import instrument_named as instrument_named
+    from telenano.settings.network_profiles import Profile as Profile
+    from telenano.settings.network_profiles import profile_named as profile_named
     from telenano.settings.option import Option as Option
     from telenano.settings.plugins import code_of as code_of
     from telenano.settings.plugins import fault_of_package as fault_of_package

@@ -5,6 +5,7 @@ from telenano.wire.extras import OWN_PACKAGES as OWN_PACKAGES
 # A command, a format of `bag export`, a reader, or a name in a scenario or an experiment, and its distribution with the
 # extra that it needs.
 KNOWN_PACKAGES = {
+    "adviser benchmark": "telenano-lab",
     "command assemble": "telenano-lab",
     "command bag diff": "telenano-lab",
     "command bag fetch": "telenano-wide-area",

@@ -13,8 +13,8 @@ import numpy as np
 
 from telenano.laws.config import OWN_LAWS as LAWS
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
 from telenano.settings.config import flatten
+from telenano.settings.link_settings import LinkSettings
 from telenano.testing.filled_messages import examples, schema_of
 from telenano.wire import Topic, encode
 from telenano.wire.codec import fields_of

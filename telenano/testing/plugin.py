@@ -104,11 +104,11 @@ def without_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def networks_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return a folder whose profiles of networks are known by name in this test, as TELENANO_NETWORKS makes them."""
-    from telenano.link import profiles
+    from telenano.settings import network_profiles
 
     def forget() -> None:
-        profiles._names.cache_clear()
-        profiles._read.cache_clear()
+        network_profiles._names.cache_clear()
+        network_profiles._read.cache_clear()
 
     monkeypatch.setenv("TELENANO_NETWORKS", str(tmp_path))
     forget()

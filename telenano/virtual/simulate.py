@@ -94,6 +94,10 @@ def simulate(
         ConfigError: Names the file or key at fault, or what cannot be simulated.
         RigError: The recorded session failed; the message has the reason.
     """
+    if settings is not None and not isinstance(settings, Mapping):
+        raise ConfigError(
+            f"settings is a {type(settings).__name__}: give values by dotted key, {{'controller.law': 'wave'}}"
+        )
     if recording is None:
         if seed is not None:
             raise ConfigError("seed: a session in lockstep has those of its scenario: give `recording` as well")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from telenano.wire.codec import decode as decode
     from telenano.wire.codec import encode as encode
     from telenano.wire.codec import keys_twice as keys_twice
+    from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
     from telenano.wire.errors import EndpointError as EndpointError
     from telenano.wire.errors import RecordingError as RecordingError
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Count as Count
     from telenano.wire.messages import Facts as Facts
     from telenano.wire.messages import HapticState as HapticState
+    from telenano.wire.messages import LawStatus as LawStatus
     from telenano.wire.messages import Lengths as Lengths
     from telenano.wire.messages import LinkClock as LinkClock
     from telenano.wire.messages import LinkDelay as LinkDelay

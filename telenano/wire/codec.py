@@ -8,7 +8,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import msgpack
 import msgspec
@@ -320,11 +320,9 @@ def _read(topic: str, payload: bytes, beyond: Callable[[Beyond], float | None] =
 
 def _read_record(topic: str, model: type[S], parts: Mapping[str, Any], how: Reading) -> S:
     try:
-        record = read_record(model, parts, how)
+        return read_record(model, parts, how)
     except FaultError as error:
         raise WireError("range" if error.fault.kind == "range" else "schema", f"{topic}: {error}") from error
-    # Every fault was raised.
-    return cast(S, record)
 
 
 def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:

@@ -1,17 +1,18 @@
 """A message read part by part, where msgspec refuses the whole of it.
 
-msgspec states neither the value that it refuses nor the key inside a map. Here each field, item and element is read as
-the type that is declared for it, the *kind*. So the sentence about a fault has key, value and what would be right; keys
-that are not known can be left out; and a number beyond its bounds can be refused, kept or limited (`Reading`). Bytes
-are decoded one level at a time (`msgspec.Raw`), so that refusing a message costs no more than reading one.
+msgspec states neither the value that it refuses nor the key inside a map. Here it is asked again for the parts, level
+by level: each field, item and element is converted to the type that is declared for it, the *kind*. So msgspec alone
+decides what is right, and the sentence about a fault has key, value and bounds; keys that are not known can be left
+out; and a number beyond its bounds can be refused, kept or limited (`Reading`). Bytes are decoded one level at a time
+(`msgspec.Raw`), so that refusing a message costs no more than reading one.
 """
 
 import math
 import re
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
 from msgspec import Meta, Raw
@@ -22,12 +23,11 @@ from telenano.wire.ranges import Range
 
 S = TypeVar("S", bound=msgspec.Struct)
 R = TypeVar("R", bound=Record)
-REFUSALS = (ValueError, TypeError, OverflowError, RecursionError)
+# msgspec looks for the keys of what is no map, such as a number of numpy: an AttributeError.
+REFUSALS = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
 # A scalar of more bytes is a text, and no number.
 _MOST_SHOWN_BYTES = 256
-# This stands in the place of a part whose fault was reported.
-_WRONG: Any = object()
 # A sentence has at most this number of characters of a value, and of a key, which may be the sender's text.
 _MOST_SHOWN = 80
 _MOST_KEY = 100
@@ -46,11 +46,12 @@ class Fault(NamedTuple):
 
 
 class FaultError(ValueError):
-    """A message has a fault."""
+    """A message has a fault, or some of them."""
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: Fault, *others: Fault) -> None:
         super().__init__(fault.text)
         self.fault = fault
+        self.faults = (fault, *others)
 
 
 class Beyond(NamedTuple):
@@ -74,23 +75,18 @@ class Beyond(NamedTuple):
         return Fault(self.key, kind, f"{self.key} is {self.value!r}, must be {right}")
 
 
-def raise_fault(fault: Fault) -> NoReturn:
-    """Raise a fault."""
-    raise FaultError(fault)
-
-
 class Reading(NamedTuple):
     """How parts are read.
 
     Args:
         unknown: Whether keys that are not known are left out, or are a fault.
         beyond: Returns what to take for a number beyond its bounds, None where that is a fault.
-        report: Called with each fault; by default the first one is raised.
+        every: Whether the error has every fault, or only the first, at which reading ends.
     """
 
     unknown: Literal["ignore", "forbid"]
     beyond: Callable[[Beyond], float | None] = lambda found: None
-    report: Callable[[Fault], None] = raise_fault
+    every: bool = False
 
 
 def any_finite(beyond: Beyond) -> float | None:
@@ -103,7 +99,10 @@ def any_finite(beyond: Beyond) -> float | None:
 def faults_of(model: type[Record], fields: object) -> list[Fault]:
     """Return all that is wrong with the fields of a record, keys that are not known included."""
     faults: list[Fault] = []
-    read_record(model, fields, Reading("forbid", report=faults.append))
+    try:
+        read_record(model, fields, Reading("forbid", every=True))
+    except FaultError as error:
+        faults.extend(error.faults)
     source = fields.get("src") if issubclass(model, Message) and isinstance(fields, dict) else None
     if isinstance(source, str) and not is_source(source):
         faults.append(source_fault(source))
@@ -125,42 +124,145 @@ def source_fault(source: str) -> Fault:
     return Fault("src", "word", text)
 
 
-def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S | None:
+def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S:
     """Return a map, of plain values or of their `Raw` bytes, as a record.
 
-    Returns:
-        The record; None after a fault that was reported.
-
     Raises:
-        FaultError: The first fault, if `how` raises it.
+        FaultError: What is wrong; keys that are not known come last.
     """
-    parts = _opened(dict[str, Raw], value, how, key)
-    if parts is None:
-        return None
+    parts = _opened(dict, (), value, key)
     fields = _fields_of(model)
-    values = {}
-    is_whole = True
-    for name, field in fields.items():
+    names = [name for name, field in fields.items() if name in parts or field.required]
+    if how.unknown == "forbid":
+        names += [name for name in parts if name not in fields]
+
+    def read_field(name: str) -> Any:
         here = _joined(key, name)
-        if name in parts:
-            values[name] = _read(field.type, parts[name], how, here)
-            is_whole &= values[name] is not _WRONG
-            if beyond := elements_beyond(field.type, values[name]):
-                element, allowed = beyond
-                in_array = Beyond(f"{here}.data", element, allowed.low, allowed.high, allowed, in_array=True)
-                is_whole &= _decide(in_array, how) is not _WRONG
-        elif field.required:
-            how.report(Fault(here, "missing", f"{here} is missing"))
-            is_whole = False
-    for name in [name for name in parts if name not in fields and how.unknown == "forbid"]:
-        text = f"{_joined(key, name)} is not known, {known_names(name[:_MOST_KEY], fields)}"
-        how.report(Fault(_joined(key, name), "unknown", text))
-        is_whole = False
+        if name not in fields:
+            raise _error(here, "unknown", f"{here} is not known, {known_names(name[:_MOST_KEY], fields)}")
+        if name not in parts:
+            raise _error(here, "missing", f"{here} is missing")
+        value = _read(fields[name].type, parts[name], how, here)
+        if beyond := elements_beyond(fields[name].type, value):
+            element, allowed = beyond
+            _decide(Beyond(f"{here}.data", element, allowed.low, allowed.high, allowed, in_array=True), how)
+        return value
+
+    values = _each(read_field, names, how)
     try:
-        return model(**values) if is_whole else None
+        return model(**values)
     except ValueError as error:
-        how.report(Fault(key, "record", f"{key or model.__name__}: {error}"))
-        return None
+        raise _error(key, "record", f"{key or model.__name__}: {error}") from error
+
+
+def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
+    """Return a value as the kind that is declared for it."""
+    try:
+        return _as_kind(kind, value)
+    except REFUSALS as error:
+        refusal = error
+    base, rules = _unwrapped(kind)
+    arguments = get_args(base)
+    if isinstance(base, type) and issubclass(base, Record):
+        return read_record(base, value, how, key)
+    if (container := get_origin(base)) is dict:
+        parts = _opened(dict, rules, value, key)
+        return _each(lambda name: _read(arguments[1], parts[name], how, _joined(key, name)), parts, how)
+    if container is tuple:
+        is_open = arguments[-1] is Ellipsis
+        length = Meta(min_length=len(arguments), max_length=len(arguments))
+        parts = _opened(list, rules if is_open else (length,), value, key)
+        kinds = arguments[:1] * len(parts) if is_open else arguments
+        items = _each(lambda at: _read(kinds[at], parts[at], how, _joined(key, at)), range(len(parts)), how)
+        return tuple(items.values())
+    return _read_scalar(base, rules, value, how, key, refusal)
+
+
+def _each(read: Callable[[Any], Any], names: Iterable[Any], how: Reading) -> dict[Any, Any]:
+    """Return the parts of a map, list or record by name."""
+    values: dict[Any, Any] = {}
+    faults: list[Fault] = []
+    for name in names:
+        try:
+            values[name] = read(name)
+        except FaultError as error:
+            if not how.every:
+                raise
+            faults += error.faults
+    if faults:
+        raise FaultError(*faults)
+    return values
+
+
+def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key: str, refusal: BaseException) -> Any:
+    if type(value) is Raw:
+        value = _shown(value)
+    is_number = type(value) is int or (type(value) is float and not math.isnan(value))
+    bounds = next((rule for rule in rules if rule.ge is not None and rule.le is not None), None)
+    if bounds is not None and is_number and (base is float or (base is int and type(value) is int)):
+        ranges = [rule.extra["range"] for rule in rules if rule.extra and "range" in rule.extra]
+        low, high = cast(float, bounds.ge), cast(float, bounds.le)
+        return _decide(Beyond(key, value, low, high, ranges[0] if ranges else None), how)
+    type_text, _, got = _told(refusal).partition(", got ")
+    right, kind = type_text.removeprefix("Expected "), "type"
+    if get_origin(base) is Literal:
+        right, kind = f"one of {', '.join(map(repr, get_args(base)))}", "word" if type(value) is str else "type"
+    elif isinstance(refusal, UnicodeDecodeError):
+        right = "text in UTF-8"
+    elif type(value) is float and not math.isfinite(value):
+        right, kind = "a finite number", "bounds"
+    elif not got:
+        # The type is right, and the value is not.
+        kind = "word" if type(value) is str else "bounds"
+    raise _error(key, kind, f"{key} is {repr(value)[:_MOST_SHOWN]}, must be {right}")
+
+
+def _decide(beyond: Beyond, how: Reading) -> float:
+    number = how.beyond(beyond)
+    if number is None:
+        raise FaultError(beyond.fault)
+    return number
+
+
+def _error(key: str, kind: str, text: str) -> FaultError:
+    return FaultError(Fault(key, cast(Any, kind), text))
+
+
+def _as_kind(kind: Any, value: Any) -> Any:
+    return (
+        msgspec.msgpack.decode(value, type=kind)
+        if type(value) is Raw
+        else msgspec.convert(value, kind, builtin_types=(bytes,))
+    )
+
+
+def _opened(container: type, rules: Sequence[Meta], value: Any, key: str) -> Any:
+    """Return the parts of a map or list, each as it came."""
+    part: Any = Raw if type(value) is Raw else Any
+    kind: Any = dict[str, part] if container is dict else list[part]
+    for rule in rules:
+        if rule.max_length is not None:
+            kind = Annotated[kind, rule]
+    try:
+        return _as_kind(kind, value)
+    except REFUSALS as error:
+        wrong_type = f"expected {'object' if container is dict else 'array'}, got {type(value).__name__}"
+        text = wrong_type if isinstance(error, AttributeError) else _told(error) or type(error).__name__
+        raise _error(key, "type", f"{key or 'the message'}: {text[:1].lower()}{text[1:]}") from error
+
+
+def _told(refusal: BaseException) -> str:
+    """Return what msgspec says of a refusal, without its place, which has no key of a map, and without nil."""
+    return str(refusal).partition(" - at ")[0].replace("`", "").replace(" | null", "")
+
+
+def _shown(raw: Raw) -> Any:
+    """Return a scalar, and the size of what is none."""
+    size = len(memoryview(raw))
+    try:
+        return msgspec.msgpack.decode(raw) if size <= _MOST_SHOWN_BYTES else f"<{size} bytes>"
+    except REFUSALS:
+        return f"<{size} bytes>"
 
 
 @cache
@@ -171,7 +273,9 @@ def _fields_of(model: type[msgspec.Struct]) -> dict[str, msgspec.structs.FieldIn
 
 def declared_elements(kind: Any) -> Range | None:
     """Return the range that a kind declares for the elements of an array."""
-    return next((rule.extra["elements"] for rule in _rules(kind) if rule.extra and "elements" in rule.extra), None)
+    return next(
+        (rule.extra["elements"] for rule in _unwrapped(kind)[1] if rule.extra and "elements" in rule.extra), None
+    )
 
 
 def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
@@ -186,122 +290,13 @@ def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
     return None
 
 
-def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
-    """Return a value as the kind that is declared for it, `_WRONG` after a fault that was reported."""
-    try:
-        return _as_kind(kind, value)
-    except REFUSALS as error:
-        refusal = error
-    base, rules = _unwrapped(kind)
-    arguments = get_args(base)
-    if _is_optional(base):
-        return _read(arguments[0], value, how, key)
-    if isinstance(base, type) and issubclass(base, Record):
-        return read_record(base, value, how, key) or _WRONG
-    if get_origin(base) is dict:
-        parts = _opened(_with_length(dict[str, Raw], rules), value, how, key)
-        if parts is None:
-            return _WRONG
-        items = {name: _read(arguments[1], part, how, _joined(key, name)) for name, part in parts.items()}
-        return _WRONG if _WRONG in items.values() else items
-    if get_origin(base) is tuple:
-        is_open = arguments[-1] is Ellipsis
-        length = () if is_open else (Meta(min_length=len(arguments), max_length=len(arguments)),)
-        parts = _opened(_with_length(list[Raw], (*rules, *length)), value, how, key)
-        if parts is None:
-            return _WRONG
-        kinds = arguments[:1] * len(parts) if is_open else arguments
-        pairs = enumerate(zip(kinds, parts, strict=True))
-        listed = tuple(_read(one, part, how, _joined(key, at)) for at, (one, part) in pairs)
-        return _WRONG if _WRONG in listed else listed
-    return _read_scalar(base, rules, value, how, key, refusal)
-
-
-def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key: str, refusal: BaseException) -> Any:
-    if type(value) is Raw:
-        value = _shown(value)
-    is_number = type(value) is int or (type(value) is float and not math.isnan(value))
-    bounds = next((rule for rule in rules if rule.ge is not None and rule.le is not None), None)
-    if bounds is not None and is_number and (base is float or (base is int and type(value) is int)):
-        ranges = [rule.extra["range"] for rule in rules if rule.extra and "range" in rule.extra]
-        low, high = cast(float, bounds.ge), cast(float, bounds.le)
-        return _decide(Beyond(key, value, low, high, ranges[0] if ranges else None), how)
-    type_text, _, got = str(refusal).partition(" - at ")[0].replace("`", "").partition(", got ")
-    right, fault = type_text.removeprefix("Expected "), "type"
-    if get_origin(base) is Literal:
-        right, fault = f"one of {', '.join(map(repr, get_args(base)))}", "word" if type(value) is str else "type"
-    elif isinstance(refusal, UnicodeDecodeError):
-        right = "text in UTF-8"
-    elif type(value) is float and not math.isfinite(value):
-        right, fault = "a finite number", "bounds"
-    elif not got:
-        # The type is right, and the value is not.
-        fault = "word" if type(value) is str else "bounds"
-    how.report(Fault(key, cast(Any, fault), f"{key} is {repr(value)[:_MOST_SHOWN]}, must be {right}"))
-    return _WRONG
-
-
-def _decide(beyond: Beyond, how: Reading) -> Any:
-    taken = how.beyond(beyond)
-    if taken is None:
-        how.report(beyond.fault)
-        return _WRONG
-    return taken
-
-
-def _as_kind(kind: Any, value: Any) -> Any:
-    return (
-        msgspec.msgpack.decode(value, type=kind)
-        if type(value) is Raw
-        else msgspec.convert(value, kind, builtin_types=(bytes,))
-    )
-
-
-def _opened(kind: Any, value: Any, how: Reading, key: str) -> Any:
-    """Return the parts of a value, each as bytes where the value is bytes; None after a fault that was reported."""
-    if type(value) is not Raw:
-        # Values of Python are opened as they are, whatever their parts are.
-        kind = _of_anything(kind)
-    try:
-        return _as_kind(kind, value)
-    except REFUSALS as error:
-        text = str(error).partition(" - at ")[0].replace("`", "") or type(error).__name__
-        how.report(Fault(key, "type", f"{key or 'the message'}: {text[:1].lower()}{text[1:]}"))
-        return None
-
-
-def _of_anything(kind: Any) -> Any:
-    base, rules = _unwrapped(kind)
-    return _with_length(dict[str, Any] if get_origin(base) is dict else list[Any], rules)
-
-
-def _shown(raw: Raw) -> Any:
-    """Return a scalar, and the size of what is none."""
-    size = len(memoryview(raw))
-    try:
-        return msgspec.msgpack.decode(raw) if size <= _MOST_SHOWN_BYTES else f"<{size} bytes>"
-    except REFUSALS:
-        return f"<{size} bytes>"
-
-
-def _with_length(kind: Any, rules: Sequence[Meta]) -> Any:
-    lengths = [rule for rule in rules if rule.max_length is not None]
-    return Annotated[kind, lengths[0]] if lengths else kind
-
-
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Meta, ...]]:
-    return (kind.__origin__, _rules(kind)) if get_origin(kind) is Annotated else (kind, ())
-
-
-def _rules(kind: Any) -> tuple[Meta, ...]:
-    """Return the rules of a kind, and those of what it is where it is not nil."""
+    """Return what a kind is where it is not nil, and all its rules."""
     if get_origin(kind) is Annotated:
-        return (*_rules(kind.__origin__), *kind.__metadata__)
-    return _rules(get_args(kind)[0]) if _is_optional(kind) else ()
-
-
-def _is_optional(kind: Any) -> bool:
-    return get_origin(kind) in (Union, types.UnionType) and get_args(kind)[1:] == (type(None),)
+        base, rules = _unwrapped(kind.__origin__)
+        return base, (*rules, *kind.__metadata__)
+    is_optional = get_origin(kind) in (Union, types.UnionType) and get_args(kind)[1:] == (type(None),)
+    return _unwrapped(get_args(kind)[0]) if is_optional else (kind, ())
 
 
 def _joined(key: str, part: object) -> str:

@@ -1,11 +1,12 @@
 """The state of a node in its journal: what the node declares, as bytes, and what these bytes were made of.
 
-A node declares all that its outputs depend on besides its inputs: `capture` returns a NamedTuple of the class
-`state_kind`, `restore` takes one, and `state_version` counts what its values have meant. Its fields are plain values,
-arrays, settings, messages, structs, and NamedTuples of these. What the settings choose, such as a law, a sample or a
-program, keeps its state in a `Part`. The bytes hold the names of the fields and no name of an attribute, class or
-module, so these may change without ending a re-run. Fields at the end of `state_kind` that have a default may be
-missing from the state of an older recording.
+A node declares all that its outputs depend on besides its inputs in one struct, which it works on: `capture` returns
+it, of the class `state_kind`, `restore` takes one, and `state_version` counts what its values have meant. So a field
+that is added is kept without another line. The struct is encoded in the turn in which it is captured, and nothing else
+holds it. Its fields are plain values, arrays, settings, messages, structs, and NamedTuples of these. What the settings
+choose, such as a law, a sample or a program, keeps its state in a `Part`. The bytes hold the names of the fields and no
+name of an attribute, class or module, so these may change without ending a re-run. Fields at the end of a struct that
+have a default may be missing from the state of an older recording.
 """
 
 from collections.abc import Callable, Iterator
@@ -95,6 +96,7 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
             raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
         optional = _optional(node.state_kind)
         _compare(names, tuple(name for name in _declared(node.state_kind) if name in names or name not in optional))
+        _check_ends(frozenset(names), node.state_kind)
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
@@ -107,6 +109,20 @@ def _compare(recorded: tuple[str, ...], expected: tuple[str, ...]) -> None:
         named = {"lacks": missing, "has in addition": surplus}
         faults = [f"{word} {', '.join(names)}" for word, names in named.items() if names]
         raise ValueError("it " + (" and ".join(faults) or "has the same fields in another order"))
+
+
+def _check_ends(recorded: frozenset[str], kind: Any, within: str = "") -> None:
+    """Raise ValueError where a field is missing that is not at the end: the values have places, and no names."""
+    missing = ""
+    for field, hint in _hints(kind).items():
+        name = within + field
+        if name not in recorded:
+            missing = missing or name
+        elif missing:
+            raise ValueError(f"it lacks {missing}, before {name}")
+        else:
+            for inner in _kinds(hint):
+                _check_ends(recorded, inner, f"{name}.")
 
 
 @cache

@@ -11,16 +11,17 @@ class NodeRow(NamedTuple):
     """One row of the table: a node, as `name@site`.
 
     `part`: `rig`, a process of its own that the launcher starts and stops; `beside`, one that it keeps running as well,
-    and that a session neither waits for nor ends with; `endpoint`, a further endpoint of such a process; `launcher`,
-    which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects to the
-    nodes, and so needs no endpoint. The rows stand in the order in which a rig is started; `stop` is the place in the
-    order in which it is stopped. A session waits for
-    the nodes that are `required`; a site may have the others. `no_rerun` says why a re-run of the node from recorded
-    inputs has no meaning; it is empty for those that keep a journal of their inputs.
+    and that a session neither waits for nor ends with; `carrier`, one that it keeps running where a rig needs it, which
+    carries messages of others and publishes none under its own name; `endpoint`, a further endpoint of such a process;
+    `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects
+    to the nodes, and so needs no endpoint. The rows stand in the order in which a rig is started; `stop` is the place
+    in the order in which it is stopped. A session waits for the nodes that are `required`; a site may have the others.
+    `no_rerun` says why a re-run of the node from recorded inputs has no meaning; it is empty for those that keep a
+    journal of their inputs.
     """
 
     key: str
-    part: Literal["rig", "beside", "endpoint", "launcher", "visitor"]
+    part: Literal["rig", "beside", "carrier", "endpoint", "launcher", "visitor"]
     stop: int = 0
     required: bool = True
     no_rerun: str = ""
@@ -28,6 +29,7 @@ class NodeRow(NamedTuple):
 
 _RECORDS = "the recording is what it makes of its inputs: `telenano bag verify` says whether it is whole"
 _BY_HAND = "its commands are those that a person typed"
+_CARRIES = "it carries messages of others, and has no inputs of its own"
 _SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
 # The recorders start first and stop last, so that they record the start and the stop of the others; the devices are
@@ -42,6 +44,9 @@ NODES = (
     NodeRow("controller@master", "rig", stop=2),
     NodeRow("haptic_node@master", "rig", stop=1),
     NodeRow("viz_node@master", "beside", stop=6, required=False, no_rerun="it only shows what the others send"),
+    NodeRow("fan_out@master", "carrier", required=False, no_rerun=_CARRIES),
+    NodeRow("relay@master", "carrier", required=False, no_rerun=_CARRIES),
+    NodeRow("relay@slave", "carrier", required=False, no_rerun=_CARRIES),
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
@@ -67,6 +72,10 @@ PLAYER = "player@master"
 # the process that serves the page, and the force of an operator at it
 PAGE = "viz_node@master"
 VIEW = "view@master"
+# It reads each node once for all observers on one machine.
+FAN_OUT = "fan_out@master"
+# The name of the process that reaches the other site through a relay, at either one.
+RELAY = "relay"
 # an experiment, which tells its cues and trials
 EXPERIMENT = "experiment@master"
 RECORDER = "recorder@master"
@@ -97,11 +106,20 @@ def site_of(node: str) -> str:
     return node.partition("@")[2]
 
 
+_NAMES = frozenset(name_of(row.key) for row in NODES)
 SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 
 def module_of(name: str) -> str:
-    """Return the module of the process of a name, which is run as `python -m`."""
+    """Return the module of the process of a name, which is run as `python -m`.
+
+    Raises:
+        ValueError: The table of nodes has no process of this name.
+    """
+    if name not in _NAMES:
+        raise ValueError(
+            f"no process is called {name!r}: it has to be a row of the table of nodes (telenano/wire/nodes.py)"
+        )
     return f"services.{name}"
 
 

@@ -142,12 +142,12 @@ def _fault_of(row: Topic) -> str:
         return f"{row.name}: telenano has the topic {other}, and ZeroMQ subscribes by the beginning of a name"
     if not (isinstance(row.model, type) and issubclass(row.model, m.Message) and row.model is not m.Message):
         return f"{row.name}: its model must be a class that inherits from telenano.wire.Message"
-    if row.model.__name__ in {row_of_table.model.__name__ for row_of_table in TOPICS.values()}:
+    if row.model.__name__ in {topic.model.__name__ for topic in TOPICS.values()}:
         return f"{row.name}: {row.model.__name__} is the name of another message, which recordings know schemas by"
-    row_of_table = {name_of(node.key) for node in NODES} | {node.key for node in NODES}
-    wrong = [each for each in row.publishers if not _is_of_table(each, row_of_table)]
+    nodes = {name for node in NODES if node.part != "carrier" for name in (node.key, name_of(node.key))}
+    wrong = [each for each in row.publishers if not _is_of_table(each, nodes)]
     if wrong or not row.publishers:
-        return f"{row.name}: publishers: {', '.join(wrong) or 'none'}: must be among {', '.join(sorted(row_of_table))}"
+        return f"{row.name}: publishers: {', '.join(wrong) or 'none'}: must be among {', '.join(sorted(nodes))}"
     if row.bridged is not None:
         return f"{row.name}: bridged: the link carries the topics of telenano only, so it must be None"
     if row.delivery == "latest" and (row.rate_hz is None or row.deadline_s is None):

@@ -6,6 +6,7 @@ from typing import Any
 
 from services.afm_node.node import WORDS, AfmNode
 from services.controller.half import ControllerHalf
+from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
 from services.player.node import SETTERS, PlayerNode
 from services.recorder.node import ACTIONS, RecorderNode
@@ -13,10 +14,9 @@ from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.hand.disturbances import HandDisturbanceConfig
 from telenano.laws.config import OWN_LAWS, ControllerConfig
-from telenano.link.config import LinkSettings
-from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.node import Node
 from telenano.settings.config import flatten, nested
+from telenano.settings.link_settings import LinkSettings
 
 SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"
 START, END = "<!-- commands: written by make regenerate -->", "<!-- end of commands -->"

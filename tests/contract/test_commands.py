@@ -14,18 +14,18 @@ import yaml
 from services.afm_node.node import AfmNode
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
+from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.laws.config import ControllerConfig
-from telenano.link.config import LinkSettings
-from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.settings.config import flatten
+from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.wire import Message, decode
 from telenano.wire.errors import RefusedError

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.fate import Fate, Release
+from telenano.settings.link_settings import LinkSettings
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -12,11 +12,12 @@ SHARED = 2
 _LONGEST_DEFAULT = 40
 _HEAD = """# Every key of a scenario
 
+*Generated from the settings by `make regenerate`; for whoever looks up a key, its range and its default.*
+
 A scenario is a YAML file with one section for each node. A key that it does not name has the default below, which
 stands in brackets with the range or the choices that are allowed; without a default it has no value. `--set KEY=VALUE`
 changes a key for one session, `telenano scenario check FILE` checks a file, and `telenano param get` prints one
 with everything in it. Quantities are in SI units. A line with `*` holds for the sections that it names at its end.
-`make regenerate` makes this page.
 """
 
 

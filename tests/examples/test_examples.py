@@ -17,20 +17,23 @@ EXAMPLES = ROOT / "examples"
 PROGRAMS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 MOST_LINES = 60
 MOST_BYTES = 80_000
-ARGUMENTS = {"own_analysis": ("telenano/settings/demo.mcap",)}
+ARGUMENTS = {name: ("telenano/settings/demo.mcap",) for name in ("judged", "own_analysis")}
 # What a line begins with, the figure after it, and how far it may be off.
 FIGURES: dict[str, tuple[tuple[str, float, float], ...]] = {
     "dask_study": (),
     "fig12": (("hand_per_tip_force", 1.05, 1e-3), ("rest_cm", 0.7035, 1e-3)),
+    "fit_curves": (("force_curve.txt contact_nm 0.04 modulus_mpa", 70.31, 0.05),),
+    "judged": (),
     "many_recordings": (("recordings", 100, 0), ("held_nn", 9.687, 0.01), ("spread_nn", 0.0496, 0.002)),
     "own_analysis": (("slope_n_per_m", 16.469, 0.01), ("least_force_nn", -12.482, 0.01)),
     "own_law": (("rules_broken", 0.0, 0.0),),
     "own_line": (("usual delay, q50 [ms]", 75.8, 0.2), ("lost", 0.014, 0.001)),
     "own_sample": (("held_nn", 18.964, 0.05), ("least_nn", -5.044, 0.02)),
+    "thirty_conditions": (("conditions", 30, 0),),
     "why_it_rings": (("K_f 20 delay_ms 40 verdict stable margin_ms", 5.0, 0.1),),
 }
 # Programs that simulate many sessions or a long line.
-MINUTES = ("many_recordings", "own_line")
+MINUTES = ("many_recordings", "own_line", "thirty_conditions")
 TEXTS: dict[str, tuple[str, ...]] = {
     "dask_study": (
         "K_f 10 delay_ms 60 verdict stable",
@@ -39,6 +42,8 @@ TEXTS: dict[str, tuple[str, ...]] = {
         "K_f 40 delay_ms 40 verdict limit_cycle",
     ),
     "fig12": ("verdict stable",),
+    "fit_curves": (),
+    "judged": ("verdict stable: at rest", "hold 2 2.90..4.50 s stable: at rest"),
     "many_recordings": (),
     "own_analysis": (),
     "own_law": ("law virtual_impedance verdict limit_cycle", "law my_law verdict stable"),
@@ -48,6 +53,7 @@ TEXTS: dict[str, tuple[str, ...]] = {
         "law tdpa verdict stable, nothing_moved, off_force, struck",
     ),
     "own_sample": ("verdict stable: the force goes to the rest of the law",),
+    "thirty_conditions": ("law wave 0:stable 20:stable 40:stable 60:stable", "60:limit_cycle"),
     "why_it_rings": ("K_f 20 delay_ms 60 verdict limit_cycle",),
 }
 

@@ -261,8 +261,8 @@ def _read_trial(path: Path) -> None:
 
 
 def _read_profile(path: Path) -> None:
-    from telenano.link.profiles import Profile
     from telenano.settings.config import read_yaml, validate
+    from telenano.settings.network_profiles import Profile
 
     validate(Profile, read_yaml(path), str(path))
 

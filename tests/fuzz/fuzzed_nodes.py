@@ -19,6 +19,7 @@ import zmq
 
 from services.afm_node.node import AfmNode
 from services.controller.__main__ import half_of_site
+from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
 from services.player.node import PlayerNode, PlaySettings
 from services.player.plan import ReplayPlan
@@ -33,18 +34,17 @@ from telenano.launcher.processes import StopObserver
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.laws.config import OWN_LAWS, ControllerConfig
-from telenano.link.config import LinkSettings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber, ZmqBus
-from telenano.runtime.link_node import DelayNode
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.testing.frames import Frames, stream
 from telenano.wire import Message, compose

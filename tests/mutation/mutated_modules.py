@@ -128,13 +128,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " newest sample is kept only to save looking it up",
     },
     "telenano/runtime/loop/deferred.py": {
-        "DeferredTasks.__init__: self._in_gap = False [False => True]": "a gap before the first event would have begun"
+        "DeferredTasks.__init__: self._begin(Gap(-NEVER_NS, 0, NEVER_NS), in_gap=False) [False => True]": "a gap"
+        " before the first event would have begun"
         " endlessly long ago, and is not measured",
-        **{
-            "DeferredTasks.__init__: self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0,"
-            f" NEVER_NS [0 => 1]{place}": "no gap has begun, so nothing fits in whatever its end and middle are"
-            for place in ("", " (2)")
-        },
+        "DeferredTasks.__init__: self._begin(Gap(-NEVER_NS, 0, NEVER_NS), in_gap=False) [0 => 1]": "no gap has begun,"
+        " so nothing fits"
+        " in, however long it is",
     },
     "telenano/runtime/loop/commands.py": {
         **{

@@ -1,4 +1,4 @@
-"""The worked example of docs/instrument.md, *Recorded maps*: it runs as printed, and a bilateral session feels it."""
+"""The worked example of docs/recorded-maps.md: it runs as printed, and a bilateral session feels it."""
 
 import json
 import os
@@ -19,10 +19,10 @@ from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.virtual import record_session
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "recorded-maps.md"
 # measured files are not part of the project; those of afmformats' own tests are public
 MEASURED = Path(os.environ.get("TELENANO_MEASURED", Path(__file__).resolve().parents[3] / "shared" / "data"))
-EXAMPLE = r"## Recorded maps.*?```python\n(.*?)```\s+```sh\n(.*?)```.*?```text\n(.*?)```"
+EXAMPLE = r"# Recorded maps.*?```python\n(.*?)```\s+```sh\n(.*?)```.*?```text\n(.*?)```"
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from telenano.analysis import Session, summary_of
-from telenano.link.profiles import PROFILES
 from telenano.recording.multi_file import open_recordings
 from telenano.settings import find_scenario
+from telenano.settings.network_profiles import PROFILES
 from telenano.virtual import record_session
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto.md"

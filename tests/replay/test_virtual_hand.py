@@ -118,6 +118,6 @@ def test_under_each_law_and_delay_with_fixtures_no_port_gives_out_more_than_was_
     assert found.particle_m[0] - PARTICLE_M[0] > 2.5e-7
     statuses = found.rig.received("law/status", "controller@master")
     # what is granted across, and for the hold of the depth
-    assert found.rig.loops["controller@master"].node._across.store.entered_j > -1e-3  # type: ignore[attr-defined]
+    assert found.rig.loops["controller@master"].node.memory.across.store.entered_j > -1e-3  # type: ignore[attr-defined]
     if law in ("wave", "passivity"):
         assert all(status.passive for status in statuses)

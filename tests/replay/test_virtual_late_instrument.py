@@ -97,7 +97,7 @@ def test_bursts_into_a_half_whose_instrument_is_late_make_no_energy(
 
 
 def stated_j(law: str, late: int, tip_j: Any) -> float:
-    """Return the most [J] that docs/laws.md says a law makes: what it was granted, and the steps not accounted for yet.
+    """Return the most [J] that docs/passivity.md says a law makes: what was granted, and steps not accounted for.
 
     Those are one step and as many more as the instrument is periods late: the work that the tip did in any so many.
     """

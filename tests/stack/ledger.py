@@ -1,6 +1,6 @@
 """The faults that the tests of the whole rig inject, what is promised for each, and the table of what happened.
 
-    python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
+    python tests/stack/ledger.py out/faults.jsonl docs/faults-measured.md
 
 puts what a run entered (TELENANO_LEDGER=out/faults.jsonl pytest tests/stack) into the table of the page; `make
 reliability` does both.

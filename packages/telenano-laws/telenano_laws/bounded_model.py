@@ -12,7 +12,7 @@ G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derive
 
 1. One account of energy covers both ports. The model's potential V may rise only by what the dampers at the hand have
    taken (Z), and the tip may get only E_0 and what the hand has sent from Z; the work that the tip got is measured. So
-   a wrong or late model costs force or motion, and makes no energy (README, "Why it is passive").
+   a wrong or late model costs force or motion, and makes no energy (docs/bounded-model.md, "Why it is passive").
 2. Hand and tip move at one time. The tip does at t what the hand's force was at t - T, so a hand that moves at once
    is ahead of it. M_e = c_2 K tau^2 and B_e = c_1 K tau - B_v, with tau = T + B_g / K, hold the hand back by about tau:
    exp(s tau) = 1 + s tau + s^2 tau^2 / 2 ... is the impedance K of a contact that is tau late, and these two terms of
@@ -32,7 +32,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
@@ -47,6 +46,7 @@ from telenano.extend.virtual_mass import (
     at_rest,
     at_tip,
     let_go,
+    mass_signal,
     periods_in,
     rescaled,
     resumed,
@@ -393,14 +393,7 @@ def master_send(
     params: BoundedModelParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference, the hand's force, and the energy that has been sent to the tip."""
-    p, mass = params.mass, state.mass
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
-        force_n=hand.force_n / p.force_scale,
-        energy_j=state.store.sent_j,
-        active=mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, state.store.sent_j, state.mass.coupled)
 
 
 @compiled

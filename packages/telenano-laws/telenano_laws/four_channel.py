@@ -37,6 +37,7 @@ from telenano.extend.virtual_mass import (
     at_rest,
     at_tip,
     let_go,
+    mass_signal,
     moved,
     periods_in,
     rescaled,
@@ -125,13 +126,7 @@ def master_send(
     params: FourChannelParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return position, velocity and force of the hand, at the tip's scale."""
-    p, mass = params.mass, state.mass
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
-        force_n=hand.force_n / p.force_scale,
-        active=hand.following and mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, 0.0, hand.following and state.mass.coupled)
 
 
 @compiled

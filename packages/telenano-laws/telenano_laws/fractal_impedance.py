@@ -26,7 +26,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -37,11 +36,11 @@ from telenano.extend.virtual_mass import (
     at_rest,
     at_tip,
     let_go,
+    mass_signal,
     moved,
     periods_in,
     rescaled,
     resumed,
-    tip_reference,
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import followed, of_scales
@@ -191,13 +190,7 @@ def master_send(
     params: FractalImpedanceParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return the slave's target, and the hand's force for the record."""
-    p, mass = params.mass, state.mass
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
-        force_n=hand.force_n / p.force_scale,
-        active=hand.following and mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, 0.0, hand.following and state.mass.coupled)
 
 
 @compiled

@@ -45,7 +45,6 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
@@ -60,6 +59,7 @@ from telenano.extend.virtual_mass import (
     has_arrived,
     kept_near,
     let_go,
+    mass_signal,
     moved,
     paid_stretch,
     periods_in,
@@ -240,16 +240,7 @@ def master_send(
     params: ModelMediatedParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference, the hand's force, which the slave does not exceed, and what the hand has worked."""
-    p, mass = params.mass, state.mass
-    velocity = p.position_scale * mass.velocity_m_per_s
-    force = hand.force_n / p.force_scale
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=velocity,
-        force_n=force,
-        energy_j=state.port.credit_j,
-        active=hand.following and mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, state.port.credit_j, hand.following and state.mass.coupled)
 
 
 @compiled

@@ -33,11 +33,11 @@ from telenano.extend.laws import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    port_signal,
     tip_signal,
 )
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
+    AtHand,
     Mass,
     MassConfig,
     MassParams,
@@ -45,11 +45,11 @@ from telenano.extend.virtual_mass import (
     at_rest,
     at_tip,
     let_go,
+    mass_signal,
     moved,
     periods_in,
     rescaled,
     resumed,
-    tip_reference,
     worked,
 )
 from telenano.numerics import compiled
@@ -165,23 +165,19 @@ def master_resume(params: TdpaParams, hand: HandSample, tip_reference_m: float) 
 @compiled
 def master_send(params: TdpaParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference, the hand's force for the record, and E_in of the hand's port."""
-    p, mass = params.mass, state.mass
-    return state, port_signal(
-        position_m=tip_reference(p, mass),
-        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
-        force_n=hand.force_n / p.force_scale,
-        energy_j=state.port.sent_j,
-        active=mass.coupled,
-    )
+    return state, mass_signal(params.mass, state.mass, hand, state.port.sent_j, state.mass.coupled)
 
 
 @compiled
-def master_receive(
-    params: TdpaParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
-) -> tuple[MasterState, MasterReference]:
-    """Move the mass over dt [s] against the force received last, clipped to the energy that may leave."""
+def at_sample(
+    params: Any, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[AtHand, MasterState]:
+    """Return what the half may do with a sample, dt [s] after the one before, and its state there.
+
+    Where it acts, the store has the energy that has come, and the mass is still to be moved. Where it stands, the lead
+    of the reference is undone, and paid like a motion. Elsewhere the hand is let go.
+    """
     p, mass = params.mass, state.mass
-    force = p.force_scale * signal.force_n
     may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
     port = worked(state.port, hand, may.counts)
     if not (may.acts or may.stands):
@@ -189,14 +185,25 @@ def master_receive(
         store = recount_received(state.store, signal.energy_j, heard)
         if may.renews:
             store, port = rearm(store, port, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, may.stood_s, port)
-        return state, MasterReference(hand.position_m, 0.0, force if may.coupled else 0.0, may.coupled)
+        return may, MasterState(let_go(p, mass, hand, signal), store, may.stood_s, port)
     store = credited(state.store, signal.energy_j, params.cap_j)
     if may.stands:
-        back_j = force * (hand.position_m - mass.position_m)
+        back_j = p.force_scale * signal.force_n * (hand.position_m - mass.position_m)
         store = paid_or_granted(store, back_j)
-        state = MasterState(stood(mass, hand), store, may.stood_s, put_in(port, back_j, store.sent_j))
-        return state, MasterReference(hand.position_m, 0.0, force, True)
+        mass, port = stood(mass, hand), put_in(port, back_j, store.sent_j)
+    return may, MasterState(mass, store, may.stood_s, port)
+
+
+@compiled
+def master_receive(
+    params: TdpaParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the mass over dt [s] against the force received last, clipped to the energy that may leave."""
+    p, force = params.mass, params.mass.force_scale * signal.force_n
+    may, state = at_sample(params, state, hand, signal, dt)
+    if not may.acts:
+        return state, MasterReference(hand.position_m, 0.0, force if may.coupled else 0.0, may.coupled)
+    mass, store, port = state.mass, state.store, state.port
     for _ in range(periods_in(dt, p.period_s)):
         own = moved(p, mass, hand.force_n).position_m - mass.position_m
         force = clipped_force(p.force_scale * signal.force_n, own, p.gamma_x_m_per_n, store.left_j - unpaid_j(port))

@@ -31,12 +31,9 @@ from telenano.extend.laws import (
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     MassParams,
-    at_hand,
     at_tip,
-    let_go,
     moved,
     periods_in,
-    worked,
 )
 from telenano.numerics import compiled
 from telenano_laws.ports import (
@@ -45,18 +42,15 @@ from telenano_laws.ports import (
     followed,
     kept_near,
     paid_base,
-    paid_or_granted,
     put_in,
-    rearm,
     recount_received,
     reopen,
     sent_on,
     slid_work,
-    stood,
     tank,
     unpaid_j,
 )
-from telenano_laws.tdpa import MasterState, PaidConfig, SlaveState, standing
+from telenano_laws.tdpa import MasterState, PaidConfig, SlaveState, at_sample, standing
 from telenano_laws.tdpa import master_energy_account as master_energy_account
 from telenano_laws.tdpa import master_resume as master_resume
 from telenano_laws.tdpa import master_send as master_send
@@ -122,23 +116,11 @@ def master_receive(
     params: TwoLayerParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
     """Move the mass over dt [s] against force and level control, clipped to what the tank has."""
-    p, mass = params.mass, state.mass
-    received = p.force_scale * signal.force_n
-    may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
-    port = worked(state.port, hand, may.counts)
-    if not (may.acts or may.stands):
-        heard = signal.silence_s <= p.silence_limit_s
-        store = recount_received(state.store, signal.energy_j, heard)
-        if may.renews:
-            store, port = rearm(store, port, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, may.stood_s, port)
+    p, received = params.mass, params.mass.force_scale * signal.force_n
+    may, state = at_sample(params, state, hand, signal, dt)
+    if not may.acts:
         return state, MasterReference(hand.position_m, 0.0, received if may.coupled else 0.0, may.coupled)
-    store = credited(state.store, signal.energy_j, params.cap_j)
-    if may.stands:
-        back_j = received * (hand.position_m - mass.position_m)
-        store = paid_or_granted(store, back_j)
-        state = MasterState(stood(mass, hand), store, may.stood_s, put_in(port, back_j, store.sent_j))
-        return state, MasterReference(hand.position_m, 0.0, received, True)
+    mass, store, port = state.mass, state.store, state.port
     force = received
     for _ in range(periods_in(dt, p.period_s)):
         wanted = received + level_damper(params, store.left_j) * mass.velocity_m_per_s

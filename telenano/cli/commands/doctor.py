@@ -87,7 +87,7 @@ def examine(site_file: Path) -> list[Finding]:
     """Run every check that this machine allows."""
     findings = [checks.check_python(sys.version_info[:3]), *packages()]
     # those of packages come first, so that what cannot be loaded of them is known to the next one
-    findings += [*checks_of_packages(), *extensions()]
+    findings += [*checks_of_packages(), *extensions(), checks.check_advisers(installed("advisers"))]
     findings += machine(container=checks.in_container())
     try:
         return [*findings, *rig(site_file)]

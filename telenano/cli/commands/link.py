@@ -12,12 +12,12 @@ from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
-from telenano.link.profiles import PROFILES, profile_named
 from telenano.recording.json_values import json_fields
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, Observer, messages_of
 from telenano.settings.config import flatten
 from telenano.settings.included import DEFAULT_SITE_FILE
+from telenano.settings.network_profiles import PROFILES, profile_named
 from telenano.wire.errors import RigError
 from telenano.wire.nodes import LINK
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import NamedTuple
 
-from telenano.link.config import Jitter
 from telenano.link.random_streams import CorrelatedUniform, Draw, share_below
+from telenano.settings.link_settings import Jitter
 
 normal_quantile = NormalDist().inv_cdf
 # the random part of the delay [ns] of a message that arrives at a time [ns]

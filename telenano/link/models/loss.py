@@ -1,7 +1,7 @@
 """Loss with memory: the four-state Markov chain and Gilbert-Elliott."""
 
-from telenano.link.config import GilbertElliott, MarkovLoss
 from telenano.link.random_streams import Draw
+from telenano.settings.link_settings import GilbertElliott, MarkovLoss
 
 # The states of the Markov chain, by the numbers that its probabilities p_ij have.
 _RECEIVED = 1

@@ -4,9 +4,9 @@ import math
 from bisect import bisect_right
 from typing import NamedTuple
 
-from telenano.link.config import Outage
 from telenano.link.models.jitter import normal_quantile
 from telenano.link.random_streams import SMALLEST, Draw
+from telenano.settings.link_settings import Outage
 
 # outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
 _LONGEST_WALK = 10_000

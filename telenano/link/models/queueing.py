@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from telenano.link.config import Queue
 from telenano.link.random_streams import Draw
+from telenano.settings.link_settings import Queue
 
 Item = TypeVar("Item")
 # slots that are walked through for a message; a longer pause is jumped over, or it would stop the link

@@ -26,16 +26,51 @@ class Deferred(NamedTuple):
     latest_ns: int
 
 
+class Gap(NamedTuple):
+    """The time from an event of a process to the next one, while the tick is with others.
+
+    `begin_ns`: when the event was dealt with; `length_ns`: how long a gap lasts in the mean, 0 where that is not known
+    or the event began none; `free_ns`: from when on the processor is free for a task, NEVER_NS if it is not any more.
+    """
+
+    begin_ns: int
+    length_ns: int
+    free_ns: int
+
+    def fits_from(self, takes_ns: int, now_ns: int, next_ns: int) -> int:
+        """Return from when on a task can be run in this gap [ns], NEVER_NS if it does not fit in any more.
+
+        It fits where it ends in the third quarter. One that is too long for that begins in the second, because it would
+        delay a tick anywhere else as well.
+
+        Args:
+            takes_ns: How long the task takes.
+            now_ns: The present, on the monotonic clock.
+            next_ns: When the next deadline of the node comes, before which the task has to be over.
+        """
+        begin_ns = max(self.free_ns, now_ns)
+        end_ns = begin_ns + takes_ns
+        is_early = begin_ns <= self.begin_ns + self.length_ns // 2
+        is_short = end_ns <= self.begin_ns + self.length_ns - self.length_ns // 4
+        return begin_ns if (is_early or is_short) and end_ns <= next_ns else NEVER_NS
+
+
+def gap_after(end_ns: int, length_ns: int) -> Gap:
+    """Return the gap after an event that was dealt with at end_ns [ns].
+
+    Its first quarter belongs to processes that what was just sent has woken up, on the same processor perhaps.
+    """
+    return Gap(end_ns, length_ns, end_ns + length_ns // 4 if length_ns else NEVER_NS)
+
+
 class DeferredTasks:
     """The tasks of one loop, in the order in which they were added.
 
     A report takes as long as a third of a tick and becomes due at any time. In front of a tick it makes that tick late,
     and a tick that is late by a period meets the next one. So a task waits for an idle gap, in which the tick is with
     others, from one event of this process to the next. How long the gap is and how long each task takes are means of
-    what the loop has measured. Each gap takes one task, besides those that are not needed, in its middle half: the
-    first quarter belongs to processes that what was just sent has woken up, on the same processor perhaps, and the last
-    one to a tick that comes early. A task that fits in begins until it would not; one that is too long for any gap
-    begins in the second quarter of one, because it would delay a tick anywhere else as well.
+    what the loop has measured. Each gap takes one task, besides those that are not needed, in its middle half
+    (`Gap.fits_from`): its last quarter belongs to a tick that comes early.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -46,12 +81,14 @@ class DeferredTasks:
         # mean time that each task takes, and mean length of a gap [ns]
         self._takes_ns: dict[Task, int] = {}
         self._gap_ns: int | None = None
-        # Whether the last event has begun a gap, when it was handled, and when the next one came if a task did not let
-        # it in.
-        self._in_gap = False
-        self._begin_ns, self._met_ns = -NEVER_NS, NEVER_NS
-        # the rest of the middle half of the gap, its middle, the next deadline, and whether it has taken its task
-        self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0, NEVER_NS
+        self._begin(Gap(-NEVER_NS, 0, NEVER_NS), in_gap=False)
+
+    def _begin(self, gap: Gap, *, in_gap: bool) -> None:
+        """Begin the time after an event; `in_gap`: a gap, whose length is measured."""
+        self._gap, self._in_gap = gap, in_gap
+        # When the next event came, if a task did not let it in, and when the next deadline comes.
+        self._met_ns = self._next_ns = NEVER_NS
+        # whether the gap has taken its task
         self._is_used = False
 
     def add(self, task: Task, *, is_turn: bool = False, within_ns: int = PATIENCE_NS) -> None:
@@ -65,7 +102,7 @@ class DeferredTasks:
         if any(task == waiting.run for waiting in self._waiting):
             return
         now_ns = self._now_ns()
-        is_idle = now_ns - self._begin_ns >= _IDLE_NS
+        is_idle = now_ns - self._gap.begin_ns >= _IDLE_NS
         self._waiting.append(Deferred(task, is_turn, now_ns if is_idle else min(now_ns + within_ns, NEVER_NS)))
         self._schedule(now_ns)
 
@@ -77,13 +114,10 @@ class DeferredTasks:
             end_ns: When it was dealt with.
             is_last: Whether the tick is then with others for the longest time.
         """
-        gap_ns = min(begin_ns, self._met_ns) - self._begin_ns
+        gap_ns = min(begin_ns, self._met_ns) - self._gap.begin_ns
         if self._in_gap and gap_ns < _IDLE_NS:
             self._gap_ns = _mean(self._gap_ns, gap_ns)
-        self._in_gap, self._begin_ns, self._met_ns, self._is_used = is_last, end_ns, NEVER_NS, False
-        gap_ns = self._gap_ns or 0
-        self._free_ns = end_ns + gap_ns // 4 if is_last and gap_ns else NEVER_NS
-        self._end_ns, self._middle_ns, self._next_ns = end_ns + gap_ns - gap_ns // 4, end_ns + gap_ns // 2, NEVER_NS
+        self._begin(gap_after(end_ns, self._gap_ns or 0 if is_last else 0), in_gap=is_last)
         if self._waiting:
             self._schedule(end_ns)
 
@@ -134,9 +168,10 @@ class DeferredTasks:
         """
         taken_ns = end_ns - begin_ns
         self._takes_ns[task] = _mean(self._takes_ns.get(task), taken_ns)
-        self._free_ns = max(self._free_ns, end_ns + taken_ns // 2)
         if met:
-            self._free_ns, self._met_ns = NEVER_NS, begin_ns
+            self._met_ns = begin_ns
+        free_ns = NEVER_NS if met else max(self._gap.free_ns, end_ns + taken_ns // 2)
+        self._gap = self._gap._replace(free_ns=free_ns)
         self._schedule(end_ns)
 
     def _next(self) -> Deferred | None:
@@ -146,12 +181,8 @@ class DeferredTasks:
 
     def _fits_at(self, now_ns: int) -> int:
         """Return from when on the next task can be run in this gap [ns], NEVER_NS if none fits in any more."""
-        task, begin_ns = self._next(), max(self._free_ns, now_ns)
-        if task is None:
-            return NEVER_NS
-        end_ns = begin_ns + self._takes_ns.get(task.run, 0)
-        fits = (end_ns <= self._end_ns or begin_ns <= self._middle_ns) and end_ns <= self._next_ns
-        return begin_ns if fits else NEVER_NS
+        task = self._next()
+        return NEVER_NS if task is None else self._gap.fits_from(self._takes_ns.get(task.run, 0), now_ns, self._next_ns)
 
     def _schedule(self, now_ns: int) -> None:
         latest_ns = min((task.latest_ns for task in self._waiting), default=NEVER_NS)

@@ -80,8 +80,8 @@ class Node(ABC):
     replay: ClassVar[bool] = False
     # The inputs of the node are written to node/journal, and its clock stands still during a turn.
     journalled: ClassVar[bool] = False
-    # `capture` returns this NamedTuple; its version counts the changes in the meaning of the fields.
-    state_kind: ClassVar[type[tuple[Any, ...]]] = tuple
+    # `capture` returns an instance of this class; its version counts the changes in the meaning of the fields.
+    state_kind: ClassVar[type[Any]] = tuple
     state_version: ClassVar[int] = 1
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False

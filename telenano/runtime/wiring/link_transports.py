@@ -21,6 +21,8 @@ from telenano.wire.messages import Message
 from telenano.wire.nodes import FAR_END, LINK
 from telenano.wire.received import Received
 
+# A `set` of the link with this key is no setting: it measures what the line between two machines carries.
+TRAIN = "line.train"
 _NEAR_END = f"{LINK}@slave"
 
 

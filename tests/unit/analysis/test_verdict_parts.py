@@ -113,7 +113,7 @@ def test_a_small_growth_that_stands_out_for_less_than_two_turns_is_not_said_to_b
 
 
 def test_a_motion_has_to_change_by_more_than_the_bounds_to_grow_or_die_out() -> None:
-    """The bounds of docs/studies.md: at one of them a motion does not exceed it."""
+    """The bounds of docs/verdicts.md: at one of them a motion does not exceed it."""
     turns = line(frequency_hz=5.0, error_per_s=0.0, begin_n=0.3, thirds_n=(0.1, 0.2, 0.3))
     assert by_modes(turns._replace(growth_per_s=0.15)).kind == "limit_cycle"
     assert by_modes(turns._replace(growth_per_s=0.15 + 1e-9)).kind == "diverged"

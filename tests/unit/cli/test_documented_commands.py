@@ -16,9 +16,9 @@ from telenano.cli.model_options import validated
 from telenano.cli.root import app
 from telenano.console.command_client import parse_parameters
 from telenano.launcher.plan import Plan, UpRequest, make_plan
-from telenano.link.config import LinkSettings, profile_changes
-from telenano.link.profiles import PROFILES
 from telenano.runtime.wiring.observer import known_name
+from telenano.settings.link_settings import LinkSettings, profile_changes
+from telenano.settings.network_profiles import PROFILES
 
 ROOT = Path(__file__).parents[3]
 # what a page runs the command by, besides its own name

@@ -73,6 +73,7 @@ ASKED = {
     "scenarios": ["scenario show {0}"],
     "commands": ["{0}", "bag {0}"],
     "checks": ["doctor"],
+    "advisers": ["doctor"],
     "exports": ["bag export recorded/session.mcap --out written --to {0}"],
     "images": [],
     "readers": ["sample --out written --sample a.{0}"],

@@ -38,10 +38,10 @@ for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "c
 import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
-from telenano_lab.studies.comparison import compare, compare_figure, rows_of
+from telenano_lab.studies.comparison import compare, compare_figures, rows_of
 from telenano.analysis.figure_style import FigureOptions
 found = compare([pathlib.Path(sys.argv[1])] * 2)
-files = FigureOptions(("svg",), "paper").drawn(compare_figure(found), "compare")
+files = FigureOptions(("svg",), "paper").drawn(compare_figures(found)[0], "compare")
 print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdict"], "law": rows_of(found)[0]["law"],
                   "figure": len(files["compare.svg"])}))
 """

@@ -29,6 +29,8 @@ NAMES = {
     "device": "stub_handle",
     "instrument": "stub_afm",
     "task": "gentle",
+    "analysis": "slopes",
+    "export": "lines",
 }
 
 PROGRAM = """
@@ -44,7 +46,6 @@ from telenano.laws.law_rules import broken_rules
 from services.haptic_node.__main__ import device_of
 from telenano.hand.config import HapticConfig
 from msgspec import msgpack
-from telenano.extend.hands import DriveCommand
 from telenano.wire.node_state import Part, part
 
 import sys
@@ -77,10 +78,8 @@ found["tip_n"] = [afm.exchange(base_m).force_n for base_m in (0.0, 3.5e-9, 5e-9)
 handle = device_of(HapticConfig.model_validate({"driver": "stub_handle", "stub_handle": {"force_n": 0.25}}))
 handle.open()
 found["handle_n"] = handle.read(1.0, 1e-3).operator_force_n
-start = handle.state
-handle.write(DriveCommand(1, 2e-3, 0.0))
-handle.read(1.0, 1e-3)
-found["handle_survives"] = handle.state != start and survives(handle.state, start)
+found["reported"] = handle.report.status
+handle.close()
 found["simulated"] = HapticConfig.model_validate({"driver": "stub_handle"}).simulated
 
 own = driver_of(AfmConfig.model_validate({"driver": "stub_afm", "stub_afm": {"stiffness_n_per_m": 40.0}}))
@@ -180,8 +179,8 @@ def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found:
     # 2 N/m over the layer of 1 nm, then 20 N/m
     assert found["tip_n"] == pytest.approx([0.0, 1e-9, 22e-9], rel=1e-9, abs=0.0)
     assert found["handle_n"] == 0.25
-    assert found["simulated"]
-    assert found["handle_survives"]
+    assert not found["simulated"]
+    assert found["reported"] in ("ok", "stale")
     # 40 N/m and 10 N/m in series, pressed by 5 nm
     assert found["own_instrument_n"] == pytest.approx(4e-8, rel=1e-9)
 
@@ -205,8 +204,7 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
         assert watched["code"] == 0
         assert watched["ticks"] > 10
         assert watched["driver_p99_s"] >= watched["driver_p50_s"] > 0.0
-    assert "sample_age_p50_s" in found["monitor"][1]
-    assert "sample_age_p50_s" not in found["monitor"][0]
+    assert all("sample_age_p50_s" in watched for watched in found["monitor"])
 
 
 def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
@@ -242,7 +240,7 @@ def test_every_package_passes_the_test_that_it_comes_with_as_it_is(compiled: boo
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", *tests]
     done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **paths}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"\b([8-9]|1[0-9]) passed", done.stdout), done.stdout
+    assert re.search(r"\b(1[5-9]|2[0-9]) passed", done.stdout), done.stdout
 
 
 def test_a_new_sample_gives_every_field_because_the_compiler_fills_in_none(tmp_path: Path) -> None:
@@ -275,7 +273,7 @@ def test_a_new_package_compiles_and_names_its_entry(kind: str, tmp_path: Path) -
     written = new_package(kind, "my_thing", tmp_path / "p")
     assert [path for path in written if not path.is_file()] == []
     document = tomllib.loads((tmp_path / "p" / "pyproject.toml").read_text())["project"]
-    group = "devices" if kind == "instrument" else f"{kind}s"
+    group = {"instrument": "devices", "analysis": "commands"}.get(kind, f"{kind}s")
     assert document["entry-points"] == {f"telenano.{group}": {"my_thing": "telenano_my_thing:MY_THING"}}
     for path in written:
         text = path.read_text()

@@ -215,7 +215,7 @@ def test_sample_that_is_repeated_is_none(bench_of: Any, law: str) -> None:
         node = MasterController(bench.context, ControllerConfig(law=law))
         for number in range(240):
             stale = 200 <= number < 214 or 220 <= number < 226
-            where_m = (0.0, 0.0, -node.reference.position_m)
+            where_m = (0.0, 0.0, -node.memory.reference.position_m)
             if stale and not repeated:
                 bench.clock.advance_ns(PERIOD_NS)
             elif stale:
@@ -232,8 +232,8 @@ def test_sample_that_is_repeated_is_none(bench_of: Any, law: str) -> None:
                 fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law, **waves)
                 node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
                 bench.take("haptic/command")
-        assert node.reference.active
-        assert node.reference.position_m > 1e-4
+        assert node.memory.reference.active
+        assert node.memory.reference.position_m > 1e-4
         states.append(pickle.dumps(node.law_state))
     assert states[0] == states[1]
 
@@ -247,14 +247,14 @@ def test_hand_is_where_it_would_be_if_no_sample_had_been_late(bench_of: Any, law
         for number in range(200):
             # late, and less late, and then in time again
             waits_ns = {1: PERIOD_NS + late_ns, 2: PERIOD_NS - late_ns // 2, 3: PERIOD_NS - late_ns + late_ns // 2}
-            where_m = (0.0, 0.0, -node.reference.position_m)
+            where_m = (0.0, 0.0, -node.memory.reference.position_m)
             hand = tick(bench, node, 1.0, waits_ns.get(number % 5, PERIOD_NS), position_m=where_m)
             fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law)
             node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
             # and one command a tick, whether it is answered or none later
             (command,) = bench.take("haptic/command")
-            assert command.position_m == (0.0, 0.0, -node.reference.position_m)
-        places.append(node.reference.position_m)
+            assert command.position_m == (0.0, 0.0, -node.memory.reference.position_m)
+        places.append(node.memory.reference.position_m)
     assert places[0] > 5e-4
     assert places[1:] == pytest.approx([places[0]] * 2, rel=1e-9, abs=0.0)
 
@@ -287,7 +287,7 @@ def test_a_law_that_the_instrument_is_too_slow_for_is_refused_live_in_the_words_
             fields = {"id": "a", "command": "set", "target": "controller", "parameters": parameters}
             with pytest.raises(RefusedError, match=text):
                 node.on_control(bench.make("session/control", "console@master", **fields))
-            assert (node.config.law, node.switching) == ("model_mediated", False)
+            assert (node.config.law, node.half.switching) == ("model_mediated", False)
 
 
 @pytest.mark.parametrize(
@@ -560,7 +560,7 @@ def test_the_status_of_the_law_is_deferred_and_as_it_was_at_its_tick(master: Any
         bench.advance_ms(0.7)
         hand = bench.received("haptic/state", "haptic_node@master", **hand_fields(0.5, position_m=n * 1e-5))
         node.on_message(hand)
-        entered_j = node.port.energy_j
+        entered_j = node.half.port.energy_j
         assert bench.take("law/status") == []
         assert bench.context.deferred.has_turns is (n % 10 == 0)
         if n % 10 == 0:
@@ -705,7 +705,7 @@ def test_a_slave_that_stalled_holds_until_it_knows_where_the_base_is(bench_of: A
     bench = bench_of("controller@slave")
     node = SlaveController(bench.context, ControllerConfig(law=law))
     follow(bench, node)
-    before = node.reference.position_m
+    before = node.memory.reference.position_m
     bench.advance_ms(stalled_ms)
     fields = {**forward_fields(20e-9, 9, bench.clock.now_ns()), "law": law, "active": True}
     node.on_message(bench.received("teleop/forward", "controller@master", **fields))
@@ -718,7 +718,7 @@ def test_a_slave_that_stalled_holds_until_it_knows_where_the_base_is(bench_of: A
     node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq)))
     (backward,) = bench.take("teleop/backward")
     assert backward.active
-    assert node.reference.position_m == 9e-9
+    assert node.memory.reference.position_m == 9e-9
     bench.advance_ms(1.0)
     fields = {**fields, "hand_seq": 10, "hand_t_ns": bench.clock.now_ns()}
     node.on_message(bench.received("teleop/forward", "controller@master", **fields))

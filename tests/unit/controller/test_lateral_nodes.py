@@ -106,8 +106,8 @@ def test_the_state_of_a_hand_that_pushes_can_be_restored(master: Any, bench_of: 
     ticks(bench, node, 6e-3, 300, -1e-8)
     other = MasterController(bench_of("controller@master").context, config())
     restore(other, pack(node))
-    assert other._across == node._across
-    assert other.across == node.across
+    assert other.memory.across == node.memory.across
+    assert pack(other) == pack(node)
 
 
 def signals(bench: Any, node: SlaveController, references: list[float], place_m: float, mode: str = "follow") -> Any:

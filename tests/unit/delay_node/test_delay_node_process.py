@@ -9,10 +9,10 @@ import pytest
 from recorder_samples import fields_of
 
 from services.afm_node.node import AfmNode
+from services.delay_node.node import DelayNode
 from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.link.config import LinkSettings
-from telenano.runtime.link_node import DelayNode
+from telenano.settings.link_settings import LinkSettings
 from telenano.timing.freshness import Freshness
 from telenano.wire import decode, encode
 from telenano.wire.ends import read_end

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 from recorder_samples import fields_of
 
-from telenano.link.config import LinkSettings
-from telenano.runtime.link_node import TRAIN, DelayNode
+from services.delay_node.node import DelayNode
+from telenano.runtime.wiring.link_transports import TRAIN
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.errors import RefusedError
 
 MS = 1_000_000
@@ -99,11 +100,11 @@ def test_fates_are_deferred_when_there_are_enough_and_only_once(link: Link) -> N
 def test_a_task_of_the_link_stands_for_what_is_so_when_it_is_run(link: Link) -> None:
     """A delay that was declared meanwhile must not be followed by an older one."""
     declared: list[Any] = []
-    link.node._backward.outlet.publish = lambda topic, **fields: declared.append((topic, fields))
+    link.node.backward.outlet.publish = lambda topic, **fields: declared.append((topic, fields))
     link.pass_time(100 * MS + 1)
     for _ in range(4):
         link.run_task()
-    link.node._backward_delay.current = link.node._backward_delay.current._replace(delay_ns=7 * MS)
+    link.node.memory.backward_delay.current = link.node.memory.backward_delay.current._replace(delay_ns=7 * MS)
     declared.clear()
     link.run_task()
     assert [(topic, fields["delay_ns"]) for topic, fields in declared] == [("link/delay", 7 * MS)]

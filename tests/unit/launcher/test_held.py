@@ -14,9 +14,9 @@ import yaml
 
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import UpRequest, make_plan
-from telenano.link import profiles
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
+from telenano.settings import network_profiles
 from telenano.settings.included import NETWORK_DIRECTORY, SCENARIO_DIRECTORY, SITE_DIRECTORY
 from telenano.signals import children
 
@@ -26,11 +26,11 @@ import json, sys
 from pathlib import Path
 from telenano.files.held_files import receive
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.link import profiles
+from telenano.settings import network_profiles
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.settings.scenario import LoadedScenario
-from telenano.link.config import LinkSettings
+from telenano.settings.link_settings import LinkSettings
 receive(int(sys.argv[1]))
 book = AddressBook.load(Path(sys.argv[2]))
 loaded = LoadedScenario.load(Path(sys.argv[3]))
@@ -81,10 +81,10 @@ class Files:
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Files]:
     # Another test of this process may have asked for the names of the networks.
-    profiles._names.cache_clear()
+    network_profiles._names.cache_clear()
     yield Files(tmp_path, monkeypatch)
-    profiles._names.cache_clear()
-    profiles._read.cache_clear()
+    network_profiles._names.cache_clear()
+    network_profiles._read.cache_clear()
 
 
 @pytest.mark.check("takes 4 s")

@@ -137,10 +137,10 @@ def test_law_changes_without_a_jump_at_either_device(bench_of: Any, first: str, 
     start = len(rig.rows)
     rig.set(rig.master, law=second)
     rig.tick(8)
-    assert rig.master.switching
+    assert rig.master.half.switching
     rig.set(rig.slave, law=second)
     rig.tick(1500)
-    assert not (rig.master.switching or rig.slave.switching)
+    assert not (rig.master.half.switching or rig.slave.half.switching)
     x, base, shown, modes = zip(*rig.rows, strict=True)
     assert set(modes[start:]) == {"position"}
     # at rest before: neither hand nor tip moves while the halves change, and then no faster than the force lets them
@@ -353,7 +353,7 @@ def test_a_scale_waits_until_the_tip_is_off_the_sample_and_both_halves_say_why(
         with pytest.raises(RefusedError, match=f"{law}.{key} cannot be changed while the tip touches"):
             rig.set(half, **{f"{law}.{key}": value})
         assert half.params == before
-    rig.master.signal = rig.master.signal._replace(in_contact=False)
-    rig.slave.tip = rig.slave.tip._replace(in_contact=False)
+    rig.master.half.signal = rig.master.half.signal._replace(in_contact=False)
+    rig.slave.memory.tip = rig.slave.memory.tip._replace(in_contact=False)
     for half in (rig.master, rig.slave):
         assert f"{law}.{key}" in rig.set(half, **{f"{law}.{key}": value})

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.fate import Fate
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.errors import ConfigError
 
 MS, NS = 1_000_000, 1_000_000_000

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from link_bench import MS, START, TOPIC, engine, finish, stream
 
-from telenano.link.config import Impairment, LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine
+from telenano.settings.link_settings import Impairment, LinkSettings
 from telenano.wire.errors import ConfigError
 
 # --- delay ---------------------------------------------------------------------------------------------------------

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from telenano.link.config import Jitter
 from telenano.link.models.jitter import JitterSource, table_quantile
 from telenano.link.random_streams import stream
+from telenano.settings.link_settings import Jitter
 
 MANY = 200_000
 SCALE_S = 0.004

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from telenano.link.config import GilbertElliott, MarkovLoss
 from telenano.link.models.loss import GilbertElliottChain, MarkovLossChain
 from telenano.link.random_streams import stream
+from telenano.settings.link_settings import GilbertElliott, MarkovLoss
 
 MANY = 300_000
 

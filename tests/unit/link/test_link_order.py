@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from link_bench import MS, START, TOPIC, engine, finish, stream
 
-from telenano.link.config import LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine
 from telenano.link.fate import Release
+from telenano.settings.link_settings import LinkSettings
 
 
 @pytest.mark.parametrize("order", ["topic", "link"])

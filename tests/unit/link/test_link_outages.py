@@ -4,12 +4,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.link.config import LinkSettings, Outage
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine
 from telenano.link.fate import Release
 from telenano.link.models.outages import Outages
 from telenano.link.random_streams import stream
+from telenano.settings.link_settings import LinkSettings, Outage
 
 MS = 1_000_000
 ORIGIN = 5_000 * MS

@@ -3,9 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from telenano.link.config import Queue
 from telenano.link.models.queueing import DeliveryServer, RateServer, ServedQueue, SlotGate, Waiting
 from telenano.link.random_streams import stream
+from telenano.settings.link_settings import Queue
 
 MS = 1_000_000
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from telenano.link.config import LinkSettings
 from telenano.link.engine import LinkEngine, LinkState
 from telenano.link.random_streams import stream
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.node_state import pack, restore
 
 MS = 1_000_000

@@ -3,11 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from telenano.link.models import traces
-from telenano.link.models.traces import (
+from telenano.link.models.courses import delay_at, lost_at
+from telenano.settings import link_traces
+from telenano.settings.link_traces import (
     DelayCourse,
-    delay_at,
-    lost_at,
     parse_delay_trace,
     parse_delivery_trace,
     parse_jitter_table,
@@ -82,7 +81,7 @@ def test_missing_binary_endless_and_huge_files_are_named(tmp_path, monkeypatch):
     (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="b: is not UTF-8 text"):
         read_text(tmp_path / "b")
-    monkeypatch.setattr(traces, "LARGEST_FILE_BYTES", 2)
+    monkeypatch.setattr(link_traces, "LARGEST_FILE_BYTES", 2)
     with pytest.raises(ConfigError, match="b: is larger than 2 bytes"):
         read_text(tmp_path / "b")
 

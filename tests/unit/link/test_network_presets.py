@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.link.config import Jitter, LinkSettings
 from telenano.link.direction import DirectionEngine
 from telenano.link.models.jitter import JitterSource, hyperexponential_quantile
-from telenano.link.profiles import PROFILES, Profile, profile_named
 from telenano.link.random_streams import stream
 from telenano.settings.config import validate
 from telenano.settings.included import NETWORK_DIRECTORY
+from telenano.settings.link_settings import Jitter, LinkSettings
+from telenano.settings.network_profiles import PROFILES, Profile, profile_named
 from telenano.wire.errors import ConfigError
 
 DIRECTIONS = ("forward", "backward")
@@ -163,7 +163,7 @@ def test_a_folder_of_the_environment_has_networks_too(tmp_path: Path) -> None:
     # a name of the package is not replaced
     (tmp_path / "dsl.yaml").write_text(own, encoding="utf-8")
     code = (
-        "from telenano.link.profiles import PROFILES, profile_named\n"
+        "from telenano.settings.network_profiles import PROFILES, profile_named\n"
         "print(profile_named('my_line').about == PROFILES['lte'].about, PROFILES['dsl'].about == PROFILES['lte'].about)"
     )
     environment = {**os.environ, "TELENANO_NETWORKS": str(tmp_path)}

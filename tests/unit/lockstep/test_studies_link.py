@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from telenano_lab.studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
-from telenano.link.config import LinkSettings
 from telenano.lockstep import link
 from telenano.lockstep.link import Schedule
+from telenano.settings.link_settings import LinkSettings
 from telenano.wire.errors import ConfigError
 
 PERIOD_S = 1e-3

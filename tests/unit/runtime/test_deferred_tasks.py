@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
+from telenano.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, gap_after
 from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
 
@@ -330,3 +330,52 @@ def test_a_task_is_no_turn_and_waits_for_20_ms_unless_something_else_is_said(loo
     assert not loop.tasks.has_turns
     assert loop.tasks.take_turn() is None
     assert loop.due_in_ns == PATIENCE_NS
+
+
+def test_the_first_quarter_belongs_to_others_after_a_task_as_well(ticking: Loop) -> None:
+    ticking.after(50 * US).took("a", 10 * US)
+    ticking.add("b")
+    assert ticking.due_in_ns == 200 * US
+
+
+def test_a_gap_that_a_message_has_ended_takes_nothing_any_more(ticking: Loop) -> None:
+    ticking.add("settle", within_ns=NEVER_NS)
+    ticking.after(300 * US).took("a", 50 * US, met=True)
+    assert (ticking.due_in_ns, ticking.after(100 * US).take()) == (-1, [])
+    ticking.after(600 * US).event()
+    assert ticking.due_in_ns > 0
+
+
+@pytest.mark.parametrize(
+    ("takes_us", "now_us", "next_us", "begins_us"),
+    [
+        # in the gap from 0 to 1000 us: the second and third quarters are free
+        (100, 0, 5000, 250),
+        (100, 249, 5000, 250),
+        (100, 600, 5000, 600),
+        (100, 650, 5000, 650),
+        (100, 651, 5000, None),
+        (0, 750, 5000, 750),
+        (0, 751, 5000, None),
+        # a long one begins in the second quarter
+        (900, 0, 5000, 250),
+        (900, 500, 5000, 500),
+        (900, 501, 5000, None),
+        # before the deadline of the node in any case
+        (100, 0, 350, 250),
+        (100, 0, 349, None),
+        (900, 0, 1149, None),
+    ],
+)
+def test_a_task_fits_into_the_middle_half_of_a_gap(
+    takes_us: int, now_us: int, next_us: int, begins_us: int | None
+) -> None:
+    begin_ns = 7 * MS
+    gap = gap_after(begin_ns, MS)
+    expected_ns = NEVER_NS if begins_us is None else begin_ns + begins_us * US
+    assert gap.fits_from(takes_us * US, begin_ns + now_us * US, begin_ns + next_us * US) == expected_ns
+
+
+def test_nothing_fits_into_a_gap_of_unknown_length_or_one_that_is_over() -> None:
+    assert gap_after(7 * MS, 0).fits_from(0, 7 * MS, NEVER_NS) == NEVER_NS
+    assert gap_after(7 * MS, MS)._replace(free_ns=NEVER_NS).fits_from(0, 7 * MS, NEVER_NS) == NEVER_NS

@@ -11,10 +11,10 @@ import pytest
 import zmq
 from recorder_samples import haptic_state
 
+from services.fan_out.__main__ import serve
 from telenano.launcher.fan_out import endpoints_of, fan_out
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.fan_out import serve
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings import DEFAULT_SITE_FILE
@@ -130,7 +130,7 @@ def test_a_rig_has_the_process_while_it_runs_and_leaves_nothing(
 
 def test_it_ends_with_a_launcher_that_is_killed(base: Path) -> None:
     read, write = os.pipe()
-    command = [sys.executable, "-m", "telenano.runtime.bus.fan_out", f"ipc://{base}/node"]
+    command = [sys.executable, "-m", "services.fan_out", f"ipc://{base}/node"]
     process = subprocess.Popen(command, stdin=read)
     os.close(read)
     os.close(write)

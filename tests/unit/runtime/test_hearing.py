@@ -286,7 +286,7 @@ DRAWN = random.Random(95).sample(CASES, 12)
 @contextlib.contextmanager
 def handed_on(*endpoints: str) -> Iterator[None]:
     """Run the process that reads nodes once for all observers."""
-    command = [sys.executable, "-m", "telenano.runtime.bus.fan_out", *endpoints]
+    command = [sys.executable, "-m", "services.fan_out", *endpoints]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         while not all(is_bound(fan_out_endpoint(endpoint)) for endpoint in endpoints):
             assert process.poll() is None

@@ -14,11 +14,11 @@ from telenano.console.lease import Lease
 from telenano.console.lease_register import LeaseRegister
 from telenano.files.atomic_files import locked
 from telenano.launcher import processors
-from telenano.link.models.traces import read_text
 from telenano.runtime.bus.endpoint_lock import EndpointLock
 from telenano.runtime.loop.commands import stop_of
 from telenano.runtime.loop.kept_stop import keep, kept
 from telenano.runtime.security.private_files import read_secret, read_trusted
+from telenano.settings.link_traces import read_text
 from telenano.wire import encode
 from telenano.wire.errors import TelenanoError
 

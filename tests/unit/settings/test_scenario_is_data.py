@@ -28,8 +28,8 @@ import ctypes, json, sys
 from pathlib import Path
 from telenano.wire.errors import TelenanoError
 from telenano.afm.config import AfmConfig
-from telenano.link.config import LinkSettings
-from telenano.link.pipeline import read_files
+from telenano.settings.link_settings import LinkSettings
+from telenano.settings.link_files import read_files
 from telenano.hand.config import HapticConfig
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings.scenario import LoadedScenario

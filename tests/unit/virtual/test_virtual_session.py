@@ -278,6 +278,11 @@ def test_a_seed_without_a_recording_is_refused() -> None:
         telenano.simulate("fig12", seed=1)  # type: ignore[call-overload]
 
 
+def test_settings_that_are_no_mapping_are_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match="settings is a list: give values by dotted key"):
+        telenano.simulate("fig12", settings=["controller.law=wave"])  # type: ignore[call-overload]
+
+
 def test_nodes_stop_in_the_order_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stopped: list[str] = []
     end: Callable[[SimulatedRig, str], None] = SimulatedRig.end

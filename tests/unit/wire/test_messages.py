@@ -8,7 +8,7 @@ import pytest
 
 from telenano.testing.filled_messages import examples
 from telenano.wire import compose
-from telenano.wire.codec import accept, fields_of
+from telenano.wire.codec import WireError, accept, fields_of
 from telenano.wire.messages import Array, HapticState
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
@@ -55,6 +55,20 @@ def test_a_number_of_numpy_at_any_place_of_any_message_ends_no_node(topic: str) 
         return tuple(map(as_numpy, value)) if isinstance(value, tuple) else value
 
     assert compose(topic, as_numpy(fields), pytest.fail) == (plain, payload)
+
+
+@pytest.mark.parametrize("value", [np.float32(2.0), np.bool_(True), np.asarray([1.0, 2.0])])
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_value_of_numpy_where_none_may_be_is_a_fault_with_its_key(topic: str, value: Any) -> None:
+    fields = fields_of(examples(TOPICS[topic])["ordinary"])
+    for key in fields.keys() - {"seq", "t_ns", "src", "v"}:
+        try:
+            message, _ = compose(topic, {**fields, key: value})
+        except WireError as error:
+            assert str(error).startswith(f"{topic}: {key}")
+        else:
+            assert getattr(message, key) == (value.tolist() if np.ndim(value) == 0 else tuple(value))
+        assert {fault.key.partition(".")[0] for fault in TOPICS[topic].faults_in({**fields, key: value})} <= {key}
 
 
 def test_an_array_is_read_only_and_a_copy() -> None:

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import importlib.util
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import yaml
 from makefile import makefile_words
 
+from telenano.launcher.processes import node_command
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import NodeKind, node_kind
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
@@ -34,6 +36,7 @@ from telenano.wire.nodes import (
     endpoints_of,
     is_console,
     is_visitor,
+    module_of,
     name_of,
     no_rerun_reason,
     site_of,
@@ -108,6 +111,22 @@ def test_launcher_and_player_have_a_folder_without_a_process_of_their_own() -> N
         assert name_of(key) not in folders()
 
 
+def test_every_process_that_a_rig_starts_has_a_row_and_can_be_run() -> None:
+    started = {name_of(row.key) for row in NODES if row.part in ("rig", "beside", "carrier")}
+    for name in started:
+        assert importlib.util.find_spec(f"{module_of(name)}.__main__") is not None, name
+    with_main = {path.parent.name for path in ROOT.glob("services/*/__main__.py")}
+    assert with_main == started
+
+
+@pytest.mark.parametrize("name", ["thermometer", "services.relay", "os", ""])
+def test_a_process_without_a_row_cannot_be_started(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="table of nodes"):
+        module_of(name)
+    with pytest.raises(ValueError, match="table of nodes"):
+        node_command(f"{name}@master", tmp_path, tmp_path)
+
+
 def test_the_names_that_code_uses_are_rows() -> None:
     assert {HAND, TIP, LAUNCHER, PLAYER, RECORDER} <= KEYS
     assert {f"{LINK}@{site}" for site in ("master", "slave")} <= KEYS
@@ -170,7 +189,7 @@ def test_the_local_site_has_every_node_that_is_not_optional() -> None:
 
 
 def test_two_sites_have_every_node_of_the_rig() -> None:
-    rig = {row.key for row in NODES if row.part != "visitor"}
+    rig = {row.key for row in NODES if row.part not in ("carrier", "visitor")}
     assert rig <= set(AddressBook.load(TWO_SITES_FILE).nodes)
 
 

@@ -5,9 +5,9 @@ from fnmatch import fnmatchcase
 
 import pytest
 
-from telenano.link.config import DirectionSettings
 from telenano.recording.channel_filter import Selection
 from telenano.recording.tolerance import Tolerances
+from telenano.settings.link_settings import DirectionSettings
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import is_meant
 from telenano.wire.patterns import MOST_LETTERS, fault_of_pattern, matches

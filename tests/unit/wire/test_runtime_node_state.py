@@ -259,6 +259,14 @@ def test_a_state_from_before_a_field_was_added_has_its_default() -> None:
     assert (other._account.joules, other._account.left) == (node._account.joules, 0.0)
 
 
+def test_a_field_with_a_default_that_stands_before_another_one_may_not_be_missing() -> None:
+    """The values have places, so that the one behind it would be taken for it."""
+    newer = SOURCE.replace("joules: float = 0.0", f"{MORE}\n    lost: float = 0.0")
+    older = newer.replace("    left: float = 0.0\n", "")
+    with pytest.raises(RecordingError, match=rf"{FITS}it lacks account\.left, before account\.lost"):
+        restore(renamed(newer), pack(renamed(older)))
+
+
 class Tip(NamedTuple):
     """A state of a part that is not that of the hand."""
 

@@ -162,7 +162,7 @@ def least_mass_kg(
     A sample of the place acts for T/2 + D in the mean, one of the rate after T + D, and by its low-pass j T later with
     the weight (1 - a) a^j, a = exp(-2 pi f_c T); n and s are mean and mean square of that. A swing z = exp(i w T) that
     lasts needs m u w <= K + B n u w and (b + B) <= K (T/2 + D) + B s u w / 2, with u = (2/T) sin(w T/2): see
-    docs/devices.md. No w has both if m > B n + K B s / (2 (b + B - K (T/2 + D))).
+    docs/coupling.md. No w has both if m > B n + K B s / (2 (b + B - K (T/2 + D))).
     """
     a = math.exp(-2.0 * math.pi * filter_hz * sample_s) if filter_hz > 0.0 else 0.0
     mean_s = sample_s + delay_s + sample_s * a / (1.0 - a)

@@ -15,7 +15,7 @@ from telenano_lab.experiments.analyse import Analysis, versions
 from telenano_lab.experiments.effects import Factor
 from telenano_lab.experiments.psychophysics.function import Psychometric
 from telenano_lab.experiments.table import Row, Tables, write_tables
-from telenano_lab.studies.figure_colours import LINES
+from telenano_lab.studies.figure_colours import LINES, looks
 from telenano_lab.studies.page import write_images
 
 if TYPE_CHECKING:
@@ -142,8 +142,7 @@ def _measure(axes: "Axes", analysis: Analysis, tables: Tables, task: str, measur
     series = list(dict.fromkeys(tuple(row[factor.name] for factor in others) for row in cells))
     places = list(across.levels) if _are_numbers(across.levels) else list(range(len(across.levels)))
     apart = 0.012 * (max(places) - min(places))
-    for number, key in enumerate(series):
-        colour, style = LINES[number % len(LINES)]
+    for number, (key, look) in enumerate(zip(series, looks(len(series)), strict=True)):
         chosen = {row[across.name]: row for row in cells if tuple(row[factor.name] for factor in others) == key}
         shift = (number - 0.5 * (len(series) - 1)) * apart
         xs = [place + shift for level, place in zip(across.levels, places, strict=True) if level in chosen]
@@ -152,11 +151,13 @@ def _measure(axes: "Axes", analysis: Analysis, tables: Tables, task: str, measur
         ends = np.array([[row["mean"] if row[end] is None else row[end] for row in rows] for end in ("low", "high")])
         for person in _people(tables, task, measure, across, others, key):
             axes.plot(
-                xs, [person.get(row[across.name], math.nan) for row in rows], "o", ms=2.2, color=colour, alpha=0.35
+                xs, [person.get(row[across.name], math.nan) for row in rows], "o", ms=2.2, color=look.colour, alpha=0.35
             )
         label = ", ".join(str(level) for level in key) or None
         bars = np.abs(ends - means)
-        axes.errorbar(xs, means, bars, color=colour, ls=style, lw=1.2, capsize=2.5, marker="s", ms=3.5, label=label)
+        axes.errorbar(
+            xs, means, bars, color=look.colour, ls=look.style, lw=1.2, capsize=2.5, marker="s", ms=3.5, label=label
+        )
     if not _are_numbers(across.levels):
         axes.set_xticks(places, [str(level) for level in across.levels])
     axes.set(xlabel=_label(across.name, across.unit), ylabel=_label(measure, unit))

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.analysis import Page, cell_text
-from telenano.link import profile_named
+from telenano.settings import profile_named
 from telenano_lab.experiments.benchmark.plan import HANDS, STEADINESS, TASKS, VERSION, Plan
 from telenano_lab.experiments.benchmark.results import Case, Row, Situation, Spread, choices
 from telenano_lab.experiments.benchmark.run import DIGITS, MEASURES

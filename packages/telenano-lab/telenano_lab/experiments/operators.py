@@ -23,8 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from telenano.link import LinkSettings
-from telenano.settings import nested, validate
+from telenano.settings import LinkSettings, nested, validate
 from telenano_lab.experiments.extend import Course, Parameters, Series, Task, TrialData
 from telenano_lab.experiments.tasks.detect_contact import CONTACT
 from telenano_lab.experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first

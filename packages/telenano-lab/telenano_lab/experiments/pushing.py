@@ -13,8 +13,7 @@ import numpy as np
 from telenano.afm import AfmConfig
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings
-from telenano.settings import LoadedScenario
+from telenano.settings import LinkSettings, LoadedScenario
 from telenano_lab.assembly import Hand, new_hand, push_of
 from telenano_lab.experiments.extend import Course
 from telenano_lab.experiments.operators import Profile

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link import DirectionEngine, LinkSettings, Outages, stream
+from telenano.link import DirectionEngine, Outages, stream
+from telenano.settings import LinkSettings
 from telenano_lab.networks.line_sources import Column
 
 Times = npt.NDArray[np.int64]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from telenano.link import LinkSettings
+from telenano.settings import LinkSettings
 from telenano_lab.networks.line_draws import delays_ns
 from telenano_lab.networks.line_halves import COUNTED, compared_halves
 from telenano_lab.networks.line_log import LineLog, Segment

@@ -7,8 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.files import TextTable
-from telenano.link import DirectionEngine, LinkSettings
+from telenano.link import DirectionEngine
 from telenano.recording import Recording
+from telenano.settings import LinkSettings
 from telenano.wire import ConfigError
 from telenano_lab.networks.network_trace import Direction, traces_of
 from telenano_lab.networks.report_command import fates_in

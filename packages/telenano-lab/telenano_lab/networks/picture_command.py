@@ -81,7 +81,7 @@ def carried(name: str, seed: int) -> "LineLog":
     """Return what a network does to messages, as a log of them; ConfigError names the networks that there are."""
     import numpy as np
 
-    from telenano.link import LinkSettings
+    from telenano.settings import LinkSettings
     from telenano_lab.networks.line_draws import delays_ns
     from telenano_lab.networks.line_log import LineLog, Segment
 

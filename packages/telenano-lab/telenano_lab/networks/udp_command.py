@@ -64,9 +64,9 @@ def udp(
     Ctrl-C ends it. The exit code is 3 where the recording could not be kept.
     """
     with report_errors(as_json):
-        from telenano.link import LinkSettings
-        from telenano.runtime import AddressBook, ByteLinkProcess
-        from telenano.settings import flag_overrides
+        from telenano.runtime import AddressBook
+        from telenano.settings import LinkSettings, flag_overrides
+        from telenano_lab.networks.byte_link import ByteLinkProcess
         from telenano_lab.networks.udp_link import UdpLink
         from telenano_lab.networks.udp_ports import UdpPorts, make_room_for, place_of
 

@@ -6,7 +6,7 @@ The truth of each datagram is `link/fates`, with the topic `udp`.
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol, TypeVar
 
-from telenano.runtime import ByteLinkProcess
+from telenano_lab.networks.byte_link import ByteLinkProcess
 from telenano_lab.networks.network_trace import DIRECTIONS, Direction
 
 # Delays and lateness are counted in steps of these lengths.

@@ -88,7 +88,7 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from telenano_lab.studies.comparison import beside, compare_figure, rows_of
+    from telenano_lab.studies.comparison import beside, compare_figures, rows_of
     from telenano_lab.studies.comparison import compare as read
     from telenano_lab.studies.published import paper_points, read_published
     from telenano_lab.studies.table_files import table_files
@@ -100,7 +100,9 @@ def compare_sessions(
     statistics = statistics_of(rows, [session.scenario for session in comparison])
     summaries = {session.name: session.summary for session in comparison}
     origin = "\n".join(f"{row.name}: {row.session.origin}" for row in comparison)
-    files = options.drawn(compare_figure(comparison, options, points), "compare", origin)
+    files: dict[str, bytes] = {}
+    for number, figure in enumerate(compare_figures(comparison, options, points), start=1):
+        files |= options.drawn(figure, "compare" if number == 1 else f"compare_{number}", origin)
     files |= table_files("compare", rows, kinds)
     files |= table_files("statistics", statistics, kinds) if statistics else {}
     files["compare.json"] = _json(summaries)

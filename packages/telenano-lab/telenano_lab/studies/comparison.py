@@ -1,15 +1,22 @@
 """Several recorded sessions side by side: their curves in one figure, their figures in one table."""
 
 import math
+import re
+import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from telenano.analysis import FigureOptions, Session, summary_of
 from telenano.recording import demand_several, files_of, open_recordings, recordings_of
 from telenano.settings import LoadedScenario
-from telenano_lab.studies.figure_colours import LINES, ON_SCREEN
+from telenano_lab.studies.figure_colours import LINES, ON_SCREEN, Look, looks
 from telenano_lab.studies.published import PANELS, Published, nearest
+from telenano_lab.studies.repetitions import conditions_of, repetitions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +41,21 @@ _COLUMNS = (
 _RESULTS = (".csv", ".json", ".mat", ".parquet", ".pdf", ".png", ".svg")
 # Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
+Floats = npt.NDArray[np.float64]
+# These keys of a scenario are said by the law and by the round trip of the link.
+_SAID = re.compile(r"controller\.law|delay_node\..*delay_s|delay_node\.profile")
+_AXES = (
+    ("time (s)", r"$\alpha_f F_s$ (N)"),
+    ("time (s)", r"$x_m$ (cm)"),
+    ("tip-sample distance h (nm)", r"$F_s$ (nN)"),
+)
+# This number of conditions have their panels in one figure.
+_ON_A_PAGE = 24
+# Labels that are longer than this stand in one column of a legend.
+_WIDE = 48
+# What is beyond the curves at each end of an ordinate, as a share of it.
+_MARGIN = 0.08
+_LEAVES = "diverges, beyond the axes"
 
 
 class Compared(NamedTuple):
@@ -131,19 +153,86 @@ def _known(values: Sequence[float]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values]
 
 
-def compare_figure(
-    sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN, published: Sequence[Published] = ()
-) -> "Figure":
-    """Draw the sessions over one another: alpha_f F_s, x_m, and F_s against h; F_m of the first for reference.
+class Condition(NamedTuple):
+    """Sessions whose scenarios are the same but for their seeds, and what they are called in a figure."""
 
-    Published points are drawn beneath, with their errors.
+    label: str
+    sessions: tuple[Compared, ...]
+
+    @property
+    def outcome(self) -> str:
+        """The verdict of the only session, or how many of several have which."""
+        verdicts = Counter(session.summary["verdict"].replace("_", " ") for session in self.sessions)
+        if len(self.sessions) == 1:
+            return str(next(iter(verdicts)))
+        return ", ".join(f"{count} of {len(self.sessions)} {name}" for name, count in verdicts.most_common())
+
+
+def conditions_in(sessions: Sequence[Compared]) -> list[Condition]:
+    """Return the sessions by what was set: a sweep with seeds has each of its conditions once.
+
+    Where sessions differ by their seeds alone, a condition is called by its law, its round trip and the further keys in
+    which the conditions differ; else each session is a condition with the name of its folder.
+    """
+    groups = [tuple(sessions[place] for place in places) for places in repetitions([s.scenario for s in sessions])]
+    if all(len(group) == 1 for group in groups):
+        return [Condition(group[0].name, group) for group in groups]
+    labels = _labels([group[0] for group in groups])
+    if len(set(labels)) < len(labels):
+        labels = [f"{label} ({group[0].name})" for label, group in zip(labels, groups, strict=True)]
+    return [Condition(label, group) for label, group in zip(labels, groups, strict=True)]
+
+
+def _labels(firsts: Sequence[Compared]) -> list[str]:
+    """Return what distinguishes sessions, in words: law, round trip, and each further key with its value."""
+    known = [
+        {key: value for key, value in conditions_of(session.scenario).items() if not _SAID.fullmatch(key)}
+        for session in firsts
+    ]
+    keys = _differing(known)
+    short = {key: _tail(key, keys) for key in keys}
+    labels = []
+    for session, values in zip(firsts, known, strict=True):
+        words = [str(_value(session.summary["law"])).replace("_", " ")]
+        if (trip_ms := session.summary["link_round_trip_ms"]) is not None:
+            words.append(f"{trip_ms:g} ms")
+        words += [f"{short[key]} {_shown(values.get(key))}" for key in keys]
+        labels.append(", ".join(words))
+    return labels
+
+
+def _tail(key: str, keys: Sequence[str]) -> str:
+    """Return the shortest end of a dotted key that no other one has."""
+    parts = key.split(".")
+    ends = (".".join(parts[-count:]) for count in range(1, len(parts) + 1))
+    return next(end for end in ends if sum(f".{other}".endswith(f".{end}") for other in keys) == 1)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+
+
+def compare_figures(
+    sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN, published: Sequence[Published] = ()
+) -> "list[Figure]":
+    """Draw sessions beside one another: a condition is a colour, each of its sessions a thin line.
+
+    Six conditions or fewer lie over one another in three panels: alpha_f F_s, x_m, and F_s against h; F_m of the first
+    for reference. Of more each has a panel of its own with alpha_f F_s, on axes that all share, in as many figures as
+    that takes. A session that diverged is dotted and does not stretch the axes of the others; a cross marks where it
+    leaves them. Published points are drawn beneath, with their errors.
     """
     from matplotlib.figure import Figure
 
-    paper = options.style == "paper"
+    conditions = conditions_in(sessions)
     with options.styled():
+        if len(conditions) > len(LINES):
+            pages = range(0, len(conditions), _ON_A_PAGE)
+            limits = _limits([_curves(session)[0] for session in sessions], sessions)
+            return [_multiples(conditions[n : n + _ON_A_PAGE], options, published, limits) for n in pages]
+        paper = options.style == "paper"
         figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
-        panels = figure.subplots(3, 1)
+        panels = list(figure.subplots(3, 1))
         first = sessions[0].session.series()
         panels[0].plot(
             first.hand_time_s,
@@ -153,31 +242,79 @@ def compare_figure(
             zorder=0,
             label=f"$F_m$, {sessions[0].name}",
         )
-        for number, (name, session, summary, _) in enumerate(sessions):
-            colour, style = LINES[number % len(LINES)]
-            look = {"color": colour, "ls": style, "lw": 1.0}
-            _draw(panels, session, look, f"{name}: {summary['verdict'].replace('_', ' ')}")
-        for number, point in enumerate(published, start=1):
-            label = "published" if len(published) == 1 else f"published {number}"
+        for condition, look in zip(conditions, looks(len(conditions)), strict=True):
+            _draw(panels, condition, look)
+        for number, point in enumerate(published):
+            label = "published" if len(published) == 1 else f"published {number + 1}"
             _draw_published(panels, point, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
-        for panel, (x, y) in zip(panels, (("time (s)", r"$\alpha_f F_s$ (N)"), ("time (s)", r"$x_m$ (cm)"),
-                                          ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
+        for place, (panel, (x, y)) in enumerate(zip(panels, _AXES, strict=True)):
             panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
             panel.set(xlabel=x, ylabel=y)
-        options.lettered(list(panels))
-        named: dict[str, Any] = {}
-        for panel in panels:
-            handles, labels = panel.get_legend_handles_labels()
-            named |= dict(zip(labels, handles, strict=True))
-        labels, handles = list(named), list(named.values())
-        columns = 1 if paper or max(map(len, labels)) > 40 else 2
-        figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=8, frameon=False)
+            _limited(panel, [_curves(session)[place] for session in sessions], sessions)
+        options.lettered(panels)
+        _legend(figure, panels, 1 if paper else 2)
+    return [figure]
+
+
+def _multiples(
+    conditions: Sequence[Condition],
+    options: FigureOptions,
+    published: Sequence[Published],
+    limits: tuple[float, float] | None,
+) -> "Figure":
+    """Draw a panel a condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
+    from matplotlib.figure import Figure
+
+    paper = options.style == "paper"
+    columns = 2 if paper else 3
+    rows = math.ceil(len(conditions) / columns)
+    width = FigureOptions.COLUMN_IN if paper else 10.0
+    figure = Figure(figsize=(width, 0.6 + 1.8 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for number, panel in enumerate(grid.flat):
+        if number >= len(conditions):
+            panel.set_axis_off()
+            continue
+        condition = conditions[number]
+        first = condition.sessions[0].session.series()
+        panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
+        panel.plot(
+            first.hand_time_s, first.hand_force_n, color=FigureOptions.REFERENCE, lw=2.0, zorder=0, label="$F_m$"
+        )
+        _draw([panel], condition, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
+        for point in published:
+            _draw_published([panel], point, {"marker": _MARKERS[0], "label": "published"})
+        if limits is not None:
+            panel.set_ylim(limits)
+            _mark_leaving(panel, [_curves(session)[0] for session in condition.sessions], condition.sessions)
+        # A title that is wider than its panel would lie on that of the next one.
+        lines = textwrap.wrap(f"{condition.label}: {condition.outcome}", 30 if paper else 44)
+        panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 8)
+    for panel in grid[:, 0]:
+        panel.set_ylabel("force (N)")
+    for column in range(min(columns, len(conditions))):
+        lowest = grid[(len(conditions) - 1 - column) // columns, column]
+        lowest.set_xlabel("time (s)")
+        lowest.tick_params(labelbottom=True)
+    _legend(figure, list(grid.flat), 3)
     return figure
+
+
+def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
+    """Put one legend of all panels below them."""
+    named: dict[str, Any] = {}
+    for panel in panels:
+        handles, labels = panel.get_legend_handles_labels()
+        for label, handle in zip(labels, handles, strict=True):
+            named.setdefault(label, handle)
+    if max(map(len, named)) > _WIDE:
+        columns = 1
+    figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=columns, fontsize=8, frameon=False)
 
 
 def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[str, Any]) -> None:
     curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
-    for names, panel in zip(curves, panels, strict=True):
+    for names, panel in zip(curves, panels, strict=False):
         points = [point for name in names for point in published.of(name)]
         if points:
             x, y, x_error, y_error = zip(*(point[1:5] for point in points), strict=True)
@@ -186,9 +323,56 @@ def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[s
             )
 
 
-def _draw(panels: "Sequence[Axes]", session: Session, look: Mapping[str, Any], label: str) -> None:
-    series = session.series()
-    panels[0].plot(series.tip_time_s, series.force_scale * series.tip_force_n, label=label, **look)
-    panels[1].plot(series.hand_time_s, 100.0 * series.hand_position_m, **look)
+def _curves(session: Compared) -> tuple[tuple[Floats, Floats], ...]:
+    """Return x and y of what the panels show of a session: alpha_f F_s and x_m over time, and F_s against h."""
+    series = session.session.series()
     path = series.tip_path()
-    panels[2].plot(1e9 * path.separation_m, 1e9 * path.force_n, **look)
+    return (
+        (series.tip_time_s, series.force_scale * series.tip_force_n),
+        (series.hand_time_s, 100.0 * series.hand_position_m),
+        (1e9 * path.separation_m, 1e9 * path.force_n),
+    )
+
+
+def _draw(panels: "Sequence[Axes]", condition: Condition, look: Look, label: str = "") -> None:
+    """Draw the sessions of a condition into the panels, the first with its label."""
+    several = len(condition.sessions) > 1
+    for number, session in enumerate(condition.sessions):
+        style = ":" if _diverged(session) else look.style
+        named = (label or f"{condition.label}: {condition.outcome}") if number == 0 else None
+        for place, (panel, (x, y)) in enumerate(zip(panels, _curves(session), strict=False)):
+            panel.plot(
+                x, y, color=look.colour, ls=style, lw=0.7 if several else 1.0, label=None if place else named
+            )  # fmt: skip
+
+
+def _diverged(session: Compared) -> bool:
+    return bool(session.summary["verdict"] == "diverged")
+
+
+def _limits(curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> tuple[float, float] | None:
+    """Return the limits of an ordinate by the sessions that did not diverge; None where there are none, or all."""
+    kept = [y for (_, y), session in zip(curves, sessions, strict=True) if not _diverged(session)]
+    found = [y[np.isfinite(y)] for y in kept]
+    if not found or len(found) == len(sessions) or not all(y.size for y in found):
+        return None
+    low, high = min(float(y.min()) for y in found), max(float(y.max()) for y in found)
+    margin = _MARGIN * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _limited(panel: "Axes", curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> None:
+    """Let the sessions that did not diverge set the ordinate."""
+    if (limits := _limits(curves, sessions)) is not None:
+        panel.set_ylim(limits)
+        _mark_leaving(panel, curves, sessions)
+
+
+def _mark_leaving(panel: "Axes", curves: Sequence[tuple[Floats, Floats]], sessions: Sequence[Compared]) -> None:
+    """Put a cross where a session that diverged leaves the panel for the first time."""
+    low, high = panel.get_ylim()
+    for (x, y), session in zip(curves, sessions, strict=True):
+        outside = np.flatnonzero((y < low) | (y > high))
+        if _diverged(session) and outside.size:
+            at = outside[0]
+            panel.plot([x[at]], [np.clip(y[at], low, high)], "x", color="0.1", ms=6.0, clip_on=False, label=_LEAVES)

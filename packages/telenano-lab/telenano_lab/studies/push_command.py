@@ -7,6 +7,7 @@ import typer
 from telenano.analysis import FigureOptions, Page
 from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
 from telenano_lab.studies import option_values
+from telenano_lab.studies.figure_colours import looks
 from telenano_lab.studies.page import write_images
 from telenano_lab.studies.study_options import OutOption, WorkersOption
 from telenano_lab.studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
@@ -83,7 +84,8 @@ def push_figure(rows: "list[Row]") -> "Figure":
         # so far aside that lines which are the same are seen beside each other
         aside_ms = _ASIDE_MS * (lines.index((law, loss)) - 0.5 * (len(lines) - 1))
         trips = [row.round_trip_ms + aside_ms for row in chosen]
-        look = {"color": f"C{laws.index(law)}", "linestyle": "-" if loss == 0.0 else "--", "marker": "o", "ms": 4.0}
+        colour, _, mark = looks(len(laws))[laws.index(law)]
+        look = {"color": colour, "linestyle": "-" if loss == 0.0 else "--", "marker": mark, "ms": 4.0}
         label = law.replace("_", " ") + (f", {100 * loss:g} % lost" if loss else "")
         shares = [row.placed / row.trials for row in chosen]
         errors = [

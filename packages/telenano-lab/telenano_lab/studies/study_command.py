@@ -24,8 +24,8 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.link import profile_named
 from telenano.runtime import AddressBook
+from telenano.settings import profile_named
 from telenano_lab.studies.gallery_command import gallery_command
 from telenano_lab.studies.loops import advice
 from telenano_lab.studies.loops.advice import Question

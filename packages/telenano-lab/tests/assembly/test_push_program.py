@@ -214,7 +214,7 @@ def test_a_light_image_whose_edge_lies_on_a_particle_leaves_it_where_it_is(left_
 def test_the_image_of_the_walk_in_the_page_leaves_particles_and_a_quick_one_does_not(
     dwell_s: float, gain_per_s: float, stays: bool
 ) -> None:
-    """The figures are those of `docs/view.md`, a walk among particles, with the pixels and lines of its 8 um."""
+    """The figures are those of `docs/particles.md`, at the page, with the pixels and lines of its 8 um."""
     afm = instrument([[0.0, 0.0]], cantilever={"stiffness_n_per_m": 0.1})
     image = {"setpoint_n": 1.5e-9, "width_m": 7.5e-7, "depth_m": 6e-7, "pixels": 6, "lines": 3}
     image |= {"approach_m_per_s": 2e-6, "dwell_s": dwell_s, "gain_per_s": gain_per_s}

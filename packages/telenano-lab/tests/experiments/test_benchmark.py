@@ -42,8 +42,8 @@ from telenano_lab.studies.loops.sweep import Journal, Sweep
 
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.laws import LAWS
-from telenano.link import profile_named
 from telenano.lockstep import Schedule
+from telenano.settings import profile_named
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 

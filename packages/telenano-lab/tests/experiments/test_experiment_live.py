@@ -17,8 +17,8 @@ from telenano_lab.experiments.disturbances import disturbances
 from telenano_lab.experiments.recorded_trial import RecordedTrial
 
 from telenano.laws import ControllerConfig, changed_config
-from telenano.link import LinkSettings
 from telenano.recording import Selection, filter_recording
+from telenano.settings import LinkSettings
 from telenano.wire import RecordingError, RigError
 
 

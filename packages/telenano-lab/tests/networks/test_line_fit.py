@@ -26,10 +26,10 @@ from telenano_lab.networks.line_log import LineLog, Segment, read_log
 from telenano_lab.networks.line_page import SLOWER
 from telenano_lab.networks.line_tally import correlation_of, scale_of, tally_of
 
-from telenano.link import Direction, DirectionEngine, LinkSettings, Profile
+from telenano.link import Direction, DirectionEngine
 from telenano.recording import FileSettings, RecordingWriter
 from telenano.serving import web_folder
-from telenano.settings import validate
+from telenano.settings import LinkSettings, Profile, validate
 from telenano.testing import invoke
 from telenano.wire import ConfigError, LinkFate, LinkFates, encode
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from telenano_lab.networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from telenano.link import DirectionEngine, LinkSettings
+from telenano.link import DirectionEngine
+from telenano.settings import LinkSettings
 from telenano.timing import OffsetFilter
 from telenano.wire import Array, LinkClock, LinkNetwork, TelenanoError
 

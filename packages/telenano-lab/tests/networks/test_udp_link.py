@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from telenano_lab.networks.byte_link import ByteLink
 from telenano_lab.networks.report_command import fates_in, figures, overflows_in
 from telenano_lab.networks.udp_command import Keeper
 from telenano_lab.networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_lab.networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
-from telenano.link import Direction, LinkSettings
+from telenano.link import Direction
 from telenano.recording import FileSettings, RecordingWriter
-from telenano.runtime import ByteLink
+from telenano.settings import LinkSettings
 from telenano.signals import run, start
 from telenano.testing import NodeBench
 from telenano.wire import ConfigError, encode

@@ -11,7 +11,7 @@ from telenano_lab.studies.loops.advice import Question
 from telenano_lab.studies.loops.cells import Cell
 from telenano_lab.studies.loops.validate import scenario_of
 
-from telenano.link import LinkSettings, profile_named
+from telenano.settings import LinkSettings, profile_named
 from telenano.testing import invoke
 
 # What takes a network by its name; NAME stands for what a person gives.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_lab.studies.comparison import Compared, beside, compare_figure
+from telenano_lab.studies.comparison import Compared, beside, compare_figures
 from telenano_lab.studies.published import nearest, paper_points, read_published
 
 from telenano.analysis import SessionSeries
@@ -46,7 +46,7 @@ def test_what_the_paper_says_of_its_figure_is_met_by_a_hand_of_the_scenario() ->
 def test_the_points_are_in_the_figure_with_their_errors(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text(HEAD + COLUMNS + "hand_position,2.0,0.3,0.05,0.02\ntip_path,5.0,-3.0,,\n")
-    figure = compare_figure(SESSIONS, published=[read_published(path)])
+    (figure,) = compare_figures(SESSIONS, published=[read_published(path)])
     forces, positions, distances = (panel.containers for panel in figure.axes)
     assert not forces
     data, _, bars = positions[0]

@@ -1,4 +1,4 @@
-"""The figures of studies that docs/studies.md states are those that the studies give."""
+"""The figures that docs/studies.md and docs/study-results.md state are those that the studies give."""
 
 import re
 from pathlib import Path
@@ -16,7 +16,7 @@ from telenano.laws import LAWS
 # the networks of the page: constant, with a little loss, and bad
 NETWORKS: tuple[dict[str, Any], ...] = ({}, {"loss": 0.03}, {"loss": 0.2, "jitter": Jitter(0.5, True)})
 ROOT = Path(__file__).resolve().parents[4]
-STUDIES = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+STUDIES = "".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in ("studies.md", "study-results.md"))
 NAMES = {
     "virtual impedance": "virtual_impedance",
     "position–force": "position_force",

@@ -21,8 +21,8 @@ from telenano_lab.studies.loops.cells import (
 from telenano_laws.model_mediated import ModelMediatedConfig
 
 from telenano.extend.virtual_mass import FOLLOWED_M
-from telenano.link import LinkSettings
 from telenano.lockstep import Schedule, schedule_from
+from telenano.settings import LinkSettings
 
 PERIOD_NS = 1_000_000
 # a tenth of a microjoule is what the servo of the device makes of a ripple

@@ -8,7 +8,8 @@ import pytest
 from telenano_lab.studies.loops import line_variants
 from telenano_lab.studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
-from telenano.link import DirectionEngine, LinkSettings, profile_named
+from telenano.link import DirectionEngine
+from telenano.settings import LinkSettings, profile_named
 
 PERIOD_S, TIME_S = 0.2, 0.4
 

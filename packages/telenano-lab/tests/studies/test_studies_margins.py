@@ -1,4 +1,4 @@
-"""What each law keeps with slow devices and with a fifth more or less of a parameter: the table of docs/laws.md.
+"""What each law keeps with slow devices and with a fifth more or less of a parameter: the table of docs/passivity.md.
 
 The linear laws have a delay margin from theory. All are also run in lockstep on a spring over a constant link: verdict,
 least energy of two-port and device, and the force in the hold. The slave half's own loop has a greatest stiffness.

@@ -1,4 +1,4 @@
-"""The promises of docs/laws.md over bad links: which law makes no energy there, and which holds every sample."""
+"""The promises of docs/passivity.md over bad links: which law makes no energy there, and which holds every sample."""
 
 import re
 from itertools import cycle, product
@@ -116,7 +116,7 @@ def test_one_cell_over_each_uneven_link_makes_no_energy(kind: Any) -> None:
 @pytest.mark.check("sessions of nine seconds over slots")
 @pytest.mark.parametrize("stiffness", [40.0, 80.0, 150.0])
 def test_wave_over_slots_rests_or_pays_for_the_holds_of_the_instrument(stiffness: float) -> None:
-    """What the hand works at rest is what the holds take: 3.5 uJ for each, whatever the sample (docs/laws.md)."""
+    """What the hand works at rest is what the holds take: 3.5 uJ for each, whatever the sample (docs/passivity.md)."""
     line: dict[str, Any] = {"round_trip_ms": 20.0, "uneven": "slots", "session_s": 9.0}
     worked, held, pressed = [], [], []
     for slot_ms in (48.0, 60.0):
@@ -152,12 +152,12 @@ def test_a_law_that_promises_passivity_and_makes_energy_is_named() -> None:
     assert broken(outcomes(["position_force"], 5, ending(("diverged", -1.0, 1.0)))) == []
 
 
-DOCUMENT = (Path(__file__).parents[4] / "docs" / "studies.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[4] / "docs" / "study-results.md").read_text(encoding="utf-8")
 PRINTED_HANDS: dict[str, Hand] = {"constant force": "force", "arm of 300 N/m": "ordinary", "arm of 1000 N/m": "stiff"}
 
 
 def printed_shares() -> dict[tuple[str, Hand, float], tuple[float, float]]:
-    """Give median and least share of the force, as docs/studies.md prints them for a law, a hand and a round trip."""
+    """Give median and least share of the force, as docs/study-results.md has them for law, hand and round trip."""
     found, law = {}, ""
     heads, *lines = DOCUMENT[DOCUMENT.index("\n| | 0 ms |") + 1 :].split("\n\n")[0].splitlines()
     delays_ms = [float(head) for head in re.findall(r"(\d+) ms", heads)]

@@ -23,9 +23,8 @@ from telenano_lab.studies.loops.validate import (
 from telenano.afm import AfmConfig
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings
 from telenano.lockstep import Trajectory
-from telenano.settings import Scenario, validate
+from telenano.settings import LinkSettings, Scenario, validate
 from telenano.wire import ConfigError, RecordingError, RigError
 
 

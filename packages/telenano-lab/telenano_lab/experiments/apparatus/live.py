@@ -17,10 +17,9 @@ from typing import Any, Literal
 from telenano.console import holding, recouple, send_control
 from telenano.hand import HapticConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings
 from telenano.recording import Recording
 from telenano.runtime import AddressBook, Command, Observer
-from telenano.settings import DEFAULT_SITE_FILE
+from telenano.settings import DEFAULT_SITE_FILE, LinkSettings
 from telenano.wire import (
     LINK,
     AfmState,

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from telenano.afm import AfmConfig
 from telenano.laws import ControllerConfig
-from telenano.link import LinkSettings
-from telenano.settings import LoadedScenario, flatten
+from telenano.settings import LinkSettings, LoadedScenario, flatten
 from telenano.wire import LinkDelay, Scalar
 from telenano_lab.experiments.plan import changes_while_running
 

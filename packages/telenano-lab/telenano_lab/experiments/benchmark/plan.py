@@ -14,8 +14,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from telenano.laws import LAWS
-from telenano.link import LinkSettings, profile_named
-from telenano.settings import Settings
+from telenano.settings import LinkSettings, Settings, profile_named
 from telenano.wire import ConfigError, known_names
 from telenano_lab.studies.loops.cells import Cell, Environment, sources
 from telenano_lab.studies.option_values import disturbances_of

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from telenano.analysis import wilson
-from telenano.link import profile_named
+from telenano.settings import profile_named
 from telenano_lab.experiments.benchmark.plan import LINES, SAMPLES, STEADINESS, TASKS, VERSION, Plan, Run
 from telenano_lab.experiments.benchmark.run import MEASURES, Outcome, rounded
 

@@ -1,6 +1,7 @@
 """What each law was shown to hold, made of the runs of the benchmark: the table that a running rig warns by.
 
-    python -m telenano_lab.experiments.benchmark.shown out/benchmark/runs.csv telenano/launcher/shown.json
+    python -m telenano_lab.experiments.benchmark.shown out/benchmark/runs.csv \
+        packages/telenano-lab/telenano_lab/experiments/benchmark/shown.json
 
 A cell is a law over a network on a sample with an instrument; its runs are those of every hand. A run that the
 instrument's guard ended before it began to be judged says nothing of the law: it is counted by itself.
@@ -23,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from telenano.analysis import wilson
-from telenano.link import LinkSettings
 from telenano.lockstep import Schedule
+from telenano.settings import LinkSettings
 from telenano_lab.experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
 from telenano_lab.experiments.benchmark.results import HELD, digest_of
 from telenano_lab.experiments.benchmark.run import course_of

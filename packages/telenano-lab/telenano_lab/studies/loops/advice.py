@@ -18,8 +18,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from telenano.link import profile_named
-from telenano.settings import Option
+from telenano.settings import Option, profile_named
 from telenano.settings import Settings as StrictSettings
 from telenano.wire import ConfigError
 from telenano_lab.studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand

@@ -21,10 +21,9 @@ from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
 from telenano.hand import HapticConfig, LimitsConfig
 from telenano.laws import LAWS, ControllerConfig
-from telenano.link import LinkSettings
 from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.numerics import source_digest
-from telenano.settings import Option, Settings, merge, nested, validate
+from telenano.settings import LinkSettings, Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, RigError, known_names
 from telenano_lab.studies import option_values
 from telenano_lab.studies.loops.body import body_params

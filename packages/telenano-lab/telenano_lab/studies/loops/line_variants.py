@@ -30,8 +30,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from telenano.link import LinkSettings, Outages, profile_named, stream
+from telenano.link import Outages, stream
 from telenano.lockstep import Schedule
+from telenano.settings import LinkSettings, profile_named
 from telenano.wire import ConfigError
 from telenano_lab.studies.loops.cells import Cell, CellResult, rig_of, run_cell, settle_s, settle_ticks
 from telenano_lab.studies.loops.network import CONTACT_N_PER_M

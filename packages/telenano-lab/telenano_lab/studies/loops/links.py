@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from telenano.link import LinkSettings
 from telenano.lockstep import Schedule
+from telenano.settings import LinkSettings
 
 Times = npt.NDArray[np.int64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from telenano.link import LinkSettings
+from telenano.settings import LinkSettings
 from telenano.wire import ConfigError
 from telenano_lab.studies.loops.cells import Cell, CellResult, course_of, run_cell
 from telenano_lab.studies.loops.tuning import tuned

@@ -6,24 +6,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from telenano.laws import LAWS, OWN_LAWS
+from telenano_lab.studies.figure_colours import Look, looks
 from telenano_lab.studies.loops.transparency import Spectrum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LOOKS = (
-    ("#000000", "o", "-"),
-    ("#e69f00", "s", "--"),
-    ("#0072b2", "^", "-."),
-    ("#009e73", "D", ":"),
-    ("#d55e00", "v", (0, (6, 1, 1, 1, 1, 1))),
-    ("#cc79a7", "P", (0, (3, 1))),
-)
 # A law that has moved into a package keeps its look.
-LAW_LOOKS: dict[str, tuple[str, str, Any]] = {
-    law: _LOOKS[n % len(_LOOKS)] for n, law in enumerate(dict.fromkeys((*OWN_LAWS, "model_mediated", *LAWS)))
-}
+_NAMED = tuple(dict.fromkeys((*OWN_LAWS, "model_mediated", *LAWS)))
+LAW_LOOKS: dict[str, Look] = dict(zip(_NAMED, looks(len(_NAMED)), strict=True))
 
 
 def impedance_figure(spectra: Sequence[Spectrum]) -> "Figure":
@@ -70,7 +62,7 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
 
 
 def _line(axis: "Axes", spectrum: Spectrum, values: Sequence[float | None]) -> None:
-    colour, mark, style = LAW_LOOKS[spectrum.law]
+    colour, style, mark = LAW_LOOKS[spectrum.law]
     numbers = [np.nan if value is None else value for value in values]
     if not np.isnan(numbers).all():
         axis.plot(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from telenano.analysis import VERDICT_COLOURS, FigureOptions, Page
 from telenano.cli import results_in
 from telenano.wire import RigError
-from telenano_lab.studies.figure_colours import ON_SCREEN
+from telenano_lab.studies.figure_colours import ON_SCREEN, looks
 from telenano_lab.studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_lab.studies.loops.stability import LineResult
 from telenano_lab.studies.loops.theory import hybrid_of, llewellyn
@@ -186,12 +186,14 @@ def growth_figure(results: Sequence[LineResult]) -> "Figure":
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 2.6)
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):
-        for number, row in enumerate(rows):
+        for look, row in zip(looks(len(rows)), rows, strict=True):
             growths = [(c.cell.round_trip_ms, c.growth_per_s) for c in row.cells if c.growth_per_s is not None]
             if growths:
-                axis.plot(*zip(*growths, strict=True), "o-", markersize=3, color=f"C{number}", label=row.line.label)
+                axis.plot(
+                    *zip(*growths, strict=True), look.mark, ls=look.style, ms=3, color=look.colour, label=row.line.label
+                )
             if row.theory_link_ms is not None:
-                axis.axvline(row.theory_link_ms, color=f"C{number}", linestyle=":")
+                axis.axvline(row.theory_link_ms, color=look.colour, linestyle=":")
         axis.axhline(0.0, color="0.4", linewidth=0.8)
         axis.set_yscale("symlog", linthresh=_LINEAR_PER_S)
         axis.set_yticks(_RATES_PER_S)

@@ -6,8 +6,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telenano.link.config import DirectionSettings, Impairment, LinkSettings, changes_text, profile_changes
-from telenano.link.profiles import PROFILES
+from telenano.settings.link_settings import DirectionSettings, Impairment, LinkSettings, changes_text, profile_changes
+from telenano.settings.network_profiles import PROFILES
 from telenano.wire.errors import ConfigError
 
 REPOSITORY = Path(__file__).parents[3]

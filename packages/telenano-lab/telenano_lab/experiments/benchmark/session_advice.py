@@ -1,83 +1,62 @@
-"""Whether the session in force is outside of what its law was shown to hold, a few times a second beside the loop.
+"""Whether the session in force is outside of what its law was shown to hold: the adviser of the benchmark.
 
-It reads a copy of what the controller and the instrument publish from a socket of its own, which wakes no process: the
-newest of each topic is taken at every tick of the launcher. What it finds is advice, and never acts on a device.
+What it finds is advice, and never acts on a device.
 """
 
-from collections.abc import Collection, Iterable, Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Collection, Iterable, Mapping
+from types import MappingProxyType
+from typing import ClassVar
 
-from telenano.launcher.session_estimates import ContactEstimate, LineEstimate
-from telenano.launcher.shown import Known, Session, advice, outside, read_shown
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.runtime.bus.bus import Subscriber
-from telenano.runtime.loop.log import StructuredLog
-from telenano.settings.config import section_of
-from telenano.settings.known_packages import known_of, where_it_is
-from telenano.timing.clock import Clock
-from telenano.wire.messages import AfmState, LawStatus, Message, Scalar
+from telenano.extend.advice import Advice, AdvisedSession
+from telenano.laws import LAWS, ControllerConfig
+from telenano.settings import section_of
+from telenano.wire import AfmState, LawStatus, Message, Scalar
+from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate
+from telenano_lab.experiments.benchmark.shown_range import Known, Session, Shown, advice, outside, read_shown
 
 # It is judged this often [ns].
 _LOOK_NS = 500_000_000
 # A session is outside when it has been for this time, and back when it has been inside for that [ns].
 _OUTSIDE_NS = 2_000_000_000
 _INSIDE_NS = 10_000_000_000
-# A reader takes at most 256 messages in a turn, and five times as much as comes in a tick.
-_MOST_TURNS = 4
 _UNITS = ("round_trip_ms", "unevenness_ms", "stiffness_n_per_m", "drift_pm_per_s")
 
 
-class Advice(NamedTuple):
-    """A warning in sentences, and its facts for a program."""
-
-    text: str
-    facts: dict[str, Scalar]
-
-
-class ShownWatch:
-    """Watches the session: what it reads, what it has estimated, and whether a warning is in force."""
+class BenchmarkAdviser:
+    """Watches the session: what it has estimated, and whether a warning is in force."""
 
     inputs: ClassVar[tuple[str, ...]] = ("law/status", "afm/state")
 
     def __init__(
-        self, clock: Clock, log: StructuredLog, laws: Collection[str], readers: Sequence[Subscriber] = ()
+        self,
+        now_ns: Callable[[], int],
+        laws: Collection[str],
+        absent_laws: Mapping[str, str] = MappingProxyType({}),
+        read_table: Callable[[], Mapping[str, Shown]] = read_shown,
     ) -> None:
         """Prepare to watch.
 
         Args:
-            clock: The clock of the launcher.
-            log: Where a failure of the watch is written.
+            now_ns: Returns the time on the monotonic clock [ns].
             laws: The laws whose settings are those that the benchmark ran.
-            readers: What is read at each look.
+            absent_laws: The laws that are not installed, each with where it is.
+            read_table: Returns what each law was shown to hold.
         """
-        self._clock = clock
-        self._log = log
-        self._laws = frozenset(laws)
-        self._readers = readers
+        self._now_ns, self._laws, self._absent_laws = now_ns, frozenset(laws), absent_laws
+        self._read_table = read_table
         self._line, self._contact = LineEstimate(), ContactEstimate()
         self._law = ""
-        self._hears_master = self._has_failed = False
-        self._look_ns = clock.monotonic_ns()
+        self._hears_master = False
+        self._look_ns = now_ns()
         # Since when the session has been outside, or back inside, without a look that found it otherwise.
         self._since_ns: int | None = None
         # What was known of the session when it was warned of; None while no warning is in force.
         self._warned: Session | None = None
 
-    def look(self, *, runs: bool) -> Advice | None:
-        """Read what has come, and return a warning where the session has left what its law was shown to hold.
-
-        A failure of the watch is logged, and ends it: no session depends on it.
-        """
-        if self._has_failed:
-            return None
-        try:
-            self.take(self._received(), runs=runs)
-            return self._judged() if runs else None
-        # whatever is wrong with the advice, the session continues
-        except Exception as error:  # noqa: BLE001
-            self._has_failed = True
-            self._log.warning(f"the session is not compared with what its law was shown to hold: {error!r}")
-            return None
+    def look(self, messages: Iterable[Message], *, runs: bool) -> Advice | None:
+        """Return a warning where the session has left what its law was shown to hold."""
+        self.take(messages, runs=runs)
+        return self._judged() if runs else None
 
     def take(self, messages: Iterable[Message], *, runs: bool) -> None:
         """Take note of messages; of the line only while the session runs."""
@@ -109,16 +88,9 @@ class ShownWatch:
             drift if isinstance(drift, Known) else None,
         )
 
-    def _received(self) -> Iterable[Message]:
-        for reader in self._readers:
-            for _ in range(_MOST_TURNS):
-                yield from (received.message for received in reader.receive())
-                if reader.drained:
-                    break
-
     def _judged(self) -> Advice | None:
-        now_ns = self._clock.monotonic_ns()
-        table = read_shown()
+        now_ns = self._now_ns()
+        table = self._read_table()
         if now_ns < self._look_ns or self._law not in table or self._law not in self._laws:
             return None
         self._look_ns = now_ns + _LOOK_NS
@@ -129,7 +101,7 @@ class ShownWatch:
                 return None
             self._warned, self._since_ns = session, None
             choices = [law for law in LAWS if law in self._laws]
-            text = advice(table, self._law, axis, session, choices, absent_laws())
+            text = advice(table, self._law, axis, session, choices, self._absent_laws)
             return Advice(text, {"outside": axis, "law": self._law, **_facts(session)})
         # What is not known any more is not known to be inside.
         is_known = all(new is not None for old, new in zip(self._warned, session, strict=True) if old is not None)
@@ -146,9 +118,10 @@ class ShownWatch:
         return self._since_ns is not None and now_ns - self._since_ns >= for_ns
 
 
-def absent_laws() -> dict[str, str]:
-    """Return the laws of this project's packages that are not installed, each with where it is."""
-    return {law: where_it_is(f"law {law}") for law in known_of("law") if law not in LAWS}
+def benchmark_adviser(session: AdvisedSession) -> BenchmarkAdviser | None:
+    """Return the adviser of a session; None where no law has the settings that the benchmark ran."""
+    laws = laws_as_shown(session.controller)
+    return BenchmarkAdviser(session.now_ns, laws, session.absent_laws) if laws else None
 
 
 def laws_as_shown(controller: ControllerConfig) -> list[str]:

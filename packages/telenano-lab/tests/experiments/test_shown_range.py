@@ -3,9 +3,18 @@
 import itertools
 
 import pytest
+from telenano_lab.experiments.benchmark.shown_range import (
+    Cell,
+    Known,
+    Place,
+    Session,
+    Shown,
+    advice,
+    outside,
+    read_shown,
+)
 
-from telenano.launcher.shown import Cell, Known, Place, Session, Shown, advice, outside, read_shown
-from telenano.laws.config import LAWS
+from telenano.laws import LAWS
 
 
 def cell(line: tuple[float, float], stiffness: float, drift: float = 0.0, *, held: int = 32) -> Cell:

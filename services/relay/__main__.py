@@ -11,14 +11,13 @@ from telenano.runtime.wiring.main import EXIT_BAD_START, beside_the_loop, parse_
 from telenano.runtime.wiring.participant import SITES
 from telenano.signals.children import die_with_parent
 from telenano.wire.errors import TelenanoError
-
-NAME = "relay"
+from telenano.wire.nodes import RELAY
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the transport of the site file until it ends; return the exit code, 2 when it could not start."""
-    arguments_read = parse_arguments(NAME, SITES, arguments)
-    log = StructuredLog(f"{NAME}@{arguments_read.site}")
+    arguments_read = parse_arguments(RELAY, SITES, arguments)
+    log = StructuredLog(f"{RELAY}@{arguments_read.site}")
     if arguments_read.with_parent:
         die_with_parent(signal.SIGTERM)
     beside_the_loop()

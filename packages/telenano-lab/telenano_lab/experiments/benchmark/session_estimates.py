@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.intervals import DEVIATIONS, half_width, student
-from telenano.launcher.shown import Known
+from telenano.analysis import DEVIATIONS, half_width, student
+from telenano_lab.experiments.benchmark.shown_range import Known
 
 Series = npt.NDArray[np.float64]
 # The line is estimated over this time, and not before the second has passed [s].

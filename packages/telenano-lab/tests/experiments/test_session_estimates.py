@@ -6,9 +6,8 @@ from collections import Counter
 import numpy as np
 import pytest
 from made_contacts import RATE_HZ, made_contact, made_line, samples_of
-
-from telenano.launcher.session_estimates import ContactEstimate, LineEstimate, Unknown
-from telenano.launcher.shown import Cell, Known, Place, Session, Shown, outside
+from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate, Unknown
+from telenano_lab.experiments.benchmark.shown_range import Cell, Known, Place, Session, Shown, outside
 
 STIFFNESSES, DRIFTS = (20.0, 40.0, 80.0), (0.0, 10.0)
 HELD = ((0.0, 0.0), (20.0, 5.0), (50.0, 20.0), (16.0, 70.0))

@@ -6,25 +6,15 @@ with this one. The truth of each message is `link/fates`, with the topic of the 
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Protocol, Self
 
-from telenano.link.config import LinkSettings
-from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.bus.address_book import AddressBook
-from telenano.runtime.bus.bus import Reader, ZmqBus
-from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.link_node import FATES_AT_ONCE, DelayNode, DirectionPath, SiteEndpoint
-from telenano.runtime.loop.log import StructuredLog
-from telenano.runtime.loop.node import NodeContext
-from telenano.runtime.loop.realtime import RealtimeStatus, apply_realtime
-from telenano.runtime.wiring.participant import Participant, StopSignals
-from telenano.timing.clock import NEVER_NS, Clock
-from telenano.wire.codec import read_header
-from telenano.wire.errors import EndpointError
-from telenano.wire.messages import Scalar, SessionControl
-from telenano.wire.nodes import LINK
-from telenano.wire.received import Received
+from telenano.link import Direction, Fate, Release
+from telenano.runtime import AddressBook, DirectionPath, ImpairedLink, NodeContext, NodeProcess, Reader, SiteEndpoint
+from telenano.settings import LinkSettings
+from telenano.timing import NEVER_NS, Clock
+from telenano.wire import LINK, EndpointError, Scalar, read_header
 
 
 class Carrier(Protocol):
@@ -54,11 +44,11 @@ class Carrier(Protocol):
         """Note that bytes will not be sent, and the impairment that is the cause."""
 
 
-class ByteLink(DelayNode):
-    """Forwards the bytes of a carrier when the engine releases them, and reports on link/status."""
+class ByteLink(ImpairedLink):
+    """Forwards the bytes of a carrier when the engine releases them, and reports on link/status.
 
-    # A re-run would need the bytes, which no recording holds.
-    journalled = False
+    It keeps no journal, because a re-run would need the bytes, which no recording holds.
+    """
 
     def __init__(
         self,
@@ -84,29 +74,17 @@ class ByteLink(DelayNode):
         """
         super().__init__(context, settings, *outlets, folder)
         self._carrier = carrier
-        self._numbers = {way.name: 0 for way in self._ways}
+        self._numbers = {way.name: 0 for way in self.directions}
         now_ns = self.clock.monotonic_ns()
         self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
         """Take bytes that have arrived from a client, and send what is due."""
-        way = self._forward if direction == "forward" else self._backward
+        way = self.forward if direction == "forward" else self.backward
         number = self._numbers[direction]
         self._numbers[direction] += 1
-        self.steps += 1
-        self._send(way, way.engine.submit(self.clock.now_ns(), self._carrier.topic, payload, number, client))
-        # Small reports hold up the next message for less than one of a tenth of a second would.
-        self._unreported += 1
-        if self._unreported >= FATES_AT_ONCE:
-            for task in self._fates:
-                self.defer(task)
-
-    def on_message(self, received: Received) -> None:
-        """Note the start of a session, which is all that a link for bytes has of one."""
-        self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
-        message = received.message
-        if type(message) is SessionControl and message.command == "start":
-            self.engine.begin_session(received.received_ns)
+        self.send(way, way.engine.submit(self.clock.now_ns(), self._carrier.topic, payload, number, client))
+        self.count_unreported()
 
     def deadline_ns(self) -> int:
         return min(super().deadline_ns(), self._end_ns)
@@ -118,11 +96,11 @@ class ByteLink(DelayNode):
 
     def make_safe(self) -> None:
         """Report the fates that are not reported yet; what is still in transit stays unsent."""
-        self._publish_status()
-        for way in self._ways:
-            self._publish_fates(way)
+        self.publish_status()
+        for way in self.directions:
+            self.publish_fates(way)
 
-    def _send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
+    def send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
         for release in releases:
             fate = release.fate
             late_ns = self.clock.now_ns() - (fate.release_ns or 0)
@@ -130,8 +108,8 @@ class ByteLink(DelayNode):
                 way.name, release.payload, fate.src, delay_ns=fate.delay_ns, late_ns=late_ns, is_copy=fate.copy > 0
             )
 
-    def _take_fates(self, way: DirectionPath) -> list[Fate]:
-        fates = super()._take_fates(way)
+    def take_fates(self, way: DirectionPath) -> list[Fate]:
+        fates = super().take_fates(way)
         for fate in fates:
             if fate.dropped:
                 self._carrier.dropped(way.name, fate.dropped, fate.size_bytes, is_copy=fate.copy > 0)
@@ -144,17 +122,12 @@ class ByteLinkProcess:
     The reader calls `link.arrive` with what it receives, and the link calls `carrier.send` with what it releases.
     """
 
-    def __init__(
-        self,
-        participant: Participant,
-        signals: StopSignals,
-        realtime: RealtimeStatus,
-        outlets: tuple[ZmqPublisher, ZmqPublisher],
-    ) -> None:
-        self.clock: Clock = participant.clock
-        self._participant, self._signals, self._realtime, self._outlets = participant, signals, realtime, outlets
-        self._node: ByteLink
-        self._bus: ZmqBus
+    def __init__(self, process: NodeProcess) -> None:
+        self.clock: Clock = process.participant.clock
+        self._process = process
+        self._to_slave, self._to_master = (process.participant.bind(f"{LINK}@{site}") for site in ("slave", "master"))
+        self._link: ByteLink
+        self._run: Callable[[], None]
 
     @classmethod
     @contextlib.contextmanager
@@ -164,15 +137,12 @@ class ByteLinkProcess:
         Raises:
             EndpointError: A link runs already.
         """
-        signals, key = StopSignals(), f"{LINK}@master"
-        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
-        realtime = apply_realtime(None, StructuredLog(key), key)
-        with Participant.open(key, book, signals.descriptor) as participant:
+        with NodeProcess.open(f"{LINK}@master", book) as process:
             try:
-                outlets = participant.bind(f"{LINK}@slave"), participant.bind(key)
+                link = cls(process)
             except EndpointError as error:
                 raise EndpointError(f"{error}; another link runs beside it with --rig NAME") from error
-            yield cls(participant, signals, realtime, outlets)
+            yield link
 
     def begin(
         self,
@@ -196,22 +166,23 @@ class ByteLinkProcess:
         Raises:
             ConfigError: A file of the settings cannot be used.
         """
-        participant, (to_slave, to_master) = self._participant, self._outlets
+        participant, to_master = self._process.participant, self._to_master
         if keep is not None:
             to_master.carry = lambda topic, payload: keep(topic, *read_header(topic, payload), payload)
         readers = participant.subscribers(participant.book.sources(participant.key, ByteLink.inputs))
-        self._bus = participant.bus_of(to_master, [*readers, reader])
-        context = participant.context(self._bus)
-        self._node = ByteLink(context, settings, (to_slave, to_master), carrier, duration_s=duration_s)
+        bus = participant.bus_of(to_master, [*readers, reader])
+        outlets = self._to_slave, to_master
+        self._link = ByteLink(participant.context(bus), settings, outlets, carrier, duration_s=duration_s)
+        self._run = partial(self._process.run, self._link, bus)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
         """Take bytes that have arrived from a client, and send what is due."""
-        self._node.arrive(direction, payload, client)
+        self._link.arrive(direction, payload, client)
 
     def event(self, kind: str, level: str, text: str, **data: Scalar) -> None:
         """Publish a session/event and write it to the log."""
-        self._node.context.publish_event(kind, level, text, data)
+        self._link.context.publish_event(kind, level, text, data)
 
     def run(self) -> None:
         """Run until the duration is over or a signal comes."""
-        self._signals.run(self._node, self._bus, self._realtime, guarded=True)
+        self._run()

@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from telenano.link.profiles import PROFILES, refusal_of
 from telenano.settings.config import Settings, flatten, merge, nested, validate
+from telenano.settings.network_profiles import PROFILES, refusal_of
 from telenano.wire.codec import MAX_MESSAGE_BYTES
 from telenano.wire.messages import MAX_KEYS
 from telenano.wire.patterns import fault_of_pattern, matches

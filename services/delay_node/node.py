@@ -1,0 +1,287 @@
+"""The link of a rig: the only path between the sites, with the impairments in force on each direction."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from services.delay_node.far_stop import FarStop, FarStopState
+from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
+from telenano.link.engine import LinkState
+from telenano.link.fate import Fate, Release
+from telenano.link.questions import Questions
+from telenano.runtime.bus.publisher import publish_end
+from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
+from telenano.runtime.loop.node import NodeBus, NodeContext
+from telenano.runtime.wiring.link_transports import TRAIN
+from telenano.settings.link_settings import LinkSettings
+from telenano.timing.clock_offset import OffsetState
+from telenano.wire import TOPICS
+from telenano.wire.codec import WireError, accept
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import ClockPong, SessionControl, SessionEvent
+from telenano.wire.node_state import FindInput
+from telenano.wire.nodes import LINK, TIP
+from telenano.wire.received import Received
+from telenano.wire.topics import output_name
+
+# What the link drops while the instrument has not obeyed an emergency stop; its fate names this cause.
+_HELD_BACK = ("teleop/forward", "session/control")
+_STOP = "stop"
+
+
+class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
+    """The state of the node.
+
+    The delays that readers know; what lies between the sites; when the newest answer was sent and received [ns], 0
+    before it; the command that began the session; when the other site is asked for its time. `capture` writes the
+    others: the engine, the exchanges of time stamps by second, when the next report is due [ns], how many messages it
+    has to tell of, and the emergency stop that the instrument has not obeyed yet.
+    """
+
+    engine: LinkState
+    forward_delay: DeclaredDelay
+    backward_delay: DeclaredDelay
+    between: BetweenSites = ONE_MACHINE
+    clock: OffsetState
+    answer: tuple[int, int] = (0, 0)
+    session_id: str = ""
+    status_ns: int
+    unreported: int
+    stop: FarStopState = FarStopState()
+    questions: Questions = msgspec.field(default_factory=Questions)
+
+
+class DelayNode(ImpairedLink):
+    """Forwards messages between the sites when the engine releases them, and reports on link/status.
+
+    An emergency stop for the instrument is kept until the instrument has obeyed it (`FarStop`).
+    """
+
+    journalled = True
+    state_kind = DelayNodeState
+    state_version = 2
+
+    def __init__(
+        self,
+        context: NodeContext,
+        settings: LinkSettings,
+        to_slave: SiteEndpoint,
+        to_master: SiteEndpoint,
+        folder: Path,
+        *,
+        spans_machines: bool = False,
+        send_train: Callable[[], bool] | None = None,
+    ) -> None:
+        """Start with the settings; the files that they name are sought in `folder`.
+
+        Args:
+            context: The context of the node.
+            settings: The settings of the link.
+            to_slave: The end at the slave's site.
+            to_master: The end at the master's site.
+            folder: The folder in which the files of the settings are sought.
+            spans_machines: Whether the sites have clocks of their own and a network between them.
+            send_train: Sends a train of datagrams between the machines and returns whether it could; None without any.
+
+        Raises:
+            ConfigError: A trace cannot be used; the message names file and line.
+        """
+        super().__init__(context, settings, to_slave, to_master, folder)
+        self._forwarded = {way.endpoint: 0 for way in self.directions}
+        # The newest message that was sent on, by topic.
+        self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self.directions}
+        self.memory = DelayNodeState(
+            engine=self.engine.capture(),
+            forward_delay=DeclaredDelay(DECLARED[self.forward.name]),
+            backward_delay=DeclaredDelay(DECLARED[self.backward.name]),
+            clock=self.offset.capture(),
+            status_ns=self.status.deadline_ns,
+            unreported=0,
+        )
+        self._spans_machines, self._send_train = spans_machines, send_train
+        self._stop = FarStop(context.kept_stop)
+        # The report has the delays as well, which late readers need and which the clocks change, and asks for the next
+        # exchange of time stamps.
+        self.report_tasks += self._declare_forward, partial(self._declare, self.backward), self._ask
+
+    def deadline_ns(self) -> int:
+        due_ns = min(super().deadline_ns(), self._stop.due_ns)
+        if self._spans_machines:
+            due_ns = min(due_ns, self.memory.questions.due_ns(2 * self.memory.between.transit_ns))
+        return due_ns
+
+    def on_message(self, received: Received) -> None:
+        self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
+        if type(received.message) is ClockPong:
+            self._take_answer(received.message, received.received_ns)
+        direction = TOPICS[received.topic].bridged
+        if direction is None:
+            return
+        message = received.message
+        if self._spans_machines and received.topic == self.memory.backward_delay.topic:
+            self.memory.questions.hear(received.received_ns - self.clock.epoch_offset_ns)
+        is_stop = type(message) is SessionControl and message.command == "estop"
+        if type(message) is SessionControl and is_stop:
+            if fault := self._stop.record(message, received.payload, self.clock.monotonic_ns()):
+                self.event("fault", "warning", fault)
+        elif type(message) is SessionEvent:
+            self._note_answer(message)
+        elif received.topic in _HELD_BACK and self._stop.holds_back(message):
+            self.forward.engine.leave_out(
+                received.received_ns, received.topic, received.payload, message.seq, message.src, _STOP
+            )
+            return
+        if type(message) is SessionControl and message.command == "start" and message.id != self.memory.session_id:
+            # The hand's force profile begins with the first of the repetitions, at this side of the link.
+            self.memory.session_id = message.id
+            self.engine.begin_session(received.received_ns)
+        for way in self.directions:
+            if direction in (way.name, "both"):
+                # An emergency stop is no part of the experiment, and a line that stands still would hold it.
+                due = way.engine.submit(
+                    received.received_ns, received.topic, received.payload, message.seq, message.src, at_once=is_stop
+                )
+                self.send(way, due)
+        self.count_unreported(may_report=direction == "backward")
+
+    def on_deadline(self, now_ns: int) -> None:
+        self.begin_turn(now_ns)
+        self.send_due(now_ns)
+        self._send_stop(now_ns)
+        if self._spans_machines and self.memory.questions.take(now_ns, 2 * self.memory.between.transit_ns):
+            self._ask()
+        self.report_if_due(now_ns)
+
+    def capture(self) -> DelayNodeState:
+        memory = self.memory
+        memory.engine, memory.clock, memory.stop = self.engine.capture(), self.offset.capture(), self._stop.capture()
+        memory.status_ns, memory.unreported = self.status.deadline_ns, self.unreported
+        return memory
+
+    def restore(self, state: DelayNodeState, find: FindInput) -> None:
+        self.memory = state
+        self.engine.restore(state.engine, find)
+        self.offset.restore(state.clock)
+        self._stop.restore(state.stop)
+        self.status.deadline_ns, self.unreported = state.status_ns, state.unreported
+
+    def further_outputs(self) -> dict[str, int]:
+        """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
+        numbers = self.forward.outlet.sequence_numbers()
+        return {**{output_name(topic, f"{LINK}@slave"): seq for topic, seq in numbers.items()}, **self._forwarded}
+
+    def on_control(self, control: SessionControl) -> str:
+        """Change the settings, or measure the line between two machines with a train of datagrams."""
+        if control.command != "set" or dict(control.parameters) != {TRAIN: True}:
+            return super().on_control(control)
+        if self._send_train is None or not self._send_train():
+            raise RefusedError("no train was sent: no datagrams cross, the line is full, or one was sent just before")
+        return "a train of datagrams was sent each way: link/network has what the line carried"
+
+    def publish_end(self, bus: NodeBus) -> None:
+        """Publish at both sites what was sent there, and up to which number messages were sent on."""
+        for way, publisher in ((self.backward, bus), (self.forward, self.forward.outlet)):
+            newest = self._newest[way.endpoint].values()
+            publish_end(publisher, way.endpoint, {(fate.topic, fate.src): fate.seq + 1 for fate in newest})
+
+    def send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
+        if not releases:
+            return
+        declared, newest = self._declared(way), self._newest[way.endpoint]
+        for release in releases:
+            if way is self.forward and self._stop.identifier and self._is_void(release):
+                continue
+            if declared.changed_by(release):
+                self._declare(way)
+            way.outlet.send(release.topic, release.payload)
+            newest[release.topic] = release.fate
+        self._forwarded[way.endpoint] += len(releases)
+
+    def _is_void(self, release: Release) -> bool:
+        """Return whether a stop that came later voids what the link has delayed: a command that begins a motion."""
+        if release.topic != "session/control":
+            return False
+        try:
+            return self._stop.holds_back(accept(release.topic, release.payload))
+        except WireError:
+            return False
+
+    @property
+    def kept_stop_for(self) -> str:
+        """The node that a stop in the file of this process is for."""
+        return TIP
+
+    def has_taken_over(self, identifier: str) -> bool:
+        """Return whether a stop of this id is kept already, or was obeyed."""
+        return self._stop.knows(identifier)
+
+    def _send_stop(self, now_ns: int) -> None:
+        """Send the stop that is kept once more, if it is time, and report once that the instrument does not answer."""
+        was_unreached = self._stop.is_unreached
+        if (payload := self._stop.copy(now_ns, self.clock.now_ns())) is None:
+            return
+        self.forward.outlet.send("session/control", payload)
+        self._forwarded[self.forward.endpoint] += 1
+        if self._stop.is_unreached and not was_unreached:
+            text = f"{TIP} has not answered an emergency stop: it is kept and sent until it has, and no sample crosses"
+            self.event("link", "warning", text)
+
+    def _note_answer(self, event: SessionEvent) -> None:
+        """Forget the stop that is kept once the instrument has obeyed it."""
+        was_unreached = self._stop.is_unreached
+        if self._stop.note_event(event) and was_unreached:
+            self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
+
+    def _declared(self, way: DirectionPath) -> DeclaredDelay:
+        return self.memory.forward_delay if way is self.forward else self.memory.backward_delay
+
+    def _declare(self, way: DirectionPath) -> None:
+        """Publish the delay of a direction where it counts: that of the way back does at the master only."""
+        fields = {"direction": way.name, **self._declared(way).current._asdict()}
+        if way is self.forward:
+            way.outlet.publish("link/delay", **fields, **self.memory.between.at_slave())
+        self.backward.outlet.publish("link/delay", **fields, **self.memory.between.at_master())
+
+    def _declare_forward(self) -> None:
+        if self._spans_machines:
+            self.memory.between = between_sites(self.offset)
+            self._tell_change()
+        self._declare(self.forward)
+
+    def _tell_change(self) -> None:
+        """Tell of a line that has become longer or shorter for good, which a loop feels as delay."""
+        if (changed := self.offset.present.take_change(self.clock.now_ns())) is None:
+            return
+        before_ms, after_ms, low_ms, high_ms = (1e-6 * value for value in changed[1:])
+        word = "longer" if after_ms > before_ms else "shorter"
+        self.event(
+            "link",
+            "info",
+            f"the way between the sites has become {word}: the round trip was {before_ms:.3g} ms and is {after_ms:.3g}"
+            f" ms ({low_ms:.3g} to {high_ms:.3g} ms)",
+        )
+
+    def _ask(self) -> None:
+        """Ask the other site for its time."""
+        self.memory.questions.ask(self.clock.monotonic_ns())
+        self.forward.outlet.publish("clock/ping")
+
+    def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
+        self.memory.answer = (pong.t_ns, received_ns)
+        is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self.memory.answer)
+        in_doubt = self.offset.present.is_in_doubt
+        self.memory.questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
+        if is_longer and self._spans_machines:
+            # Until its readers know, a hand is switched off by the age of what is as fresh as the line allows.
+            self._declare_forward()
+            self._declare(self.backward)
+
+    def clock_status(self) -> dict[str, object]:
+        answer = (
+            {"answer_sent_ns": self.memory.answer[0], "answer_received_ns": self.memory.answer[1]}
+            if self.memory.answer[1]
+            else {}
+        )
+        return {"clock": self.offset.report(of_line=self._spans_machines), **answer}

@@ -1,0 +1,1 @@
+"""One reader of each node of a rig on one machine, instead of one for each observer."""
