@@ -48,7 +48,7 @@ from telenano.wire.messages import Message
 if TYPE_CHECKING:
     import pandas
 
-    from telenano.analysis.report import Session as ReadSession
+    from telenano.analysis.recorded_session import Session as ReadSession
 
 _LOOP = "haptic/state"
 # The columns of a table of recordings that do not depend on what is in them.
@@ -178,8 +178,9 @@ class RecordedSession(Session):
         if (kept := self._read_kept()) is not None:
             return kept
         from telenano.analysis.recorded_course import conditions_of
+        from telenano.analysis.session_judge import summary_of
 
-        summary = self._session.summary(self._analysed)
+        summary = summary_of(self._session, self._analysed)
         judged = Judged(summary, conditions_of(self._analysed, self._session), self._session.start_ns)
         if self._kept is not None:
             facts = {"path": str(self._source.path), "conditions": asdict(judged.conditions)}
@@ -212,7 +213,7 @@ class RecordedSession(Session):
 
     @cached_property
     def _session(self) -> "ReadSession":
-        from telenano.analysis.report import Session as ReadSession
+        from telenano.analysis.recorded_session import Session as ReadSession
 
         return ReadSession.of(self._analysed)
 

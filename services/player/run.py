@@ -63,7 +63,7 @@ def run_replay(
     played runs.
     """
     # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
-    recording = open_recordings(request.files, by_index=True, same_session=request.same_session)
+    recording = open_recordings(request.files, same_session=request.same_session)
     book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")

@@ -114,7 +114,7 @@ def view(
         if demo and files:
             raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
         files = [DEMO_RECORDING] if demo else [file for path in files or () for file in recordings_of(path)]
-        recordings = open_recordings(files, by_index=True, same_session=same_session) if files else None
+        recordings = open_recordings(files, same_session=same_session) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(AddressBook.load(site_file), "").close()
@@ -173,7 +173,7 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
         # What draws the figures takes longer to import than the page to open.
         from telenano.analysis.recording_document import judged_recording
 
-        return judged_recording(open_recordings(files, by_index=True, same_session=same_session))
+        return judged_recording(open_recordings(files, same_session=same_session))
 
     document = RecordingDocument(recordings, judged, LevelCache(files))
     with (

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from telenano.analysis.page import Page as Page
     from telenano.analysis.page import cell_text as cell_text
     from telenano.analysis.page import png_of as png_of
-    from telenano.analysis.report import Session as Session
+    from telenano.analysis.recorded_session import Session as Session
+    from telenano.analysis.session_judge import summary_of as summary_of
     from telenano.analysis.verdict import Kind as Kind
 else:
     __getattr__, __dir__ = face(__name__)

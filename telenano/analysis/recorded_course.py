@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.disturbances import instrument_name
-from telenano.analysis.report import Session, was_placed
+from telenano.analysis.recorded_session import Session
 from telenano.analysis.session import COLUMNS, Conditions, hand_in_words, sample_in_words
 from telenano.recording.column_table import Column, ColumnTable
 from telenano.recording.messages import readable
@@ -30,7 +30,6 @@ def course_of(session: Session) -> ColumnTable:
     time_s = series.hand_time_s
     tip = _Newest(series.tip_time_s, time_s)
     command = _Newest(series.reference_time_s, time_s)
-    touches = session.tip["in_contact"].astype(bool) & was_placed(session.tip["placed"])
     values: dict[str, Column] = {
         "time_s": time_s,
         "operator_force_n": series.hand_force_n,
@@ -41,7 +40,7 @@ def course_of(session: Session) -> ColumnTable:
         "tip_force_n": tip.numbers(series.tip_force_n),
         "scaled_tip_force_n": tip.numbers(series.force_scale * series.tip_force_n),
         "separation_m": tip.numbers(series.separation_m),
-        "in_contact": tip.flags(touches),
+        "in_contact": tip.flags(session.touches()),
         "hand_following": np.asarray(session.hand["mode"] != "off", dtype=np.bool_),
     }
     units = {name: unit for name, (unit, _) in COLUMNS.items()}

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from telenano.analysis.phases import contacts_of, moments_of, phases_of
-from telenano.analysis.report import Session
+from telenano.analysis.recorded_session import Session
+from telenano.analysis.session_judge import summary_of
 from telenano.analysis.swings import swings_of
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
@@ -28,7 +29,7 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     document: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
     try:
         session = Session.of(recording)
-        summary = session.summary(recording)
+        summary = summary_of(session, recording)
     except RecordingError as error:
         return {**document, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
     moments = _events(recording, start_ns, session.timeline)

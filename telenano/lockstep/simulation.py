@@ -131,7 +131,7 @@ class SimulatedSession(Session):
             steers: Makes a hand that steers the tip across the sample, in mode rate.
             at_once: Whether to compile for the first session, as in `Rig.run`.
         """
-        from telenano.analysis.report import planned_holds
+        from telenano.analysis.recorded_session import planned_holds
 
         loaded = LoadedScenario.of(document, origin)
         controller = loaded.section("controller", ControllerConfig)

@@ -3,7 +3,7 @@
 hand = Recording(path).columns("haptic/state", ("t_ns", "position_m.2"))
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from telenano.recording.messages import BEYOND_RANGE, LeftOut, RecordedChannel, RecordedMessage, readable
-from telenano.recording.record_topics import RECORD_TOPICS
+from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessage
 from telenano.wire.errors import RecordingError, probably_meant
 
 Column = npt.NDArray[Any]
@@ -27,7 +26,6 @@ _RECORD_FIELDS = ("log_ns", "publish_ns")
 _AT_ONCE = 8192
 # The types of fields that become columns, and of those that become numbers.
 _SCALARS = frozenset((bool, int, float, str, type(None)))
-_NUMBERS = frozenset((int, float))
 _YES_OR_NUMBERS = frozenset((bool, int, float, type(None)))
 # Reasons for which a message is of a model that is not known here.
 _UNKNOWN = frozenset(("topic", "newer_version"))
@@ -84,18 +82,13 @@ def column_pieces(recording: Source, channel_topic: str, fields: Sequence[str]) 
         if field not in _RECORD_FIELDS
     }
     kinds: dict[str, set[type]] = {field: set() for field in fields}
-    read = _reader(paths)
     messages = recording.messages((channel_topic,))
     is_first = True
     while (batch := list(islice(messages, _AT_ONCE))) or is_first:
         is_first = False
-        found = read(batch)
-        if found is None or not all(
-            _is_column(found[field], kinds[field]) and _are_taken(found[field], batch) for field in paths
-        ):
-            batch, found = _read_each(recording, batch, paths)
+        taken, found = _fields_of(recording, batch, paths)
         values: dict[str, list[Any]] = {
-            field: [getattr(message, field) for message in batch] for field in fields if field not in paths
+            field: [getattr(message, field) for message in taken] for field in fields if field not in paths
         }
         values |= found
         for field in fields:
@@ -103,89 +96,67 @@ def column_pieces(recording: Source, channel_topic: str, fields: Sequence[str]) 
         yield {field: _array(recording, channel_topic, field, values[field], kinds[field]) for field in fields}
 
 
-def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]], dict[str, list[Any]] | None]:
-    """Return what reads fields of messages without decoding the others; None where it leaves that to `_read_each`."""
-    keys = {path[0]: f"key_{number}" for number, path in enumerate(paths.values())}
-    wanted = [(name, Any, msgspec.UNSET) for name in keys.values()]
-    renamed = {name: str(key) for key, name in keys.items()}
-    decode = msgspec.msgpack.Decoder(msgspec.defstruct("Wanted", wanted, rename=renamed, gc=False)).decode
-
-    def read(messages: Sequence[RecordedMessage]) -> dict[str, list[Any]] | None:
-        rows_of: dict[str, list[Any]] = {}
-        try:
-            rows = [decode(message.payload) for message in messages]
-            for field, (first, *rest) in paths.items():
-                values = list(map(attrgetter(keys[first]), rows))
-                for part in rest:
-                    values = [None if value is None else value[part] for value in values]
-                rows_of[field] = values
-        except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
-            return None
-        return rows_of
-
-    return read
-
-
-def _is_column(values: Sequence[Any], before: set[type]) -> bool:
-    """Return whether unchecked values are all of one kind, with those before, and finite numbers."""
-    kinds = before.union(map(type, values)) - {type(None)}
-    if not kinds <= _NUMBERS:
-        return len(kinds) == 1 and kinds < _SCALARS
-    try:
-        kind = np.float64 if float in kinds else np.int64
-        numbers = np.array([value for value in values if value is not None], dtype=kind)
-    except OverflowError:
-        return False
-    return bool(np.isfinite(numbers).all())
-
-
-def _are_taken(values: Sequence[Any], messages: Sequence[RecordedMessage]) -> bool:
-    """Return whether a node would take a field that has some values in some messages.
-
-    A range is an interval: what lies between the least and the greatest value is in it if both are. A field may be nil
-    in all messages if it may be in one.
-    """
-    if not messages or messages[0].topic in RECORD_TOPICS:
-        return True
-    numbers = [place for place, value in enumerate(values) if type(value) in _NUMBERS]
-    places = {choose(numbers, key=values.__getitem__) for choose in (min, max)} if numbers else set()
-    left_out = LeftOut()
-    for _ in readable([messages[place] for place in places], left_out):
-        pass
-    nil = LeftOut()
-    for _ in readable([messages[values.index(None)]] if None in values else (), nil):
-        pass
-    return BEYOND_RANGE not in left_out.rejected and nil.rejected.keys() <= _UNKNOWN
-
-
-def _read_each(
+def _fields_of(
     recording: Source, messages: Sequence[RecordedMessage], paths: Mapping[str, _Path]
-) -> tuple[list[RecordedMessage], dict[str, list[Any]]]:
-    """Return the messages that are valid, each decoded as a whole, and their fields; RecordingError for one it lacks.
+) -> tuple[Sequence[RecordedMessage], dict[str, list[Any]]]:
+    """Return the messages that a node would take, each read as a whole, and their fields.
 
-    Those that are not valid are counted and left out. Where all are of a model that is not known here, they are taken
-    as they are.
+    The others are counted and left out. Where all are of a model that is not known here, they are taken as they are.
+
+    Raises:
+        RecordingError: A message lacks a field; the error names it.
     """
-    values: dict[str, list[Any]] = {field: [] for field in paths}
+    taken: list[RecordedMessage] = []
+    read: list[Any] = []
     left_out = LeftOut()
-    taken = list(readable(messages, left_out))
+    for message in messages:
+        try:
+            read.append(message.accepted())
+        except RecordingError as error:
+            left_out.note_error(error, message)
+        else:
+            taken.append(message)
     if not taken and left_out.rejected.keys() <= _UNKNOWN:
-        taken = [(message, message.fields()) for message in messages]
+        taken, read = list(messages), [message.fields() for message in messages]
     else:
         recording.left_out.add(left_out)
-    for message, decoded in taken:
-        for field, path in paths.items():
-            value: Any = decoded
-            try:
-                for part in path:
-                    # an optional vector may be nil as a whole
-                    value = None if value is None else value[part]
-            except (KeyError, IndexError, TypeError) as error:
-                where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-                near, shown = probably_meant(str(path[0]), decoded), ", ".join(decoded)
-                raise RecordingError(f"{where}: has no field {field}{near}; its fields are {shown}") from error
-            values[field].append(value)
-    return [message for message, _ in taken], values
+    values: dict[str, list[Any]] = {}
+    for field, (first, *rest) in paths.items():
+        try:
+            column = list(map(attrgetter(str(first)), read))
+        except AttributeError:
+            # the model has no such key, or none is known
+            column = [_plain(recording, message, field, first) for message in taken]
+        for part in rest:
+            column = [
+                _part(recording, message, field, value, part) for message, value in zip(taken, column, strict=True)
+            ]
+        values[field] = column
+    return taken, values
+
+
+def _plain(recording: Source, message: RecordedMessage, field: str, key: str | int) -> Any:
+    fields = message.fields()
+    if key not in fields:
+        raise _lacking(recording, message, field)
+    return fields[str(key)]
+
+
+def _part(recording: Source, message: RecordedMessage, field: str, value: Any, part: str | int) -> Any:
+    """Return a part of a value of a message; of an optional vector that is nil as a whole, None."""
+    try:
+        if value is None:
+            return None
+        return getattr(value, str(part)) if isinstance(value, msgspec.Struct) else value[part]
+    except (AttributeError, LookupError, TypeError) as error:
+        raise _lacking(recording, message, field) from error
+
+
+def _lacking(recording: Source, message: RecordedMessage, field: str) -> RecordingError:
+    names = message.fields()
+    near, shown = probably_meant(field.partition(".")[0], names), ", ".join(names)
+    where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
+    return RecordingError(f"{where}: has no field {field}{near}; its fields are {shown}")
 
 
 def _joined(pieces: list[Column]) -> Column:

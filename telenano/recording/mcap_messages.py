@@ -13,6 +13,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from telenano.recording.mcap_scan import INDEX_HEAD
+
 Compression = Literal["zstd", "lz4", "none"]
 _COMPRESS: dict[str, Callable[[bytes], bytes]] = {
     "zstd": zstandard.compress,
@@ -36,8 +38,6 @@ _FIXED_BYTES = _MESSAGE.size - _HEAD_BYTES
 _RECORD_BYTES = _MESSAGE.size
 # time of reception and place of a message in an index
 _ENTRY_BYTES = 16
-# opcode, length of what follows, channel, size of the index
-_INDEX_HEAD = struct.Struct("<BQHI")
 # opcode, length of what follows, start of the summary and of its offsets
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 
@@ -184,7 +184,7 @@ class MessageWriter:
         for channel, entries in self._entries.items():
             places[channel] = index_start + len(indexes)
             size = len(entries)
-            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD.size - _HEAD_BYTES + size, channel, size)
+            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, INDEX_HEAD.size - _HEAD_BYTES + size, channel, size)
             indexes += entries
         index = records.ChunkIndex(
             chunk_start_offset=start, chunk_length=len(record), compression=compression,

@@ -4,9 +4,10 @@ import importlib
 import mmap
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import chain
 from typing import NamedTuple
 
 import zstandard
@@ -25,10 +26,16 @@ MAGIC: bytes = MCAP0_MAGIC
 FORMAT = "1"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
+# opcode and length of the index of a channel behind a chunk, its number, and the size of its entries
+INDEX_HEAD = struct.Struct("<BQHI")
+# of the footer: opcode, length, start of the summary and of its offsets, checksum
+_FOOTER = struct.Struct("<BQQQI")
+# of what the summary says of a chunk: times, place, length, and the size of the places of its indexes
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+# the number of a channel before the place of its index
+_NUMBER = struct.Struct("<H8x")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
-# behind the two times of a chunk [bytes]
-_PLACE_IN_CHUNK_INDEX = 16
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
 # An unpacked chunk is in memory as a whole. Ours have at most 64 MiB and one message of 16 MiB.
@@ -88,9 +95,19 @@ class Layout:
     path: str = ""
     damage: list[Damage] = field(default_factory=list)
     finished: bool = False
-    # the places of the chunks that the index names, and how many of its entries name one again
-    indexed: set[int] = field(default_factory=set)
+    # by the place of a chunk, the numbers of the channels that the summary says it has
+    indexed: dict[int, frozenset[int]] = field(default_factory=dict)
+    channel_sets: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
+    # how many of its entries name a chunk again
     repeated: int = 0
+    # whether the summary is as it was written
+    is_index_sound: bool = False
+
+    def may_have(self, block: Block, selected: Iterable[int], known: Set[int]) -> bool:
+        """Return whether a block may have messages of the selected channels, or of one that is not known yet."""
+        numbers = self.indexed.get(block.offset) if self.is_index_sound else None
+        # a file may have chunks without indexes of their messages
+        return not numbers or not numbers.isdisjoint(selected) or not numbers <= known
 
 
 def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
@@ -123,6 +140,9 @@ def scan(data: Bytes, path: str = "") -> Layout:
         if position - released > MOST_MAPPED:
             release(data)
             released = position
+        position = _behind_indexes(data, position)
+        if position >= size:
+            break
         opcode, end = _record_at(data, position)
         if end is None:
             position = trusted = _skip_damage(data, position, trusted, opcode, layout)
@@ -132,6 +152,7 @@ def scan(data: Bytes, path: str = "") -> Layout:
             opcode = Opcode.CHUNK
         if opcode == Opcode.FOOTER:
             layout.finished = data[end : end + len(MAGIC)] == MAGIC
+            layout.is_index_sound = layout.finished and not layout.damage and _is_summary_sound(data, position)
             end += len(MAGIC) * layout.finished
         elif opcode == Opcode.DATA_END:
             in_summary = True
@@ -143,6 +164,27 @@ def scan(data: Bytes, path: str = "") -> Layout:
     if position < size:
         layout.damage.append(Damage(position, size - position, "bytes after the end of the recording"))
     return layout
+
+
+def _behind_indexes(data: Bytes, position: int) -> int:
+    """Return the end of the indexes of messages that begin at a position, or the position where there are none."""
+    size = len(data)
+    while position + INDEX_HEAD.size <= size:
+        opcode, length, _, entries_bytes = INDEX_HEAD.unpack_from(data, position)
+        end: int = position + RECORD_HEAD.size + length
+        # a chunk whose kind is wrong has another length at this place
+        if opcode != Opcode.MESSAGE_INDEX or position + INDEX_HEAD.size + entries_bytes != end or end > size:
+            break
+        position = end
+    return position
+
+
+def _is_summary_sound(data: Bytes, footer: int) -> bool:
+    """Return whether the checksum of the summary, which ends before the footer, is right; a file may have none."""
+    if footer + _FOOTER.size > len(data):
+        return False
+    _, _, start, _, crc = _FOOTER.unpack_from(data, footer)
+    return 0 < start < footer and bool(crc == zlib.crc32(data[start : footer + _FOOTER.size - _CRC.size]))
 
 
 def release(data: Bytes) -> None:
@@ -277,9 +319,16 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
         schema = Schema.read(stream)
         layout.summary_schemas[schema.id] = schema
     elif opcode == Opcode.CHUNK_INDEX:
-        (place,) = _LENGTH.unpack_from(body, _PLACE_IN_CHUNK_INDEX)
+        _, _, place, _, size = _CHUNK_INDEX.unpack_from(body)
         layout.repeated += place in layout.indexed
-        layout.indexed.add(place)
+        indexes = body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]
+        numbers = (
+            frozenset(chain.from_iterable(_NUMBER.iter_unpack(indexes)))
+            if len(indexes) == size and size % _NUMBER.size == 0
+            else frozenset[int]()
+        )
+        # most chunks have the same channels
+        layout.indexed[place] = layout.channel_sets.setdefault(numbers, numbers)
     if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
         raise too_many_definitions(layout.path)
 

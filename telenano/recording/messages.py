@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgpack
 from mcap.records import Channel, Schema
 
 # The codec is imported when a message is decoded: a summary by the index has none.
-from telenano import wire
 from telenano.recording.record_topics import RECORD_TOPICS
 from telenano.wire.errors import RecordingError, described
 
@@ -58,6 +59,10 @@ class LeftOut:
             self._last_beyond = text[:400]
         else:
             self.last_error = text[:400]
+
+    def note_error(self, error: RecordingError, message: "RecordedMessage") -> None:
+        """Count a message that is not valid, or beyond a range, by the error of it."""
+        self.note(getattr(error.__cause__, "reason", "schema"), str(error), message.identity)
 
     def add(self, other: "LeftOut") -> None:
         """Count what another reader has left out, each message once."""
@@ -145,25 +150,21 @@ class RecordedMessage(NamedTuple):
         Raises:
             RecordingError: The message is not valid; the error names the channel and what is wrong.
         """
-        return self._read(wire.decode)
+        return self._read(_codec().decode)
 
     def accepted(self) -> "Record":
         """Return the message as `decode` does, if a node may act on it; RecordingError for one beyond its range."""
-        from telenano.wire.codec import accept
-
-        return self._read(accept)
+        return self._read(_codec().accept)
 
     def _read(self, read: "Callable[[str, bytes], Message]") -> "Record":
+        topic = self.channel.topic
         try:
-            if self.topic in RECORD_TOPICS:
+            if topic in RECORD_TOPICS:
                 from telenano.recording.records import RECORDS
                 from telenano.wire.faults import made
 
-                return made(RECORDS[self.topic], self.fields())
-            # it finds the topics that installed packages declare
-            from telenano.settings import package_topics  # noqa: F401
-
-            return read(self.topic, self.payload)
+                return made(RECORDS[topic], self.fields())
+            return read(topic, self.payload)
         except ValueError as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
 
@@ -206,6 +207,15 @@ class RecordedMessage(NamedTuple):
         return fields_of(self.accepted())
 
 
+@cache
+def _codec() -> ModuleType:
+    # it finds the topics that installed packages declare
+    from telenano.settings import package_topics  # noqa: F401
+    from telenano.wire import codec
+
+    return codec
+
+
 ChannelFilter = Callable[[RecordedChannel], bool]
 
 
@@ -220,7 +230,7 @@ def readable(
         try:
             fields = message.checked_fields()
         except RecordingError as error:
-            left_out.note(getattr(error.__cause__, "reason", "schema"), str(error), message.identity)
+            left_out.note_error(error, message)
         else:
             yield message, fields
 

@@ -133,15 +133,11 @@ def files_of(recording: RecordingSource) -> list[Recording]:
     return [recording] if isinstance(recording, Recording) else []
 
 
-def open_recordings(
-    paths: Sequence[str | Path], *, by_index: bool = False, same_session: bool = False
-) -> RecordingSource:
+def open_recordings(paths: Sequence[str | Path], *, same_session: bool = False) -> RecordingSource:
     """Open a recording, or several files of one session; a file that is given twice is read once.
 
     Args:
         paths: The files.
-        by_index: Whether a file is read by its index where that is sound (`telenano.recording.indexed`): it opens at
-            once, and damage between its chunks is not found.
         same_session: Whether files are joined of which it is not recorded that they are of one session.
 
     Raises:
@@ -149,11 +145,5 @@ def open_recordings(
     """
     if not paths:
         raise RecordingError("no recording was given")
-    kind = Recording
-    if by_index:
-        # it needs NumPy, and the others do not
-        from telenano.recording.indexed import IndexedRecording
-
-        kind = IndexedRecording
-    recordings = one_session([kind(path) for path in paths], same_session=same_session)
+    recordings = one_session([Recording(path) for path in paths], same_session=same_session)
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -1,16 +1,23 @@
 """Who acted in a recording: the names in its commands, answers and events, by what they did."""
 
 from collections import Counter
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Protocol
 
-from telenano.recording.messages import LeftOut
-from telenano.recording.multi_file import RecordingSource
+from telenano.recording.messages import ChannelFilter, LeftOut, RecordedMessage
 from telenano.wire.codec import fields_of
 
 TOPICS = ("session/control", "session/event")
 
 
-def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
+class Selectable(Protocol):
+    """What messages are selected from: a recording, or its summary."""
+
+    def select(self, wanted: ChannelFilter) -> Iterator[RecordedMessage]:
+        """Yield the messages of wanted channels."""
+
+
+def people_in(recording: Selectable) -> dict[str, dict[str, int]]:
     """Return by name how often it gave each command, and how often it was given the hand.
 
     A command is sent again until it is answered, and counts once; what cannot be read is left out.

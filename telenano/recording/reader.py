@@ -1,12 +1,14 @@
 """Reading a recording, whether it was finished, killed, cut off or damaged."""
 
 import mmap
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+import os
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -46,6 +48,12 @@ from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import NoRecordingError, RecordingError
 from telenano.wire.nodes import site_of
 
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from telenano.recording.chunk_messages import ChunkMessages
+
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.
 _PLANNED_END = "split"
@@ -60,7 +68,9 @@ DamageCallback = Callable[[Damage], None]
 SeeMessage = Callable[[RecordedMessage], object]
 
 _ChannelT = TypeVar("_ChannelT")
-_MessageT = TypeVar("_MessageT")
+_MessageT = TypeVar("_MessageT", RecordedMessage, RawMessage)
+# The constructor of a named tuple is a function of Python, and takes as long as all else of a message.
+_new: Any = tuple.__new__
 
 
 class Recording(RecordedFields):
@@ -70,9 +80,12 @@ class Recording(RecordedFields):
         """Scan the structure of a file; RecordingError names the file and what is wrong with it."""
         self.path, self.left_out = Path(path), LeftOut()
         try:
-            self.size_bytes = self.path.stat().st_size
-            with open_regular(self.path) as file:
-                start = file.read(len(MAGIC))
+            # the file stays the same one until this object is gone, whatever comes to its place
+            file = open_regular(self.path)
+            weakref.finalize(self, file.close)
+            self._file = file
+            self.size_bytes = os.fstat(file.fileno()).st_size
+            start = file.read(len(MAGIC))
         except OSError as error:
             kind = NoRecordingError if isinstance(error, FileNotFoundError) else RecordingError
             raise kind(f"{self.path}: cannot be read: {error.strerror}") from error
@@ -80,7 +93,9 @@ class Recording(RecordedFields):
             what = "ends before its first record" if MAGIC.startswith(start) else "is not an MCAP file"
             raise RecordingError(f"{self.path}: {what if start else 'is empty'}")
         with self._open() as data:
-            self._layout = self._read_layout(data)
+            self._layout = scan(data, str(self.path))
+        # the places of the chunks whose indexes were shown to name all that is in them
+        self._indexed: set[int] = set()
 
     @property
     def closed(self) -> bool:
@@ -182,9 +197,7 @@ class Recording(RecordedFields):
         after = END_OF_TIME if end_ns is None else end_ns
         is_whole = start_ns is None and blocks is None
         table = self._recorded_channels(wanted, None if is_whole else self._channels_by_number)
-        for message in self._walk(table, RecordedMessage, report, first, after, blocks):
-            if first <= message.log_ns < after:
-                yield message
+        yield from self._walk(table, RecordedMessage, report, first, after, blocks)
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator["Piece"]:
         """Yield the file in pieces of about a length [ns], in its order; each chunk is in one of them.
@@ -250,27 +263,13 @@ class Recording(RecordedFields):
 
     def _open(self) -> mmap.mmap:
         try:
-            with open_regular(self.path) as file:
-                return mmap.mmap(file.fileno(), self.size_bytes, access=mmap.ACCESS_READ)
+            return mmap.mmap(self._file.fileno(), self.size_bytes, access=mmap.ACCESS_READ)
         except (OSError, ValueError) as error:
             raise RecordingError(f"{self.path}: cannot be read any more: {error}") from error
-
-    def _read_layout(self, data: mmap.mmap) -> Layout:
-        return scan(data, str(self.path))
-
-    def _may_have(self, block: Block, selected: Container[int]) -> bool:
-        """Return whether a block may have messages of the selected channels, or introduce a channel."""
-        return True
 
     def _content(self, data: mmap.mmap, block: Block) -> bytes:
         """Return the records of a block; DamagedBlockError says why they cannot be read."""
         return unpack(data, block)
-
-    def _records(
-        self, data: mmap.mmap, block: Block, content: bytes, selected: Container[int]
-    ) -> Iterable[tuple[int, int, int]]:
-        """Yield what `records_of` does; what is of no selected channel may be left out."""
-        return records_of(content)
 
     def _recorded_channels(
         self, wanted: ChannelFilter | None = None, known: Mapping[int, RecordedChannel] | None = None
@@ -280,7 +279,7 @@ class Recording(RecordedFields):
     def _walk(
         self,
         channels: "_ChannelTable[_ChannelT]",
-        message_type: Callable[[_ChannelT, int, int, int, bytes], _MessageT],
+        message_type: type[_MessageT],
         report: DamageCallback | None = None,
         first_ns: int = 0,
         after_ns: int = END_OF_TIME,
@@ -288,14 +287,13 @@ class Recording(RecordedFields):
     ) -> Iterator[_MessageT]:
         """Yield the messages of the selected channels, add new channels to the table, report what cannot be used.
 
-        Blocks that lie outside of the bounds [ns] as a whole are skipped.
+        Messages outside of the bounds [ns] are left out, and blocks that lie outside as a whole are not read.
         """
-        channels_known, selected = channels.known, channels.selected
         with self._open() as data:
             for block in each_block(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
                     continue
-                if report is None and not self._may_have(block, selected):
+                if report is None and not self._layout.may_have(block, channels.selected, channels.known.keys()):
                     continue
                 try:
                     content = self._content(data, block)
@@ -303,23 +301,93 @@ class Recording(RecordedFields):
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
-                end = 0
-                records = self._records(data, block, content, selected) if report is None else records_of(content)
-                for opcode, start, end in records:
-                    if opcode == Opcode.MESSAGE:
-                        number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
-                        channel = selected.get(number)
-                        if channel is not None:
-                            payload = content[start + MESSAGE_HEAD.size : end]
-                            yield message_type(channel, log_ns, publish_ns, seq, payload)
-                        elif number not in channels_known and report is not None:
-                            report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
-                    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                        channels.read(opcode, content[start:end])
-                # The missing end of a block that is cut off was reported when the file was scanned.
-                if block.whole and end != len(content) and report is not None:
-                    rest = len(content) - end
-                    report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
+                indexed = self._by_index(data, block, content, channels, whole=report is not None)
+                if indexed is None:
+                    yield from _walked(block, content, channels, message_type, report, first_ns, after_ns)
+                else:
+                    yield from _listed(block, content, indexed, channels, message_type, report, first_ns, after_ns)
+
+    def _by_index(
+        self, data: mmap.mmap, block: Block, content: bytes, channels: "_ChannelTable[Any]", *, whole: bool
+    ) -> "ChunkMessages | None":
+        """Return the messages of a chunk by the indexes behind it; None where these do not agree with it.
+
+        A chunk that was found to agree has no definitions, and of it the selected channels alone are read unless the
+        `whole` is asked for.
+        """
+        if not block.whole or block.data_start == block.offset:
+            return None
+        # it needs NumPy, and a summary by the index does not
+        from telenano.recording.chunk_messages import messages_in
+
+        is_known = block.offset in self._indexed and not whole
+        found = messages_in(data, block.data_end, content, channels.selected if is_known else None)
+        if found is not None and not found.definitions:
+            self._indexed.add(block.offset)
+        return found
+
+
+def _walked(
+    block: Block,
+    content: bytes,
+    channels: "_ChannelTable[_ChannelT]",
+    message_type: type[_MessageT],
+    report: DamageCallback | None,
+    first_ns: int,
+    after_ns: int,
+) -> Iterator[_MessageT]:
+    """Yield messages as `Recording._walk` does, record by record."""
+    selected, end = channels.selected, 0
+    for opcode, start, end in records_of(content):
+        if opcode == Opcode.MESSAGE:
+            number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
+            channel = selected.get(number)
+            if channel is not None:
+                if first_ns <= log_ns < after_ns:
+                    row = (channel, log_ns, publish_ns, seq, content[start + MESSAGE_HEAD.size : end])
+                    yield _new(message_type, row)
+            elif number not in channels.known and report is not None:
+                report(_unknown_channel(block, end - start, number))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            channels.read(opcode, content[start:end])
+    # The missing end of a block that is cut off was reported when the file was scanned.
+    if block.whole and end != len(content) and report is not None:
+        rest = len(content) - end
+        report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
+
+
+def _listed(
+    block: Block,
+    content: bytes,
+    indexed: "ChunkMessages",
+    channels: "_ChannelTable[_ChannelT]",
+    message_type: type[_MessageT],
+    report: DamageCallback | None,
+    first_ns: int,
+    after_ns: int,
+) -> Iterator[_MessageT]:
+    """Yield messages as `Recording._walk` does, those between two definitions at once."""
+    first = 0
+    for before, opcode, start, end in (*indexed.definitions, (len(indexed.heads), 0, 0, 0)):
+        heads = indexed.heads[first:before]
+        numbers = heads["channel"].tolist()
+        if report is not None and not channels.known.keys() >= set(numbers):
+            for number, length in zip(numbers, heads["length"].tolist(), strict=True):
+                if number not in channels.known:
+                    report(_unknown_channel(block, length, number))
+        inside = channels.is_selected(heads["channel"]) & (heads["log_ns"] >= first_ns) & (heads["log_ns"] < after_ns)
+        bodies = (each[first:before][inside].tolist() for each in (indexed.starts, indexed.ends))
+        columns = (heads[name][inside].tolist() for name in ("channel", "log_ns", "publish_ns", "seq"))
+        selected = channels.selected
+        for number, log_ns, publish_ns, seq, begin, after in zip(*columns, *bodies, strict=True):
+            yield _new(message_type, (selected[number], log_ns, publish_ns, seq, content[begin:after]))
+        if opcode:
+            channels.read(opcode, content[start:end])
+        first = before
+
+
+def _unknown_channel(block: Block, size_bytes: int, number: int) -> Damage:
+    return Damage(block.offset, size_bytes, f"a message of the unknown channel {number}")
 
 
 class Piece(NamedTuple):
@@ -452,6 +520,14 @@ class _ChannelTable(Generic[_ChannelT]):
         for number, found in layout.summary_channels.items():
             if number not in self.known:
                 self._add(number, convert(found, self._schemas))
+
+    def is_selected(self, numbers: "npt.NDArray[np.uint16]") -> "npt.NDArray[np.bool_]":
+        """Return of each number whether its channel is selected, shape (n,)."""
+        import numpy as np
+
+        table = np.zeros(1 << 16, dtype=np.bool_)
+        table[list(self.selected)] = True
+        return table[numbers]
 
     def read(self, opcode: int, body: bytes) -> None:
         """Read a schema or channel record; the messages of an unreadable channel are those of an unknown one.

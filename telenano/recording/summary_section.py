@@ -9,11 +9,11 @@ index is damaged or names a part twice has to be read as a whole.
 import mmap
 import struct
 import zlib
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from io import BytesIO
 from itertools import accumulate, chain, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgpack
 from mcap.data_stream import ReadDataStream
@@ -36,7 +36,7 @@ from telenano.recording.mcap_scan import (
     records_of,
     unpack,
 )
-from telenano.recording.messages import recorded_channel
+from telenano.recording.messages import ChannelFilter, RecordedMessage, recorded_channel
 from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.errors import RecordingError
@@ -48,12 +48,14 @@ _OFFSET = struct.Struct("<HQ")
 # the same, and the channel alone
 _NUMBER = struct.Struct("<H8x")
 _ENTRY = struct.Struct("<QQ")
-INDEX_HEAD = struct.Struct("<HI")
+_INDEX_HEAD = struct.Struct("<HI")
 _NAME_LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
 # So much of unpacked chunks is kept [bytes].
 _MOST_KEPT = 32 << 20
+
+_T = TypeVar("_T")
 
 
 class _DisagreementError(Exception):
@@ -68,16 +70,29 @@ class _Stamp(NamedTuple):
     seq: int
 
 
+# By name, how often somebody gave each command, as `telenano.recording.people` counts it.
+People = dict[str, dict[str, int]]
+
+
 def quick_info(path: Path) -> RecordingInfo | None:
     """Return the summary of a closed file by its index; None where all of its messages have to be read for it.
 
     What only the messages tell is None: sizes, repetitions and restarts of a channel, and the lag of the recorder.
     Raises OSError when the file cannot be read.
     """
+    return _quickly(path, lambda summary: summary.info())
+
+
+def quick_info_with_people(path: Path) -> tuple[RecordingInfo, People] | None:
+    """Return what `quick_info` does, with the people who gave commands."""
+    return _quickly(path, lambda summary: (summary.info(), summary.people()))
+
+
+def _quickly(path: Path, read: "Callable[[_Summary], _T]") -> "_T | None":
     with open_regular(path) as file:
         try:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                return _Summary(data, path).info()
+                return read(_Summary(data, path))
         except (_DisagreementError, DamagedBlockError, RecordingError, *UNREADABLE, ValueError, KeyError, IndexError):
             return None
 
@@ -132,6 +147,29 @@ class _Summary:
             attachments=attachments_of(layout.attachments),
             metadata=layout.metadata,
         )
+
+    def people(self) -> People:
+        """Return who gave commands; of a recording in which nobody did, no message is read for it."""
+        if not any(channel.topic.startswith("session/") for channel in self._channels.values()):
+            return {}
+        from telenano.recording.people import people_in
+
+        return people_in(self)
+
+    def select(self, wanted: ChannelFilter) -> Iterator[RecordedMessage]:
+        """Yield the messages of wanted channels, in the order of the file."""
+        channels = {number: channel for number, channel in self._channels.items() if wanted(channel)}
+        for chunk in self._layout.blocks:
+            found = [
+                (offset, number, log_ns)
+                for number in channels.keys() & set(self._numbers_in(chunk))
+                for log_ns, offset in self._entries(chunk, number)
+            ]
+            for offset, number, log_ns in sorted(found):
+                stamp = self._stamp(chunk, number, log_ns, offset)
+                yield RecordedMessage(channels[number], *stamp, self._payload(self._content(chunk), offset))
+            # memory that is used again costs less than new one
+            self._unpacked.pop(chunk.offset, None)
 
     def _span(self) -> tuple[int, int]:
         """Return the times of the first and the last message [ns]; _DisagreementError where some are odd."""
@@ -249,11 +287,11 @@ class _Summary:
 
     def _index(self, chunk: Block, number: int) -> tuple[int, int]:
         """Return place and size [bytes] of the entries of a channel in the index of a chunk."""
-        start = channels_in(self._indexes[chunk.offset])[number]
+        start = _channels_in(self._indexes[chunk.offset])[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
-        channel, size = INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
-        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - INDEX_HEAD.size)
-        return start + RECORD_HEAD.size + INDEX_HEAD.size, size
+        channel, size = _INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
+        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - _INDEX_HEAD.size)
+        return start + RECORD_HEAD.size + _INDEX_HEAD.size, size
 
     def _entries(self, chunk: Block, number: int) -> Iterator[tuple[int, int]]:
         start, size = self._index(chunk, number)
@@ -284,23 +322,15 @@ class _Summary:
 # The first number of each gap, and how many are missing in it, by channel name and source.
 _Gaps = dict[tuple[str, str], list[tuple[int, int]]]
 # by the place of a chunk, the channels in it and the places of their message indexes, as the file has them
-ChannelIndexes = dict[int, bytes]
+_ChannelIndexes = dict[int, bytes]
 
 
-def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes] | None:
-    """Return the structure of a closed file by its index, and where the messages of a channel are.
+def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, _ChannelIndexes, Statistics]:
+    """Return the structure of a closed file by its index, where the messages of a channel are, and the statistics.
 
-    None represents a file that has to be read as a whole. What lies between the chunks is not looked at, and the
-    checksum of a chunk is in its head.
+    What lies between the chunks is not looked at, and the checksum of a chunk is in its head.
     """
-    try:
-        return _layout_by_index(data, path)[:2]
-    except (_DisagreementError, *UNREADABLE, ValueError, KeyError, IndexError):
-        return None
-
-
-def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes, Statistics]:
-    layout, indexes, counts = Layout(path=path, finished=True), ChannelIndexes(), None
+    layout, indexes, counts = Layout(path=path, finished=True), _ChannelIndexes(), None
     others: list[tuple[int, int, int]] = []
     _demand(len(data) >= 2 * len(MAGIC) + _FOOTER.size)
     for opcode, body in _summary_records(data):
@@ -337,7 +367,7 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes
     return layout, indexes, counts
 
 
-def channels_in(indexes: bytes) -> dict[int, int]:
+def _channels_in(indexes: bytes) -> dict[int, int]:
     """Return by its number each channel that a chunk has, and the place of its message index in the file."""
     return dict(_OFFSET.iter_unpack(indexes))
 

@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from telenano.cli.root import app
 from telenano.recording.export import export_recording
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.mcap_scan import FORMAT
 from telenano.recording.messages import LeftOut, RawChannel, RawMessage, readable
 from telenano.recording.reader import Recording
@@ -129,16 +128,16 @@ def with_additions(folder: Path) -> Path:
 
 def test_a_recording_with_what_is_not_known_is_read_whole(tmp_path: Path) -> None:
     path = with_additions(tmp_path)
-    for recording in (Recording(path), IndexedRecording(path)):
-        assert recording.metadata["weather"] == {"room_k": "295"}
-        assert recording.attachments["weather.json"] == b"{}"
-        left_out = LeftOut()
-        taken = [message.topic for message, _ in readable(recording.messages(), left_out)]
-        assert {"afm/state", "recorder/gap", "session/event"} <= set(taken)
-        # the message of the channel that is not known stays in the file, and is counted
-        assert left_out.rejected == {"topic": 1}
-        [unknown] = recording.messages(["afm/wobble"])
-        assert unknown.fields()["wobble_m"] == 1e-9
+    recording = Recording(path)
+    assert recording.metadata["weather"] == {"room_k": "295"}
+    assert recording.attachments["weather.json"] == b"{}"
+    left_out = LeftOut()
+    taken = [message.topic for message, _ in readable(recording.messages(), left_out)]
+    assert {"afm/state", "recorder/gap", "session/event"} <= set(taken)
+    # the message of the channel that is not known stays in the file, and is counted
+    assert left_out.rejected == {"topic": 1}
+    [unknown] = recording.messages(["afm/wobble"])
+    assert unknown.fields()["wobble_m"] == 1e-9
     rows = [row.channel_topic for row in Recording(path).info().channels]
     assert "afm/wobble" in rows
     (unknown_topic,) = [found for found in verify([path]).findings if found.check == "schema"]
@@ -164,9 +163,8 @@ def test_a_recording_of_a_later_format_is_refused_in_a_sentence_with_both(tmp_pa
         writer.add_metadata("recording", Recording(source).metadata["recording"] | {"format": "2"})
         for message in Recording(source).raw():
             writer.add(message)
-    for opened in (Recording, IndexedRecording):
-        with pytest.raises(RecordingError, match="is a recording of format 2, and format 1 is known here"):
-            opened(path)
+    with pytest.raises(RecordingError, match="is a recording of format 2, and format 1 is known here"):
+        Recording(path)
     assert quick_info(path) is None
     for command in (["bag", "info"], ["bag", "verify"]):
         result = CliRunner().invoke(app, [*command, str(path)])

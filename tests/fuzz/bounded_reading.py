@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from telenano.recording import mcap_scan, reader, summary_section
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.wire.errors import TelenanoError
@@ -52,9 +51,9 @@ def view(path: Path, folder: Path) -> None:
     from services.viz_node.playback import RecordingPlayback
     from telenano.analysis.recording_document import judged_recording
 
-    recording = open_recordings([path], by_index=True)
+    recording = open_recordings([path])
     playback = RecordingPlayback(recording, time.monotonic)
-    document = RecordingDocument(recording, lambda: judged_recording(open_recordings([path], by_index=True)))
+    document = RecordingDocument(recording, lambda: judged_recording(open_recordings([path])))
     document.wait()
     list(playback.poll(watched=True))
     document.part(0.0, 10.0, 100)
@@ -77,7 +76,6 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "bag export": bag("bag", "export", "{file}", "--to", "mcap-json", "--out", "{folder}/viewer.mcap"),
     "report": bag("report", "{file}", "--out", "{folder}/report"),
     "view": view,
-    "index": lambda path, folder: [None for _ in IndexedRecording(path).select()].clear(),
     "whole": lambda path, folder: [None for _ in Recording(path).select()].clear(),
 }
 
@@ -85,7 +83,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
 def read() -> dict[str, Any]:
     command, path, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
-    for module in (reader, summary_section, sys.modules["telenano.recording.indexed"]):
+    for module in (reader, summary_section):
         module.unpack = counted  # type: ignore[attr-defined]
     try:
         COMMANDS[command](path, folder)

@@ -10,8 +10,8 @@ import pytest
 from changed_fields import Case, cases_of, is_valid, with_examples, write_changed
 
 from services.viz_node.feed import Feed, Seen
+from telenano.analysis import Session, summary_of
 from telenano.analysis.recording_document import judged_recording
-from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.verify import verify
@@ -57,9 +57,9 @@ def check(source: Path, cases: list[Case], target: Path) -> Path:
     names = [case.name for case in cases]
     path = write_changed(source, target, cases)
     verdict = verify([path])
-    recording, indexed = open_recordings([path]), open_recordings([path], by_index=True)
+    recording = open_recordings([path])
     try:
-        summary = Session.of(indexed).summary(recording, (), indexed.left_out)
+        summary = summary_of(Session.of(recording), recording)
         document = judged_recording(open_recordings([path]))
     except RecordingError as error:
         # the header of a message is its place in the file
@@ -111,7 +111,7 @@ def test_what_is_no_message_ends_no_reader(number: int, source: Path, tmp_path: 
     path = write_changed(source, tmp_path / "changed.mcap", batch(odd, number))
     assert not verify([path]).sound
     recording = open_recordings([path])
-    strict(Session.of(recording).summary(recording))
+    strict(summary_of(Session.of(recording), recording))
 
 
 FORMATS = ("csv", "mcap-json", "parquet", "hdf5")

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from interrupted_sessions import HOLD_S, InterruptedSession
 
-from telenano.analysis.report import Session
+from telenano.analysis import Session, summary_of
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.rewrite import merge_recordings, split_recording
 from telenano.recording.verify import verify
@@ -16,9 +16,9 @@ from telenano.testing import run
 SHARE = 0.1
 
 
-def summary_of(paths: list[Path]) -> dict[str, Any]:
+def summary_at(paths: list[Path]) -> dict[str, Any]:
     recording = open_recordings(paths)
-    return Session.of(recording).summary(recording)
+    return summary_of(Session.of(recording), recording)
 
 
 def check(seed: int, folder: Path) -> None:
@@ -29,14 +29,14 @@ def check(seed: int, folder: Path) -> None:
     merge_recordings(parts, merged)
     verdicts = set()
     for files in ([path], parts, [merged]):
-        summary = summary_of(files)
+        summary = summary_at(files)
         # not whole is only what lacks a message that was sent
         assert summary["recording"]["complete"] is (lacks == 0), (session, summary["recording"]["missing"])
         findings = [finding.text for finding in verify(files).findings if finding.level != "info"]
         assert bool(findings) is (lacks > 0), (session, findings)
         verdicts.add(summary["verdict"])
     assert len(verdicts) == 1, session
-    summary = summary_of([path])
+    summary = summary_at([path])
     if any(loss.channel in ("haptic/state", "afm/state") for loss in session.losses) or session.cut != "no":
         return
     silent = [one for one in summary["interruptions"] if one["kind"] == "source_silent"]

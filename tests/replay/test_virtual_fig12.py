@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from telenano.analysis.report import Session
+from telenano.analysis import Session, summary_of
 from telenano.recording.multi_file import open_recordings
 from telenano.settings import find_scenario
 from telenano.settings.network_profiles import PROFILES
@@ -43,7 +43,7 @@ def run(folder: Path, duration_s: float, *settings: str) -> dict[str, Any]:
     path = record_session(folder, 1, settings, BEFORE_S + duration_s, {**scenario, "duration_s": duration_s})
     recording = open_recordings([path])
     session = Session.of(recording)
-    return session.summary(recording)
+    return summary_of(session, recording)
 
 
 @pytest.mark.endurance("takes 7.6 s")

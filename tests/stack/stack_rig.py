@@ -12,8 +12,8 @@ from commands import COMMANDS
 from figure_layout import arrows, faults
 from following import Following, Recorded
 
+from telenano.analysis import Session
 from telenano.analysis.fig12 import draw_fig12
-from telenano.analysis.report import Session
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
 from telenano.testing.processes import PATIENCE_S, LiveRig

@@ -12,7 +12,7 @@ from stack_rig import SESSIONS
 from telenano_lab.studies.loops.cells import Cell, CellResult
 from telenano_lab.studies.loops.validate import RECORDING_NAME
 
-from telenano.analysis.report import Session
+from telenano.analysis import Session
 from telenano.recording.multi_file import open_recordings
 
 # Servo and clocks leave so much of the balance [J]. Where devices missed their turns their work is summed over longer

@@ -25,7 +25,7 @@ from telenano.recording.channel_filter import Selection
 from telenano.wire.errors import RecordingError
 
 if TYPE_CHECKING:
-    from telenano.recording.info import RecordingInfo
+    pass
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 # a shorter recording is read as a whole in a second or two
@@ -57,7 +57,7 @@ def info(
 ) -> None:
     """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
-        summary = _read(file, _by_index(file, full=full))
+        summary = _read(file, full=full)
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         summary["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in summary["channels"]]
@@ -65,27 +65,27 @@ def info(
     print_document(summary, str(file), as_json=as_json)
 
 
-def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
-    """Return the summary of a long recording by its index; None where its messages are to be read."""
-    from telenano.recording.summary_section import quick_info
-
+def _is_long(file: Path) -> bool:
     try:
-        is_long = file.stat().st_size >= _LONG_BYTES
+        return file.stat().st_size >= _LONG_BYTES
     except OSError:
         # the process that reads it reports it
-        return None
-    return quick_info(file) if is_long and not full else None
+        return False
 
 
-def _read(file: Path, by_index: "RecordingInfo | None") -> dict[str, Any]:
-    if by_index is not None and not any(row.topic.startswith("session/") for row in by_index.channels):
-        return {**by_index.model_dump(mode="json"), "people": {}}
-    from telenano.recording.multi_file import open_recordings
-    from telenano.recording.people import people_in
-    from telenano.recording.reader import Recording
+def _read(file: Path, *, full: bool) -> dict[str, Any]:
+    """Return the summary of a recording, of a long one by its index where that tells it."""
+    from telenano.recording.summary_section import quick_info_with_people
 
-    recording = Recording(file) if by_index is None else open_recordings([file], by_index=True)
-    return {**(by_index or recording.info()).model_dump(mode="json"), "people": people_in(recording)}
+    quick = quick_info_with_people(file) if _is_long(file) and not full else None
+    if quick is None:
+        from telenano.recording.people import people_in
+        from telenano.recording.reader import Recording
+
+        recording = Recording(file)
+        quick = recording.info(), people_in(recording)
+    info, people = quick
+    return {**info.model_dump(mode="json"), "people": people}
 
 
 @app.command("list")
@@ -270,9 +270,10 @@ def rerun(
 
 def _row(path: Path) -> dict[str, Any]:
     from telenano.recording.reader import Recording
+    from telenano.recording.summary_section import quick_info
 
     try:
-        info = _by_index(path, full=False) or Recording(path).info()
+        info = (quick_info(path) if _is_long(path) else None) or Recording(path).info()
     except RecordingError as error:
         return {
             "path": str(path),

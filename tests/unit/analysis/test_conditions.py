@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
+from telenano.analysis import Session
 from telenano.analysis.conditions import conditions, title
-from telenano.analysis.report import Session
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings.scenario import Scenario

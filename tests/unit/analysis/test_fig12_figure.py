@@ -10,9 +10,9 @@ import pytest
 from figure_layout import arrows, faults
 from matplotlib.text import Text
 
+from telenano.analysis import Session
 from telenano.analysis.fig12 import SessionSeries, TipStates, draw_fig12, retracting
 from telenano.analysis.figure_style import FigureOptions
-from telenano.analysis.report import Session
 from telenano.recording.multi_file import open_recordings
 
 Series = npt.NDArray[np.float64]

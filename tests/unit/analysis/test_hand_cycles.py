@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from telenano.analysis.report import cycles_of
+from telenano.analysis.session_judge import cycles_of
 
 TIME_S = np.arange(0.0, 20.0, 1e-3)
 SWING_N = 1.0 + 0.3 * np.sin(np.pi * TIME_S)

@@ -101,6 +101,7 @@ def test_a_column_has_the_newest_value_and_none_that_is_old() -> None:
     session = SimpleNamespace(
         series=lambda: series,
         tip=tip,
+        touches=lambda: np.array([True, True]),
         command={"force_n.2": np.empty(0)},
         hand={"mode": np.array(["force"] * 3 + ["off"])},
     )

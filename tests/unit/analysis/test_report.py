@@ -4,6 +4,8 @@ import errno
 import io
 import json
 import os
+import sys
+from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -14,8 +16,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from telenano.analysis import Session
 from telenano.analysis.fig12 import draw_fig12
-from telenano.analysis.report import Session, figure_title, write_files, write_report
+from telenano.analysis.report import figure_title, write_files, write_report
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
@@ -47,6 +50,22 @@ def parts(session: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
     filter_recording(session, paths[0], ALL, end_s=1.2)
     filter_recording(session, paths[1], ALL, start_s=1.5)
     return paths
+
+
+@pytest.mark.check("takes 2 s")
+def test_a_report_opens_each_file_once(parts: list[Path], tmp_path: Path) -> None:
+    opened: Counter[str] = Counter()
+    is_counted = True
+
+    def count(event: str, given: tuple[Any, ...]) -> None:
+        if is_counted and event == "open" and str(given[0]).endswith(".mcap"):
+            opened[str(given[0])] += 1
+
+    # it cannot be taken away again
+    sys.addaudithook(count)
+    write_report(parts, tmp_path)
+    is_counted = False
+    assert opened == dict.fromkeys(map(str, parts), 1)
 
 
 @pytest.mark.check("takes 1.2 s")

@@ -13,9 +13,9 @@ from forged_files import copied
 from made_sessions import FORCE_SCALE, TIP, Made, hand_force_n
 from pydantic import ValidationError
 
-from telenano.analysis import report
+from telenano.analysis import Session, session_judge, summary_of
 from telenano.analysis.holds import Hold
-from telenano.analysis.report import Session, write_report
+from telenano.analysis.report import write_report
 from telenano.analysis.summary import Package, Summary, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
 from telenano.recording.channel_filter import ALL
@@ -50,9 +50,9 @@ MADE: dict[str, Made] = {
 }
 
 
-def summary_of(recording: RecordingSource) -> dict[str, Any]:
+def summarised(recording: RecordingSource) -> dict[str, Any]:
     session = Session.of(recording)
-    return session.summary(recording)
+    return summary_of(session, recording)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def summaries(
         files[name] = [made.write(tmp_path_factory.mktemp(name))]
     odd = tmp_path_factory.mktemp("odd") / "session.mcap"
     files["odd"] = [copied(files["stable"][0], odd, lambda place, log_ns: 0 if place == 9 else log_ns)]
-    return {name: summary_of(open_recordings(paths)) for name, paths in files.items()}
+    return {name: summarised(open_recordings(paths)) for name, paths in files.items()}
 
 
 def keys_of(value: Any, stem: str = "") -> Iterator[str]:
@@ -157,19 +157,18 @@ def stable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Recording
 
 
 @pytest.mark.check("takes 0.6 s")
-def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole(
+def test_the_traffic_of_a_session_is_what_was_sent_in_it(
     stable: tuple[Session, RecordingSource],
 ) -> None:
     session, recording = stable
     sent = Counter(
         one.channel_topic for one in recording.messages() if session.start_ns <= one.publish_ns < session.end_ns
     )
-    by_index = open_recordings([recording.path], by_index=True)
-    for summary in (session.summary(recording), Session.of(by_index).summary(by_index)):
-        assert summary["rate_hz"] == {name: round(sent[name] / session.duration_s, 3) for name in sorted(sent)}
-        share = round(sent["haptic/state"] / (1000.0 * session.duration_s), 5)
-        assert summary["completeness"]["haptic/state"] == share
-        assert summary["overruns"] == 0
+    summary = summary_of(session, recording)
+    assert summary["rate_hz"] == {name: round(sent[name] / session.duration_s, 3) for name in sorted(sent)}
+    share = round(sent["haptic/state"] / (1000.0 * session.duration_s), 5)
+    assert summary["completeness"]["haptic/state"] == share
+    assert summary["overruns"] == 0
 
 
 @pytest.mark.parametrize("kind", get_args(Kind))
@@ -178,8 +177,8 @@ def test_every_verdict_is_one_that_a_summary_may_have(
 ) -> None:
     session, recording = stable
     hold = Hold(0.5, 1.5, 1.0, kind, None if kind == "no_data" else -1.0, 0.0, 0.0, "in words")
-    monkeypatch.setattr(report, "judge_holds", lambda *given: [hold])
-    summary = session.summary(recording)
+    monkeypatch.setattr(session_judge, "judge_holds", lambda *given: [hold])
+    summary = summary_of(session, recording)
     assert (summary["verdict"], summary["reason"], summary["stable"]) == (
         kind,
         "in words",
@@ -193,13 +192,13 @@ def new_condition(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def new_fact_of_the_recording(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    facts = report.recording_facts
-    monkeypatch.setattr(report, "recording_facts", lambda *given: {**facts(*given), "disk": "full"})
+    facts = session_judge.recording_facts
+    monkeypatch.setattr(session_judge, "recording_facts", lambda *given: {**facts(*given), "disk": "full"})
 
 
 def new_fact_of_the_clocks(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     found = {"offset_s": 0.0, "uncertainty_s": 0.0, "drift_ppm": 0.0, "applied": False, "reason": "", "otherwise": None}
-    monkeypatch.setattr(report, "_clocks", lambda *given: {**found, "source": "link/status"})
+    monkeypatch.setattr(session_judge, "_clocks", lambda *given: {**found, "source": "link/status"})
 
 
 @pytest.mark.parametrize(
@@ -219,7 +218,7 @@ def test_a_key_without_a_row_is_refused_by_name(
     session, recording = stable
     change(session, monkeypatch)
     with pytest.raises(ValidationError, match=re.escape(name)):
-        session.summary(recording)
+        summary_of(session, recording)
 
 
 def test_a_key_that_is_left_out_is_named(
@@ -228,7 +227,7 @@ def test_a_key_that_is_left_out_is_named(
     session, recording = stable
     monkeypatch.delitem(session.conditions, "link_seed")
     with pytest.raises(ValidationError, match="link_seed"):
-        session.summary(recording)
+        summary_of(session, recording)
 
 
 def test_every_key_has_a_meaning_and_a_unit_where_its_name_has_one() -> None:
@@ -257,7 +256,7 @@ def test_intervals_of_a_recording_cover_what_its_noise_hides(recordings: int, le
     for seed in range(recordings):
         (tmp_path / f"{seed}").mkdir()
         recording = open_recordings([noisy(seed, 0.05).write(tmp_path / f"{seed}")])
-        found.append(summary_of(recording))
+        found.append(summarised(recording))
         # each is 2 MB
         (tmp_path / f"{seed}" / "session.mcap").unlink()
     for name, true in (("hold_ratio", 1.0), ("release_force_nn", 0.0)):

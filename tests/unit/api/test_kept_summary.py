@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import telenano
-from telenano.analysis import kept_summary, report
+from telenano.analysis import Session, kept_summary, session_judge
 from telenano.analysis.kept_summary import KeptSummary, source_changed, source_digest
 from telenano.wire.errors import RecordingError
 
@@ -26,13 +26,13 @@ def recording(recording_of: Callable[[str], Path], tmp_path: Path) -> Path:
 def judged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Return the names of the recordings that are judged from now on."""
     names: list[str] = []
-    summary = report.Session.summary
+    summary = session_judge.summary_of
 
-    def counted(session: report.Session, source: Any, *further: Any) -> dict[str, Any]:
+    def counted(session: Session, source: Any, *further: Any) -> dict[str, Any]:
         names.append(source.path.name)
         return summary(session, source, *further)
 
-    monkeypatch.setattr(report.Session, "summary", counted)
+    monkeypatch.setattr(session_judge, "summary_of", counted)
     return names
 
 

@@ -6,7 +6,7 @@ import pytest
 from telenano_lab.studies.plot import read_traces
 
 from telenano.recording import FileSettings, RecordingWriter
-from telenano.recording.indexed import IndexedRecording
+from telenano.recording.reader import Recording
 from telenano.testing import EPOCH_NS, hand_state, numbered
 from telenano.wire import encode
 
@@ -30,8 +30,8 @@ def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, unpacked = _hand(tmp_path, 2000), []
-    inside = IndexedRecording._content
-    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
+    inside = Recording._content
+    monkeypatch.setattr(Recording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
     monkeypatch.setattr("telenano.recording.messages.RecordedMessage.fields", None)
     (trace,) = read_traces(path, ["session/event.seq"])
     assert trace.values.tolist() == [0.0, 1999.0]

@@ -6,7 +6,6 @@ import pytest
 from forged_files import copied, repeated_index
 from made_sessions import BEGAN_NS, Made
 
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.odd_times import LONGEST_PAUSE_NS, Dates
 from telenano.recording.reader import Recording
 from telenano.recording.summary_section import quick_info
@@ -48,11 +47,11 @@ def test_a_message_of_another_time_is_named_and_moves_neither_start_nor_end(
 ) -> None:
     path = copied(made, tmp_path / "odd.mcap", lambda at, ns: log_ns if at == place else ns, closed=closed)
     begin_ns, end_ns = Recording(made).span_ns
-    for recording in (Recording(path), IndexedRecording(path)):
-        assert recording.span_ns[0] - begin_ns < 10**9
-        assert recording.span_ns[1] == end_ns
-        (text,) = recording.odd
-        assert text.startswith(words)
+    recording = Recording(path)
+    assert recording.span_ns[0] - begin_ns < 10**9
+    assert recording.span_ns[1] == end_ns
+    (text,) = recording.odd
+    assert text.startswith(words)
     info = Recording(path).info()
     assert (info.odd, (info.start_ns, info.end_ns)) == ((text,), recording.span_ns)
     assert quick_info(path) is None
@@ -79,7 +78,7 @@ def test_what_an_index_names_again_is_read_once(
     unpacked: list[int] = []
     inside = Recording._content
     monkeypatch.setattr(Recording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
-    found, sound = IndexedRecording(path), IndexedRecording(made)
+    found, sound = Recording(path), Recording(made)
     read = list(found.select())
     assert len(unpacked) <= 3 * len(sound._layout.blocks)
     assert read == list(sound.select())

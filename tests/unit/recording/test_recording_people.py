@@ -57,7 +57,7 @@ def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(
         writer.write(channel, T_NS + number, T_NS + number, message.seq, encode(message))
     writer.finish()
     wanted = {"Ms Tina Ås": {"set": 1}, "Paul": {"arm": 1, "estop": 1, "hand": 1}}
-    assert people_in(open_recordings([writer.path], by_index=True)) == wanted
+    assert people_in(open_recordings([writer.path])) == wanted
     run = CliRunner().invoke
     assert json.loads(run(app, ["info", str(writer.path), "--json"]).output)["people"] == wanted
     assert "Ms Tina Ås" in run(app, ["info", str(writer.path)]).output

@@ -132,11 +132,19 @@ def test_a_missing_file_is_a_clear_error(tmp_path: Path) -> None:
         Recording(tmp_path)
 
 
-def test_a_file_that_is_taken_away_meanwhile_is_a_clear_error(make_file: MakeFile) -> None:
+def test_a_file_that_is_cut_off_meanwhile_is_a_clear_error(make_file: MakeFile) -> None:
     recording = Recording(make_file(1))
-    recording.path.unlink()
+    with recording.path.open("r+b") as file:
+        file.truncate(100)
     with pytest.raises(RecordingError, match="cannot be read any more"):
         list(recording.messages())
+
+
+def test_a_file_that_is_taken_away_meanwhile_is_read_on(make_file: MakeFile) -> None:
+    recording = Recording(make_file(1))
+    before = list(recording.messages())
+    recording.path.unlink()
+    assert list(recording.messages()) == before != []
 
 
 def test_a_recording_that_grows_is_read_as_far_as_it_was_when_opened(config: RecorderConfig) -> None:

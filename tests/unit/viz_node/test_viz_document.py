@@ -18,7 +18,6 @@ from services.viz_node.document import RecordingDocument
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.levels import Levels
 from services.viz_node.streams import STREAMS
-from telenano.recording.indexed import IndexedRecording
 from telenano.recording.reader import Recording
 from telenano.wire.errors import RefusedError
 
@@ -111,9 +110,9 @@ def test_no_piece_is_made_for_a_time_that_is_only_stated_and_each_chunk_is_read_
     path = tmp_path / "wide.mcap"
     path.write_bytes(wide_index(whole.path.read_bytes(), first_ns, 2**64 - 2))
     read: list[int] = []
-    inside = IndexedRecording._content
-    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: read.append(given[2].offset) or inside(*given))
-    documents = [RecordingDocument(IndexedRecording(each)) for each in (whole.path, path)]
+    inside = Recording._content
+    monkeypatch.setattr(Recording, "_content", lambda *given: read.append(given[2].offset) or inside(*given))
+    documents = [RecordingDocument(Recording(each)) for each in (whole.path, path)]
     counts = []
     for document in documents:
         read.clear()

@@ -31,7 +31,7 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from telenano.analysis import Session
+        from telenano.analysis import Session, summary_of
         from telenano.cli import results_in
         from telenano.devices import HandleCalibration, InstrumentCalibration
         from telenano.recording import open_recordings
@@ -43,7 +43,7 @@ def budget(
         )
         recording = open_recordings(recordings, same_session=same_session)
         session = Session.of(recording)
-        summary = session.summary(recording)
+        summary = summary_of(session, recording)
         figures = figure_budgets(summary, shares)
         stages = delay_budget(recording, session)
         document: dict[str, Any] = {

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis import FigureOptions, Session
+from telenano.analysis import FigureOptions, Session, summary_of
 from telenano.recording import demand_several, files_of, open_recordings, recordings_of
 from telenano.settings import LoadedScenario
 from telenano_lab.studies.figure_colours import LINES, ON_SCREEN, Look, looks
@@ -115,7 +115,7 @@ def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compar
     for name, recording in zip(names_of(list(opened)), opened.values(), strict=True):
         session = Session.of(recording)
         scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
-        rows.append(Compared(name, session, session.summary(recording), scenario))
+        rows.append(Compared(name, session, summary_of(session, recording), scenario))
     return rows
 
 

@@ -72,7 +72,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
         if not field:
             raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
         fields_of.setdefault(topic, []).append(field)
-    recording = open_recordings([path], by_index=True)
+    recording = open_recordings([path])
     # The recorder lags by a time that changes: against its times a ramp is a staircase.
     timeline = Timeline(recording, quick=True)
     courses = {name: _Course() for name in names}

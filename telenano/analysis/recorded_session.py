@@ -1,0 +1,562 @@
+"""The last session that a recording holds: its series, and what is known of its holds besides."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.afm.section_config import SafetyConfig
+from telenano.analysis.conditions import conditions, described
+from telenano.analysis.fig12 import SessionSeries, TipStates
+from telenano.analysis.holds import (
+    LATE_S,
+    NO_CONTEXT,
+    SHORTEST_HOLD_S,
+    TIP,
+    Guard,
+    Incident,
+    Lack,
+    Late,
+    Limits,
+    SessionContext,
+    lacks_of,
+)
+from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
+from telenano.analysis.line_states import line_states
+from telenano.hand.config import LimitsConfig, recorded_hand
+from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
+from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.recording.arrays import in_step
+from telenano.recording.messages import LeftOut, readable
+from telenano.recording.multi_file import RecordingSource
+from telenano.recording.silence import HAND, LONGEST_STEP_S, Break, breaks_of, ends_of, joined, running_of, sent_of
+from telenano.recording.site_clock import Timeline
+from telenano.settings.config import validate
+from telenano.settings.scenario import LoadedScenario, Scenario
+from telenano.timing import loop_age
+from telenano.wire.errors import RecordingError
+from telenano.wire.nodes import HAND as HAND_NODE
+from telenano.wire.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
+
+Series = npt.NDArray[Any]
+
+# A difference of two clocks that is below one period of the loop shows in no figure.
+_LOOP_PERIOD_S = 1e-3
+_WITHDRAWN = ("retracting", "retracted", "estop")
+# A program of the instrument runs in these states.
+_RUNS = ("running", "paused")
+# The first step of a program is reported this long after it.
+_FIRST_STEP_S = 0.01
+# Below this number of samples a share of a stage says nothing.
+_LEAST_FOLLOWED = 50
+_ALARMS = ("warning", "error")
+# A launcher that is busy reports the end of a process this long after it [s].
+_EXIT_WITHIN_S = 2.0
+_NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
+# A sentence names the source of a topic by these words.
+_SOURCES = {HAND: "the hand", TIP: "the AFM"}
+_COMMAND = "haptic/command"
+_HAND_FIELDS = ("seq", "log_ns", "session_s", "mode", "operator_force_n.2", "position_m.2")
+_ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
+_COMMAND_FIELDS = ("seq", "position_m.2", "force_n.2")
+_TIP_FIELDS = (
+    "seq", "tip_force_n.2", "base_position_m.2", "separation_m", "separation_valid", "in_contact", "meniscus",
+    "limited", "mode", "placed",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Session:
+    """The part of a recording in which the operator's force profile ran, and the series that the report needs.
+
+    `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
+    besides the series; `breaks` are the times in which a series has no sample; `timeline` puts stamps on the master's
+    clock, on which the series are; `otherwise` is the same session with the measured offset of the slave's clock taken
+    off, where that is neither shown to be right nor wrong.
+    """
+
+    start_ns: int
+    end_ns: int
+    hand: dict[str, Series]
+    command: dict[str, Series]
+    tip: dict[str, Series]
+    force_scale: float
+    scenario: str
+    conditions: dict[str, Any]
+    timeline: Timeline
+    missing: tuple[str, ...] = ()
+    context: SessionContext = NO_CONTEXT
+    breaks: tuple[Break, ...] = ()
+    otherwise: "Session | None" = None
+    knows_contact: bool = True
+
+    @property
+    def duration_s(self) -> float:
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def gaps_s(self) -> tuple[tuple[float, float], ...]:
+        """Return the spans of the session [s] in which samples of a series are missing."""
+        return joined(self.breaks, lost=True)
+
+    def series(self, gaps_s: tuple[tuple[float, float], ...] = ()) -> SessionSeries:
+        return SessionSeries(
+            gaps_s=gaps_s,
+            hand_time_s=self._time_s(self.hand),
+            hand_force_n=-self.hand["operator_force_n.2"],
+            hand_position_m=-self.hand["position_m.2"],
+            reference_time_s=self._time_s(self.command),
+            reference_m=-self.command["position_m.2"],
+            tip_time_s=self._time_s(self.tip),
+            tip_force_n=self.tip["tip_force_n.2"],
+            separation_m=np.where(self.tip["separation_valid"], self.tip["separation_m"], np.nan),
+            force_scale=self.force_scale,
+            states=TipStates(
+                np.isin(self.tip["mode"], ("follow", "hold")),
+                *(self.tip[name].astype(bool) for name in ("limited", "in_contact", "meniscus")),
+            ),
+        )
+
+    @classmethod
+    def of(cls, recording: RecordingSource) -> "Session":
+        """Read the last session that a recording holds; RecordingError when the operator's force profile never ran.
+
+        The slave's stamps are put on the master's clock where the clocks are shown to differ
+        (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both
+        readings.
+        """
+        timeline = Timeline(recording)
+        session = _read_session(recording, timeline)
+        clock = timeline.clock
+        if clock is None or clock.applied or abs(clock.offset_s) < _LOOP_PERIOD_S:
+            return session
+        other = _read_session(recording, timeline.with_clock(clock._replace(applied=True)))
+        return replace(session, otherwise=other)
+
+    @property
+    def origin(self) -> str:
+        """The conditions of the session in words, for the inside of a file."""
+        return described(self.scenario, self.conditions)
+
+    def lacks(self, span_s: tuple[float, float]) -> list[Lack]:
+        """Return what a hold from a start to an end [s] lacks so much of that there is no telling what became of it."""
+        series = self.series()
+        return lacks_of(series.hand_time_s, series.tip_time_s, span_s, self.context)
+
+    def clock_error_s(self, stage: str) -> float:
+        """Return the bound of the error of a part of `split_age` by the two clocks [s]; 0 for one within a site."""
+        clock = self.timeline.clock
+        return 0.0 if clock is None or stage not in loop_age.ACROSS_CLOCKS else clock.uncertainty_s
+
+    def split_age(self, recording: RecordingSource) -> dict[str, Series]:
+        """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
+
+        A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on
+        the way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks
+        leave open makes one way longer and the other one shorter, and nothing of the sum.
+
+        Args:
+            recording: The master's recording of the session.
+        """
+        # A topic is followed at its publisher, or else as the link brought it.
+        channel_of = {
+            each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)
+        }
+        topics = [topic for topic in loop_age.STAGES if topic in channel_of]
+        if not topics or "link/delay" not in channel_of:
+            return {}
+        hand = recording.columns("haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
+        ways = []
+        for topic in topics:
+            sent = recording.columns(channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+            at_ns = self.timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
+            ways.append(_first(sent["hand_t_ns"], at_ns))
+        ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
+        keys = reduce(np.intersect1d, [own for own, _ in ways])
+        keys = keys[(keys >= max(self.start_ns, 1)) & (keys <= self.end_ns)]
+        if keys.size < _LEAST_FOLLOWED:
+            return {}
+        passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
+        series = recording.columns("link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+        delays, datagrams = {}, _datagrams(recording, self.timeline)
+        for way in loop_age.WAYS:
+            # The newest delay that was said of a sample counts from that sample on.
+            of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
+            from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
+            at = np.searchsorted(from_ns, keys, side="right")
+            added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
+            if way in datagrams and (sender := f"teleop/{way}") in topics:
+                due_ns = passed_ns[:, topics.index(sender) + 1] + added_ns
+                line_ns = np.maximum(line_ns, loop_age.took_from(due_ns, *datagrams[way]))
+            delays[way] = loop_age.Delay(added_ns, line_ns)
+        device_s = dict(zip(hand["t_ns"].tolist(), np.nan_to_num(hand["sample_age_s"]).tolist(), strict=True))
+        return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
+
+    def loop_ages_ms(self) -> Series:
+        """Return the age of the first answer to each sample of the hand, on the hand's own clock, in order [ms]."""
+        # Samples are matched by their stamps, because a restarted device uses its numbers again.
+        sampled_ns, answered_ns = _first(self.hand["answered_t_ns"], self.hand["answered_at_ns"])
+        return np.asarray((answered_ns - sampled_ns)[sampled_ns >= self.start_ns] * 1e-6)
+
+    def touches(self) -> npt.NDArray[np.bool_]:
+        """Return of each sample of the tip whether it touches; one before the tip was placed is none of the hand."""
+        return np.asarray(self.tip["in_contact"].astype(bool) & _was_placed(self.tip["placed"]), dtype=np.bool_)
+
+    def _time_s(self, series: Mapping[str, Series]) -> npt.NDArray[np.float64]:
+        return np.asarray((series["t_ns"] - self.start_ns) * 1e-9, dtype=np.float64)
+
+
+def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
+    hand = _series(recording, HAND, (*_HAND_FIELDS, *_ANSWER_FIELDS), timeline)
+    running = running_of(recording, hand)
+    if running.size < 2:
+        raise RecordingError(f"{recording.path}: the operator's force profile never ran in it, so there is no session")
+    start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
+    end_ns = int(hand["t_ns"][running[-1]])
+    document = LoadedScenario.attached(recording.path, recording.attachments).scenario
+    facts = conditions(recording, document, start_ns, end_ns, timeline)
+    if lines := _lines_of(recording, timeline, start_ns, end_ns):
+        facts["lines"] = lines
+    if states := line_states(recording, timeline, start_ns, end_ns):
+        facts["line_states"] = states
+    ends = ends_of(recording, hand, running)
+    seconds = (end_ns - start_ns) * 1e-9
+    # a hand that falls silent is due until its force profile or the recording is over
+    due_s = max(seconds, min(document.duration_s, seconds + (ends.silent_s or 0.0)))
+    command = _series(recording, _COMMAND, _COMMAND_FIELDS, timeline)
+    tip = _series(recording, TIP, _TIP_FIELDS, timeline)
+    breaks = _breaks(recording, {HAND: hand, TIP: tip, _COMMAND: command}, start_ns, {HAND: due_s}, seconds)
+    hand = {name: values[running] for name, values in hand.items()}
+    new = (hand["answered_t_ns"] > 0) & (np.diff(hand["answered_seq"], prepend=-1) != 0)
+    tip = _within(tip, start_ns, end_ns)
+    silences = [one for one in breaks if not one.lost and one.topic in _SOURCES]
+    reported = _reported(recording, timeline, start_ns)
+    return Session(
+        start_ns=start_ns,
+        end_ns=end_ns,
+        hand=hand,
+        command=_within(command, start_ns, end_ns),
+        tip=tip,
+        force_scale=facts["parameters"]["force_scale"],
+        scenario=document.name,
+        conditions=facts,
+        timeline=timeline,
+        missing=ends.cut,
+        breaks=tuple(breaks),
+        context=SessionContext(
+            # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
+            planned_holds(document, max(seconds, document.duration_s) if ends.is_cut else due_s),
+            (hand["t_ns"][new] - start_ns) * 1e-9,
+            reported.guards,
+            reported.incidents,
+            _limits(document, facts["changed"]),
+            _programs(recording, timeline, start_ns, end_ns),
+            _is_by_hand(document),
+            _interruptions(hand, tip, reported, silences, start_ns, end_ns),
+            sorted([*_late(hand, start_ns), *_late(tip, start_ns)]),
+            _deadline_s(document),
+            _transit_s(hand),
+            _rest_force(document, facts, f"{recording.path}: scenario.yaml"),
+            [(one.topic, one.start_s, one.end_s) for one in silences],
+            _let_go(hand, start_ns),
+        ),
+        knows_contact=_knows_contact(document, tip["separation_m"]),
+    )
+
+
+def _late(series: Mapping[str, Series], start_ns: int) -> list[Late]:
+    """Return when in the session a process was late with a sample, and by how much; a lost sample is not late."""
+    steps_s = 1e-9 * np.diff(series["t_ns"])
+    if not steps_s.size:
+        return []
+    late_s = steps_s - float(np.median(steps_s))
+    late_places = 1 + np.flatnonzero((late_s > LATE_S) & (np.diff(series["seq"]) == 1))
+    return [Late((int(series["t_ns"][i - 1]) - start_ns) * 1e-9, float(late_s[i - 1])) for i in late_places.tolist()]
+
+
+def _deadline_s(document: Scenario) -> float:
+    """Return the longer of the times without a command after which the devices open the loop [s]."""
+    hand = validate(LimitsConfig, document.haptic_node.get("limits", {}), "scenario.yaml", "haptic_node.limits")
+    safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
+    return max(hand.command_deadline_s, safety.command_deadline_s)
+
+
+def _transit_s(hand: Mapping[str, Series]) -> float:
+    """Return how long a command is in transit at the most, there and back [s]: 99 times in 100."""
+    ages_ns = (hand["answered_at_ns"] - hand["answered_t_ns"])[hand["answered_t_ns"] > 0]
+    return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
+
+
+def _rest_force(document: Scenario, facts: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
+    """Return what the law rests at; None where it does not say, or was changed while the session ran."""
+    if len(facts["law"]) != 1 or any("controller" in change for change in facts["changed"]):
+        return None
+    rest_force = KNOWN_LAWS[facts["law"][0]].rest_force
+    section = {**document.controller_in_force, "law": facts["law"][0]}
+    params = validate(ControllerConfig, section, origin, "controller").params()
+    return None if rest_force is None else partial(rest_force, params)
+
+
+def _knows_contact(document: Scenario, separation_m: Series) -> bool:
+    """Return whether the instrument measures contact: a spring, a recorded map, and a controller without h do not."""
+    section = document.afm_node
+    of_map = section.get("environment") == "spring" or bool((section.get("sample") or {}).get("map"))
+    return not of_map and bool(np.isfinite(separation_m).any())
+
+
+def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
+    """Return from when to when the instrument ran programs of its own, in session time [s]."""
+    programs, begun_s = [], None
+    reports = recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct")
+    for report, fields in readable(reports, recording.left_out):
+        at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
+        at_s, runs = (at_ns - start_ns) * 1e-9, fields["state"] in _RUNS
+        if runs and begun_s is None:
+            # its first step is reported before it
+            begun_s = at_s - _FIRST_STEP_S
+        elif not runs and begun_s is not None:
+            programs.append((begun_s, at_s))
+            begun_s = None
+    return programs if begun_s is None else [*programs, (begun_s, (end_ns - start_ns) * 1e-9)]
+
+
+def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
+    """Return what the guard of the instrument allows, None where that was changed while the session ran."""
+    if any("afm_node.safety." in change for change in changed):
+        return None
+    # the rest of the section may belong to a package
+    safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
+    return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
+
+
+def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:
+    """Return start [s], end [s] and force [N] of each stretch of constant force up to an end [s].
+
+    Only a hand that is a force has them in its force profile: what an arm or a person presses with is known from what
+    was recorded alone.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
+    """
+    operator, _ = recorded_hand(scenario.haptic_node, "scenario.yaml")
+    if not isinstance(operator, ForceProfileConfig):
+        return []
+    corners = [(point.time_s, point.force_n) for point in operator.points]
+    # The force is zero before the first corner, and stays at the last one.
+    corners = [(min(0.0, corners[0][0]), 0.0), (corners[0][0], 0.0), *corners]
+    corners.append((max(end_s, corners[-1][0]), corners[-1][1]))
+    holds: list[tuple[float, float, float]] = []
+    for (first_s, force_n), (last_s, then_n) in pairwise(corners):
+        if force_n != then_n:
+            continue
+        if holds and holds[-1][1] == first_s and holds[-1][2] == force_n:
+            first_s = holds.pop()[0]
+        holds.append((first_s, last_s, force_n))
+    cut = [(max(0.0, first_s), min(last_s, end_s), force_n) for first_s, last_s, force_n in holds]
+    return [hold for hold in cut if hold[1] - hold[0] >= SHORTEST_HOLD_S]
+
+
+def _is_by_hand(scenario: Scenario) -> bool:
+    """Return whether a person presses, at a page or at a device, whose hand gives way to what the loop does.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
+    """
+    operator, simulated = recorded_hand(scenario.haptic_node, "scenario.yaml")
+    return isinstance(operator, InteractiveConfig) or not simulated
+
+
+class _Reported(NamedTuple):
+    """What devices reported of their modes, launchers of nodes and sites, and the link, all in session time [s]."""
+
+    guards: list[Guard]
+    incidents: list[Incident]
+    held: list[ModeReport]
+    let_go: list[ModeReport]
+    exits: list[tuple[str, Incident]]
+
+
+def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> _Reported:
+    events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
+    reports = _Reported([], [], [], [], [])
+    for event, fields in readable(events, recording.left_out):
+        name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
+        at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
+        at_s = (at_ns - start_ns) * 1e-9
+        report = ModeReport(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
+        if name == "afm_node" and kind == "mode" and report.mode in _WITHDRAWN:
+            reports.guards.append(Guard(at_s, str(data.get("reason", ""))))
+        elif kind == "mode" and report.mode in ("hold", "off"):
+            (reports.held if name == "afm_node" else reports.let_go).append(report)
+        elif "outside" in data:
+            # It is advice, and no cause of what happened to a device.
+            continue
+        elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
+            reports.incidents.append(Incident(at_s, text))
+            if "exit_code" in data:
+                reports.exits.append((str(data.get("about_node", "")), reports.incidents[-1]))
+    return reports
+
+
+def _breaks(
+    recording: RecordingSource,
+    series: Mapping[str, Mapping[str, Series]],
+    start_ns: int,
+    due_s: Mapping[str, float],
+    length_s: float,
+) -> list[Break]:
+    """Return when a session has no samples of its series, in session time [s]; due_s: until when one is due."""
+    sent, breaks = sent_of(recording), []
+    for topic, values in series.items():
+        src = next((channel.src for channel in recording.channels if channel.channel_topic == topic), "")
+        times_s = (values["t_ns"] - start_ns) * 1e-9
+        span_s = (0.0, due_s.get(topic, length_s))
+        numbers = values["seq"].astype(np.int64)
+        breaks += breaks_of(topic, times_s, numbers, span_s, sent.get((topic, src)), is_closed=recording.closed)
+    return breaks
+
+
+def _let_go(hand: Mapping[str, Series], start_ns: int) -> list[tuple[float, float]]:
+    """Return from when to when [s] the motor of the hand was off in a session."""
+    time_s, is_off = (hand["t_ns"] - start_ns) * 1e-9, hand["mode"] == "off"
+    edges = np.flatnonzero(np.diff(is_off, prepend=False, append=False)).reshape(-1, 2).tolist()
+    return [(float(time_s[first]), float(time_s[min(after, len(time_s) - 1)])) for first, after in edges]
+
+
+def _interruptions(
+    hand: Mapping[str, Series],
+    tip: Mapping[str, Series],
+    reported: _Reported,
+    silences: Sequence[Break],
+    start_ns: int,
+    end_ns: int,
+) -> list[Interruption]:
+    """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
+    hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
+    length_s = (end_ns - start_ns) * 1e-9
+    # a hand that is gone at the end has ended after its last sample
+    last_s = max([length_s, *(one.end_s for one in silences)])
+    restarts = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
+    interruptions = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, restarts)
+    interruptions += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
+    exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= last_s]
+    for first in restarts:
+        begins_s, runs = float(hand_s[first - 1]), np.flatnonzero(hand["session_s"][first:] >= 0.0)
+        own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
+        text = own[0][1].text if own else f"the process of {HAND_NODE} ended and was started again"
+        ends_s = float(hand_s[first + runs[0]]) if runs.size else length_s
+        then = f"its force profile began again at {ends_s:.3f} s" if runs.size else _NOT_RESTARTED
+        interruptions.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
+        exits = [exit for exit in exits if exit not in own]
+    interruptions += [
+        Interruption("source_silent", one.start_s, one.end_s, f"{_SOURCES[one.topic]} sent nothing")
+        for one in silences
+        # the end of the hand's process is told as such
+        if not (one.topic == HAND and one.anew)
+    ]
+    interruptions += [
+        Interruption("process_ended", incident.time_s, incident.time_s, incident.text)
+        for node, incident in exits
+        if node in (*START_ORDER, RECORDER)
+    ]
+    return sorted(interruptions, key=lambda one: one.start_s)
+
+
+def _was_placed(placed: Series) -> npt.NDArray[np.bool_]:
+    """Return whether the tip had been placed by then: what it meets before it is there is no contact of the hand.
+
+    Args:
+        placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
+    """
+    is_placed = np.asarray(placed, dtype=np.float64)
+    if np.isnan(is_placed).all():
+        return np.ones(is_placed.shape, dtype=np.bool_)
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(is_placed) > 0.0), dtype=np.bool_)
+
+
+def _lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
+    """Return the figures of each direction while the session ran; none without reports of a queue or of a block."""
+    reports: dict[str, dict[tuple[str, int], Mapping[str, Any]]] = {}
+    channels = recording.select(lambda channel: channel.topic == "link/network")
+    for message, fields in readable(channels, recording.left_out):
+        first_ns, last_ns = (timeline.stamp_ns(message.src, end) for end in (start_ns, end_ns))
+        # The report of the slave is in the master's recording twice, as it came and through the link.
+        is_known = fields.get("queue_s") is not None or fields.get("blocked_since_ns") is not None
+        if first_ns <= message.publish_ns <= last_ns and is_known:
+            reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
+    reports_of_way = {way: list(channels.values()) for way, channels in reports.items()}
+    # Whether a line is full says who sends over it, and that is who receives the other direction.
+    others = {"forward": "backward", "backward": "forward"}
+    figures = [
+        _line_figures(way, own, reports_of_way.get(others[way], []))
+        for way, own in sorted(reports_of_way.items(), reverse=True)
+    ]
+    for way in figures:
+        begin_ns = timeline.stamp_ns(reports_of_way[way["direction"]][0]["src"], start_ns)
+        way["blocked_s"] = _blocked_s(reports_of_way[way["direction"]], begin_ns)
+    return figures
+
+
+def _blocked_s(reports: list[Mapping[str, Any]], begin_ns: int) -> list[list[float]]:
+    """Return when none of the datagrams of a direction arrived though they were sent, from and to [s]."""
+    spans: dict[int, int] = {}
+    for report in reports:
+        if (since_ns := report.get("blocked_since_ns")) is not None:
+            spans[since_ns] = report["t_ns"]
+    return [[round((at_ns - begin_ns) * 1e-9, 3) for at_ns in span] for span in spans.items()]
+
+
+def _line_figures(way: str, reports: list[Mapping[str, Any]], of_sender: list[Mapping[str, Any]]) -> dict[str, Any]:
+    first, last = reports[0], reports[-1]
+    queues_ms = [1e3 * (report.get("queue_s") or 0.0) for report in reports]
+    settled, lost = (last.get("settled") or 0) - (first.get("settled") or 0), max(0, last["lost"] - first["lost"])
+    capacity = last.get("capacity_bit_per_s")
+    return {
+        "direction": way,
+        "queue_max_ms": round(max(queues_ms), 2),
+        "full_share": round(sum(report.get("line") == "full" for report in of_sender) / max(1, len(of_sender)), 3),
+        "capacity_mbit": None if capacity is None else round(capacity * 1e-6, 3),
+        "datagrams_per_s": round((last["sent"] - first["sent"]) / max(1e-9, (last["t_ns"] - first["t_ns"]) * 1e-9), 1),
+        "lost_share": round(min(1.0, lost / settled), 4) if settled > 0 else None,
+    }
+
+
+def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:
+    """Return by direction when each datagram that arrived had left, rising, and how long it took [ns]."""
+    by_name: dict[str, list[Series]] = {}
+    for message, _ in readable(recording.messages(("link/network",)), LeftOut()):
+        report: Any = message.decode()
+        arrived = report.lost_flag.to_numpy() == 0
+        if report.clock.valid and arrived.any():
+            took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
+            left_ns = timeline.times_ns(message.src, at_ns) - took_ns
+            by_name.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
+    rows = {way: np.concatenate(parts) for way, parts in by_name.items()}
+    return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
+
+
+def _first(keys: Series, values: Series) -> tuple[Series, Series]:
+    """Return each key once, in their order, with the first value of it."""
+    found, place = np.unique(keys, return_index=True)
+    return found, values[place]
+
+
+def _series(
+    recording: RecordingSource, channel_topic: str, fields: Sequence[str], timeline: Timeline
+) -> dict[str, Series]:
+    """Return fields and `t_ns`, on the master's clock; no samples where the recording has none of tip or commands."""
+    src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
+    if src is None and channel_topic != "haptic/state":
+        return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
+    series = recording.columns(channel_topic, ("t_ns", *fields))
+    series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
+    kept = in_step(series["t_ns"])
+    return series if kept.all() else {name: values[kept] for name, values in series.items()}
+
+
+def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:
+    inside = (series["t_ns"] >= start_ns) & (series["t_ns"] <= end_ns)
+    return {name: values[inside] for name, values in series.items()}
