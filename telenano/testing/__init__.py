@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from telenano.testing.law_loop import LOST as LOST
     from telenano.testing.law_loop import LawRun as LawRun
     from telenano.testing.law_loop import run_law as run_law
+    from telenano.testing.leases import LeaseOfRig as LeaseOfRig
     from telenano.testing.made_tables import print_table as print_table
     from telenano.testing.messages import EPOCH_NS as EPOCH_NS
     from telenano.testing.messages import fields_of as fields_of

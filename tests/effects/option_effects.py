@@ -153,6 +153,7 @@ VALUES: Mapping[str, Sequence[str]] = {
 REFUSES: Mapping[str, str] = {
     "scan --channel": "the sample is no file",
     "study transparency --hand": "an arm would travel further than a hand may at these frequencies",
+    "study push --quick": "the words give a number of trials",
     "study stability --mass": "a spring has none",
     "study stability --body-damping": "a spring has none",
     "link fit --unit": "the headings of the log name their units",

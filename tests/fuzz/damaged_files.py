@@ -26,13 +26,13 @@ HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (8, 8)).astype("<f4")
 
 
 def map_wave() -> bytes:
-    from maker_files import wave
+    from telenano_lab.doubles.maker_files import wave
 
     return wave(HEIGHTS[:, :, None], labels=((2, "HeightTrace"),))
 
 
 def curve_wave() -> bytes:
-    from maker_files import wave
+    from telenano_lab.doubles.maker_files import wave
 
     base = np.concatenate([np.linspace(0, 1e-7, 20), np.linspace(1e-7, 0, 20)])
     columns = np.stack([base, 0.1 * base, base], axis=1)
@@ -156,7 +156,7 @@ def of_maker(name: str, *arguments: object) -> Callable[[Path], Any]:
     """Return what writes a file by the function of a name in the tests of telenano-lab."""
 
     def write(path: Path) -> None:
-        import maker_files
+        from telenano_lab.doubles import maker_files
 
         getattr(maker_files, name)(path, *arguments)
 

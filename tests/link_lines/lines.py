@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import zmq
-from datagram_bench import Pair, Side
+from telenano_wide_area.doubles.datagram_bench import Pair, Side
 
 from telenano.link.declared_delay import ONE_MACHINE, between_sites
 from telenano.link.questions import Questions

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from documented_lines import Line, lines, makes
-from experiment_tables import demo
+from telenano_lab.doubles.made_journals import demo
 from telenano_lab.experiments.folder_tables import describe
 from telenano_lab.experiments.table import tidy, write_tables
 

@@ -13,13 +13,12 @@ from telenano.recording.reader import Recording
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(900)]
 HOSTILE = Path(__file__).parents[1] / "fuzz" / "hostile_site"
-DATAGRAMS = Path(__file__).parents[2] / "packages" / "telenano-wide-area" / "tests"
 # TELENANO_FUZZ_S in the environment replaces it, for a longer search
 DURATION_S = float(os.environ.get("TELENANO_FUZZ_S", 120.0))
 
 
 def test_a_site_with_a_key_that_lies_ends_no_node_of_the_other(sites: TwoSites) -> None:
-    sites.slave.environment["PYTHONPATH"] = os.pathsep.join(map(str, (HOSTILE, HOSTILE.parent, DATAGRAMS)))
+    sites.slave.environment["PYTHONPATH"] = os.pathsep.join(map(str, (HOSTILE, HOSTILE.parent)))
     sites.slave.start()
     sites.master.start("--duration", "600")
     sites.wait_until(sites.running, "a running session")

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import zmq
-from datagram_bench import SOURCES, Side, SocketLog
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
+from telenano_wide_area.doubles.datagram_bench import SOURCES, Side, SocketLog
 
 from telenano.testing import payload
 

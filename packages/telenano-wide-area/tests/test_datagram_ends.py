@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
-from datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from hypothesis import given
 from hypothesis import strategies as st
 from telenano_wide_area.datagram.agreement import REKEY_NS, Agreement
@@ -25,6 +24,7 @@ from telenano_wide_area.datagram.sealing import (
     Sealer,
 )
 from telenano_wide_area.datagram.touch import Touch
+from telenano_wide_area.doubles.datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from telenano_wide_area.sealed import RejectedError
 
 from telenano.testing import payload

@@ -4,12 +4,12 @@ import os
 import random
 
 import pytest
-from datagram_bench import Pair, Side, pair
-from fuzz_datagrams import CAUSES, Datagrams
 from telenano_wide_area.datagram.arrivals import MOST_ROWS, ArrivalRecord, LinkNetwork
 from telenano_wide_area.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from telenano_wide_area.datagram.end import DatagramEnd
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
+from telenano_wide_area.doubles.datagram_bench import Pair, Side, pair
+from telenano_wide_area.doubles.fuzz_datagrams import CAUSES, Datagrams
 
 from telenano.timing import OffsetFilter
 

@@ -6,9 +6,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from statistics import median
 
-import datagram_bench
 import pytest
-from datagram_bench import Pair, pair
 from telenano_wide_area.datagram import end
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
 from telenano_wide_area.datagram.body import (
@@ -29,6 +27,8 @@ from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 from telenano_wide_area.datagram.rate import Mode
 from telenano_wide_area.datagram.reception import DEADLINE_NS, SILENCE_NS
 from telenano_wide_area.datagram.replay_window import ReplayWindow
+from telenano_wide_area.doubles import datagram_bench
+from telenano_wide_area.doubles.datagram_bench import Pair, pair
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
 from test_datagram_ends import _Blocked

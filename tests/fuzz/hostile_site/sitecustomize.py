@@ -9,9 +9,9 @@ import sys
 if "services.controller" in sys.orig_argv:
     import time
 
-    from fuzz_datagrams import Datagrams
     from telenano_wide_area.datagram.body import DATAGRAMS_OF
     from telenano_wide_area.datagram.end import DatagramEnd
+    from telenano_wide_area.doubles.fuzz_datagrams import Datagrams
 
     from telenano.runtime.bus.publisher import ZmqPublisher
     from telenano.testing.frames import Frames, stream

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telenano.analysis import FigureOptions, Page
-from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, report_errors, results_in
+from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, refuse_unused, report_errors, results_in
 from telenano_lab.studies import option_values
 from telenano_lab.studies.figure_colours import looks
 from telenano_lab.studies.page import write_images
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _HEAD = ("law", "round trip [ms]", "loss", "placed", "of them", "at least", "at most", "time [s]", "error [nm]",
          "lost, a push", "across [nN]", "along [nN]")  # fmt: skip
-_QUICK_SEEDS = 12
+_SEEDS, _QUICK_SEEDS = 100, 12
 _ASIDE_MS = 4.0
 
 
@@ -35,8 +35,9 @@ def push(
         str, typer.Option("--loss", metavar="LIST", help="Share of messages lost each way, 0 to 1, or n%.")
     ] = "0,20%",
     seeds: Annotated[
-        int, typer.Option("--seeds", min=1, max=10_000, metavar="N", help="Trials of each law over each link.")
-    ] = 100,
+        int | None,
+        typer.Option("--seeds", min=1, max=10_000, metavar="N", help=f"Trials of each law over each link; {_SEEDS}."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help=f"{_QUICK_SEEDS} trials each.")] = False,
     workers: WorkersOption = None,
     formats: FormatOption = "png",
@@ -47,8 +48,10 @@ def push(
     with report_errors(as_json, INTERRUPTED):
         from telenano_lab.studies.loops.push_study import PLACED_M, PUSHES, REACTION_S, rows_of, trials_of
 
+        if quick:
+            refuse_unused({"--seeds": seeds}, f"with --quick there are {_QUICK_SEEDS} trials each: give one of both")
         delays, lost, laws = option_values.delays(delay), option_values.losses(loss), option_values.laws(law)
-        trials = trials_of(laws, delays, lost, _QUICK_SEEDS if quick else seeds)
+        trials = trials_of(laws, delays, lost, _QUICK_SEEDS if quick else seeds or _SEEDS)
         with sweep_in(out, workers, None, shown=not as_json, kind=PUSHES) as sweep:
             rows = rows_of(sweep.run(trials))
         records = [row._asdict() for row in rows]

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from recorded_maps import STIFFNESS_N_PER_M, adhesive, frequency_shift_hz
+from recorded_maps import frequency_shift_hz
+from telenano_lab.doubles.maker_files import STIFFNESS_N_PER_M, adhesive
 
 
 def write_curves(path: Path, nx: int, ny: int, *, stiffness: float | None = STIFFNESS_N_PER_M) -> Path:

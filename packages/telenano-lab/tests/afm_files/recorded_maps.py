@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from telenano_lab.afm_files import recorded_map
 from telenano_lab.afm_files.recorded_map import MapState
+from telenano_lab.doubles.maker_files import STIFFNESS_N_PER_M, adhesive
 
 from telenano.afm import AfmConfig
 from telenano.devices import driver_of
@@ -15,21 +16,12 @@ from telenano.extend.samples import PlantInputs
 from telenano.testing import afm_node
 
 Array = npt.NDArray[np.float64]
-STIFFNESS_N_PER_M = 2.0
 
 
 def force_n(z_m: Any, x_m: Any, y_m: Any) -> Any:
     """Return the force of a smooth wall of height 2 nm above the bottom, whose range changes with x and y [N]."""
     reach = 1e-9 * (1.0 + 0.2 * np.sin(2e7 * x_m) * np.cos(1.5e7 * y_m))
     return 4e-9 * np.exp(-z_m / reach)
-
-
-def adhesive(z_m: Any) -> tuple[Any, Any]:
-    """Return the force of an approach that snaps in at 4 nm and of a retraction that lets go at 9 nm [N]."""
-    z = np.asarray(z_m, dtype=np.float64)
-    contact = 1.0e-9 * (3e-9 - z) / 1e-9
-    down = np.where(z > 4e-9, 0.0, contact)
-    return down, np.where(z > 9e-9, 0.0, np.maximum(contact, -5e-9))
 
 
 def members(**changes: Any) -> dict[str, Any]:

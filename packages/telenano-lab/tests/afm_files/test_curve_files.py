@@ -9,9 +9,9 @@ import afmformats
 import h5py
 import numpy as np
 import pytest
-from maker_files import wave
 from telenano_lab.afm_files.map_files import MAP_SUFFIXES
 from telenano_lab.calibration.own_calibration import sensitivities_of_file
+from telenano_lab.doubles.maker_files import wave
 from telenano_lab.microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 
 from telenano.afm import AfmConfig

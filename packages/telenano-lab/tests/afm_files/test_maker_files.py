@@ -8,11 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from maker_files import (
+from recorded_maps import frequency_shift_hz
+from telenano_lab.afm_files import gwyddion
+from telenano_lab.afm_files.map_files import Wanted, import_map
+from telenano_lab.calibration.own_calibration import spectrum_of
+from telenano_lab.doubles.maker_files import (
     DOWN_N,
     HEIGHT_M,
     HEIGHTS,
     SENSITIVITY_M_PER_V,
+    STIFFNESS_N_PER_M,
     UP_N,
     write_afm_workshop_map,
     write_jpk_hdf5,
@@ -23,10 +28,6 @@ from maker_files import (
     write_nid_map,
     write_nsid,
 )
-from recorded_maps import STIFFNESS_N_PER_M, frequency_shift_hz
-from telenano_lab.afm_files import gwyddion
-from telenano_lab.afm_files.map_files import Wanted, import_map
-from telenano_lab.calibration.own_calibration import spectrum_of
 from telenano_lab.microscopy.force_curve import Curve, read_measured
 from telenano_lab.microscopy.image_files import Image, write_gwy
 
@@ -157,7 +158,7 @@ def test_a_map_of_afm_workshop_asks_for_its_constants_and_takes_them(tmp_path: P
 
 
 def test_a_folder_of_waves_is_a_map_of_asylum(tmp_path: Path) -> None:
-    from maker_files import wave
+    from telenano_lab.doubles.maker_files import wave
 
     note = "SpringConstant:2.0\rInvOLS:5e-8\rFastScanSize:1.2e-07\rSlowScanSize:4e-08\rIndexes:0,199,210,410"
     for i in range(3):

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from instrument_files import write_3ds, write_curves
-from recorded_maps import adhesive, forces, frequency_shift_hz, members
+from recorded_maps import forces, frequency_shift_hz, members
 from telenano_lab.afm_files.force_map import map_params
 from telenano_lab.afm_files.map_files import Wanted, import_map
 from telenano_lab.afm_files.map_libraries import blocks_of, refuse_large_archive
+from telenano_lab.doubles.maker_files import adhesive
 
 from telenano.wire import ConfigError
 

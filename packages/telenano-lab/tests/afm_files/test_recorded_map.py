@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_maps import Rig, adhesive, config_of, force_n, forces, hysteretic, members, near, write_npz
+from recorded_maps import Rig, config_of, force_n, forces, hysteretic, members, near, write_npz
 from telenano_lab.afm_files import recorded_map
 from telenano_lab.afm_files.force_map import checked_map, gates, map_params, read_map, write_map
 from telenano_lab.afm_files.recorded_map import MapState, value_at
+from telenano_lab.doubles.maker_files import adhesive
 
 from telenano.extend.samples import PlantInputs
 from telenano.numerics import compiled_form

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from experiment_tables import LAWS, demo, trial
+from telenano_lab.doubles.made_journals import LAWS, demo, trial
 from telenano_lab.experiments.analyse import Choice, analyse
 from telenano_lab.experiments.plans import find_experiment
 from telenano_lab.experiments.table import tidy

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from experiment_tables import DELAYS_MS, LAWS, SLOPE, demo, trial
 from observer import Observer
+from telenano_lab.doubles.made_journals import DELAYS_MS, LAWS, SLOPE, demo, trial
 from telenano_lab.experiments.analyse import Choice, analyse
 from telenano_lab.experiments.effect_sizes import corrected, partial_eta2
 from telenano_lab.experiments.effects import Effects

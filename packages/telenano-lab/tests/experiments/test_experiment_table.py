@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from experiment_tables import demo, trial
+from telenano_lab.doubles.made_journals import demo, trial
 from telenano_lab.experiments.table import FIXED, read_tables, tidy, write_tables
 
 from telenano.wire import ConfigError

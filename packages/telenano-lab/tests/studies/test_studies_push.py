@@ -129,3 +129,12 @@ def test_the_command_writes_page_figure_and_tables(tmp_path: Path, monkeypatch: 
     assert row["placed"] == row["trials"] == 12
     names = {path.name for path in (tmp_path / "push").iterdir()}
     assert {"push.html", "push.json", "push.png", "push.parquet", "journal.jsonl"} <= names
+
+
+@pytest.mark.parametrize("seeds", ["2", "100"])
+def test_two_numbers_of_trials_are_refused_before_any_runs(tmp_path: Path, seeds: str) -> None:
+    out = tmp_path / "push"
+    done = invoke(["study", "push", "--law", "wave", "--quick", "--seeds", seeds, "--workers", "1", "--out", str(out)])
+    assert done.exit_code == 2
+    assert "--quick" in done.stderr and "--seeds" in done.stderr
+    assert not out.exists()

@@ -4,6 +4,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from telenano.testing import Frames
 from telenano_wide_area.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
@@ -18,8 +19,6 @@ from telenano_wide_area.datagram.body import (
 )
 from telenano_wide_area.datagram.replay_window import WINDOW
 from telenano_wide_area.datagram.sealing import Sealer
-
-from telenano.testing import Frames
 
 MOST = 2**64 - 1
 # a jump beyond the window that is possible now and then

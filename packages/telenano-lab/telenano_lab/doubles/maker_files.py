@@ -6,9 +6,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from recorded_maps import STIFFNESS_N_PER_M, adhesive
 
+STIFFNESS_N_PER_M = 2.0
 HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) ** 2 / 4e-9)
+
+
+def adhesive(z_m: Any) -> tuple[Any, Any]:
+    """Return the force of an approach that snaps in at 4 nm and of a retraction that lets go at 9 nm [N]."""
+    z = np.asarray(z_m, dtype=np.float64)
+    contact = 1.0e-9 * (3e-9 - z) / 1e-9
+    down = np.where(z > 4e-9, 0.0, contact)
+    return down, np.where(z > 9e-9, 0.0, np.maximum(contact, -5e-9))
+
+
 # a curve of 200 points a way: height above the sample [m], from far to near, and the force on the tip [N] both ways
 HEIGHT_M = np.linspace(20e-9, 0.0, 200)
 DOWN_N, UP_N = adhesive(HEIGHT_M)

@@ -1,10 +1,10 @@
 """The coupling of each device live in its servo, behind its real wire and a drive that is 5 ms late: its critical K."""
 
 import itertools
+import sys
 import time
 from pathlib import Path
 
-import machine
 import numpy as np
 import pytest
 from coupling_theory import critical_stiffness
@@ -105,9 +105,8 @@ def test_critical_stiffness_is_that_of_theory_behind_a_late_drive(kind: str, tmp
         f"critical K of {able.identity} with a drive {LATE_S * 1e3:g} ms late: {found * theory:.0f} N/m, by theory "
         f"{theory:.0f}, ratio {found:.3f}; growth {', '.join(f'{rate:+.2f}' for rate in rates)} 1/s; {late:.2%} late"
     )
-    machine.note(text)
+    sys.stdout.write(f"{text}\n")
     if late > LATE_SHARE:
-        machine.note("the servo was held up: not judged")
-        return
+        pytest.skip(f"the servo was held up: {text}")
     assert found == pytest.approx(1.0, abs=0.1, rel=0.0)
     assert rates == sorted(rates) and rates[0] < 0.0 < rates[-1]

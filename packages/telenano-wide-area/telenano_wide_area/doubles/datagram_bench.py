@@ -7,14 +7,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import zmq
-from telenano_wide_area.datagram.end import DatagramEnd
-from telenano_wide_area.datagram.place import Place
-from telenano_wide_area.datagram.sparse import SPARSE
-from telenano_wide_area.settings import DatagramSettings
 
 from telenano.runtime import ConnectionEvent, Subscriber
 from telenano.testing import VirtualClock, payload
 from telenano.wire import Message, Received, compose
+from telenano_wide_area.datagram.end import DatagramEnd
+from telenano_wide_area.datagram.place import Place
+from telenano_wide_area.datagram.sparse import SPARSE
+from telenano_wide_area.settings import DatagramSettings
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

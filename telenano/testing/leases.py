@@ -1,0 +1,27 @@
+"""The lease of a rig as others see it and take it, for tests of what holds the hand."""
+
+
+class LeaseOfRig:
+    """The lease in the private folder of the rig, which TELENANO_RUNTIME_DIR names."""
+
+    def __init__(self) -> None:
+        from telenano.console.lease_register import LeaseRegister
+
+        self._register = LeaseRegister()
+
+    def holder(self) -> str:
+        """Return who has control: the name of a person, else what the program is; empty where nobody has it."""
+        holder = self._register.look().holder
+        return "" if holder is None else holder.name or holder.what
+
+    def lapse(self) -> None:
+        """Let the time pass after which a holder that was not heard has vanished."""
+        from telenano.console.lease import VANISHED_NS, current
+
+        self._register.change(lambda lease, now_ns: current(lease, now_ns + 2 * VANISHED_NS))
+
+    def take_for_page(self, name: str, role: str = "teacher") -> None:
+        """Take control for the page of a person."""
+        from telenano.console.lease import Party, take
+
+        self._register.change(lambda lease, now_ns: take(lease, Party("page", name, role), now_ns))
