@@ -5,6 +5,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "telenano/afm/safety.py": (
         "tests/unit/afm/test_safety_codes.py",
         "tests/unit/afm/test_afm_safety.py",
+        "tests/unit/afm/test_afm_way.py",
     ),
     "telenano/extend/feedback.py": (
         "tests/unit/afm/test_integral_share.py",
