@@ -146,7 +146,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "study stability --set": ["clamp.enabled=true"],
     "study stability --duration": ["4"],
     "study stability --seed": ["5 --jitter 5"],
-    "study transparency --seed": ["5"],
+    "study stability --seeds": ["2 --jitter 5"],
     "study transparency --set": ["clamp.enabled=true"],
 }
 # Options that a command refuses in these circumstances, because what is read there does not need them, and the reason.
@@ -168,8 +168,6 @@ WITHOUT: Mapping[str, str] = {
     "--overwrite": "acts in a folder that has a session; tests/unit/cli/test_simulate_command.py",
     "--workers": "is how many processes compute; the result is the same",
     "--scheduler": "needs a cluster; the tests of the package of studies",
-    "study transparency --seed": "the figures of wave are the same with any seed; to be refused or used",
-    "study transparency --tuned": "the figures of wave are the same tuned; to be refused or used",
     "compare --published": "is a file of a published curve; packages/telenano-lab",
     "--live": "needs a running rig; tests/stack/test_live_programs.py",
     "--site-file": "is where a running rig is; tests/stack",

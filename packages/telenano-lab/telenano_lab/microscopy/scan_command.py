@@ -1,7 +1,7 @@
 """`telenano scan`: an image of a sample, in simulated time on this machine, or by a running rig."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -37,7 +37,13 @@ if TYPE_CHECKING:
     from telenano_lab.microscopy.simulated_image import SimulatedImage
 
 # fields of the model for which the command has options of its own
-_OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
+_OWN = {
+    "mode": "--mode",
+    "setpoint_n": "--setpoint",
+    "setpoint_share": "--setpoint",
+    "width_m": "--size",
+    "depth_m": "--size",
+}
 
 
 @with_options(ScanSettings, _OWN)
@@ -50,6 +56,14 @@ def scan(
     size: SampleSizeOption = None,
     channel: ChannelOption = None,
     settings: SampleSetOption = None,
+    asked_mode: Annotated[
+        Literal["contact", "tapping"] | None,
+        typer.Option(
+            "--mode",
+            help="contact: the force is held; tapping: the amplitude, for which a rig needs afm_node.model dynamic;"
+            " default: tapping, with --live contact.",
+        ),
+    ] = None,
     setpoint: Annotated[
         float | None,
         typer.Option("--setpoint", metavar="X", help="Share of the amplitude, or force [nN] in contact; 0.8 or 5."),
@@ -65,7 +79,9 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     with report_errors(as_json):
-        mode = given.get("mode") or ("contact" if live else "tapping")
+        mode = asked_mode or ("contact" if live else "tapping")
+        # A running rig has a mode of its own, which only a person changes.
+        given |= {"mode": asked_mode} if asked_mode else {}
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
         if live and size is not None:

@@ -110,7 +110,7 @@ def stability(
 
 
 @app.command()
-@with_options(Feel, ("environment", "gains", "jitters", "losses", "session_s", *_ONE_LINK), _TRANSPARENCY)
+@with_options(Feel, ("environment", "gains", "jitters", "losses", "session_s", "seed", *_ONE_LINK), _TRANSPARENCY)
 def transparency(
     given: dict[str, Any],
     out: OutOption,

@@ -85,6 +85,8 @@ def test_laws_jitter_and_loss() -> None:
         (["--set", "virtual_impedance.unknown=1"], "unknown"),
         (["--mass", "0.1"], "--mass: spring has none; give --environment body"),
         (["--environment", "body", "--mass", "1e-7"], "it must be at least"),
+        (["--seed", "3"], "--seed: nothing is random without --jitter, --loss or a disturbance"),
+        (["--seeds", "3"], "--seeds: nothing is random without"),
     ],
 )
 def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[str], words: str) -> None:

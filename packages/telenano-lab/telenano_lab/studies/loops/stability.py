@@ -58,6 +58,11 @@ class Axes(Conditions):
         for field, option in (("mass_kg", "--mass"), ("damping_n_s_per_m", "--body-damping")):
             if field in self.model_fields_set and self.environment != "body":
                 raise ConfigError(f"{option}: {self.environment} has none; give --environment body")
+        is_random = any(jitter != Jitter() for jitter in self.jitters) or any(self.losses) or bool(self.disturbances)
+        for field in ("seed", "seeds"):
+            if field in self.model_fields_set and not is_random:
+                needed = "--jitter, --loss or a disturbance"
+                raise ConfigError(f"--{field}: nothing is random without {needed}; give one as well")
         doubts: list[str] = []
         for line in self.lines():
             cell = line.cell(max(self.delays_ms))

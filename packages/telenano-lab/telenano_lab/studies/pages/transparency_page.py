@@ -30,6 +30,13 @@ class Feel(Axes):
         default=False, description="Tune each law for each delay, by the rule of `study advise`"
     )
 
+    def check(self) -> list[str]:
+        """Return what makes a cell doubtful, and whether the rule of tuning changes no law."""
+        doubts = super().check()
+        if self.tuned and cells_of(self) == cells_of(self.model_copy(update={"tuned": False})):
+            doubts.append(f"--tuned: {', '.join(self.laws)}: by its rule the defaults stay at these delays")
+        return doubts
+
 
 def cells_of(axes: Feel) -> list[Cell]:
     """Return a cell for every law, on the first spring of the axes, and delay; tuned for the delay if asked."""
