@@ -8,7 +8,6 @@ figures are those of a window in which all of them read.
 
 import argparse
 import contextlib
-import itertools
 import json
 import os
 import select
@@ -346,17 +345,16 @@ def said(out: str, err: str) -> list[str]:
     """Return what `telenano status` says of the machine and of nodes with a problem; else its last sentence.
 
     Args:
-        out: What it printed. Lines below the table have a label, and those that are wrapped go on after a space.
+        out: What it printed. Lines below the table have a label, which may be a node that has a row above as well.
         err: What it said of an error: of a rig that runs, which nodes have a problem.
     """
     lines, last = out.splitlines(), err.strip().removeprefix("telenano: ")
     named = [name.strip() for name in last.rpartition(":")[2].split(",")] if last else []
     found = []
     for label in ("machine", *named):
-        place = next((place for place, line in enumerate(lines) if line.startswith(f"{label} ")), None)
-        if place is not None:
-            rest = itertools.takewhile(lambda line: line.startswith(" "), lines[place + 1 :])
-            text = " ".join(" ".join([lines[place].removeprefix(label), *rest]).split())
+        labelled = [line for line in lines if line.startswith(f"{label} ")]
+        if labelled:
+            text = " ".join(labelled[-1].removeprefix(label).split())
             found.append(text if label == "machine" else f"{label} {text}")
     return found or [last or (lines[-1].strip() if lines else "nothing")]
 

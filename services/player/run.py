@@ -67,7 +67,9 @@ def run_replay(
     book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
-    plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes))
+    selection = Selection.of(request.topics, request.exclude, request.nodes)
+    selection.demand_some_of(recording.path, recording.channels)
+    plan = ReplayPlan(recording, book, selection)
     playback = Playback(recording, plan.plays, request.span)
     if playback.peek() is None:
         nodes = ", ".join(plan.nodes)

@@ -12,6 +12,7 @@ from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors, say
+from telenano.recording.provenance import configuration_files
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.observer import RIG_HINT, runs_no_node
@@ -71,6 +72,8 @@ def record(
         config = validate(
             RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
         )
+        # A rig is recorded without a scenario that cannot be read, but a person has named this one.
+        configuration_files(site_file, scenario)
         reason = (
             "no rig of this site file was found on this machine" if runs_no_node(AddressBook.load(site_file)) else ""
         )

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from telenano.cli.options import command_group as command_group
     from telenano.cli.options import refuse_unused as refuse_unused
     from telenano.cli.options import table_formats as table_formats
+    from telenano.cli.output import console as console
     from telenano.cli.output import fail_incomplete as fail_incomplete
     from telenano.cli.output import print_answer as print_answer
     from telenano.cli.output import print_document as print_document

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 
 from telenano.analysis.intervals import with_error
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE, EXIT_INTERRUPTED
@@ -26,7 +27,8 @@ from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 from telenano.wire.printable import one_line, printable, quoted
 
-_PIPE_COLUMNS = 160
+# A pipe has no width, and a line of a table that is folded there could not be searched.
+_PIPE_COLUMNS = 10_000
 # Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
 _WHOLE_SHARE = 0.995
 # This is what a person can do where a rig does not reach its rate.
@@ -153,9 +155,9 @@ def print_json(document: Any) -> None:
 
 
 def console() -> Console:
-    """Return the console of standard output; a pipe has no width of its own, and a narrow table would lose names."""
+    """Return the console of standard output: plain text with a row a line for a pipe, and where NO_COLOR is set."""
     made = PrintableConsole()
-    return made if made.is_terminal else PrintableConsole(width=_PIPE_COLUMNS)
+    return made if made.is_terminal and not made.no_color else PlainConsole()
 
 
 class PrintableConsole(Console):
@@ -165,6 +167,27 @@ class PrintableConsole(Console):
         """Yield the parts of what is drawn; called for each cell of a table as well, before it is fitted."""
         for part in super().render(renderable, options):
             yield part if part.control else part._replace(text=printable(part.text))
+
+
+class PlainConsole(PrintableConsole):
+    """A console that draws tables without lines and without spaces at the end, for programs such as `grep`."""
+
+    def __init__(self) -> None:
+        super().__init__(width=_PIPE_COLUMNS, force_terminal=False)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print, as `rich.console.Console.print`."""
+        with self.capture() as captured:
+            super().print(*objects, **options)
+        self.file.writelines(f"{line.rstrip()}\n" for line in captured.get().splitlines())
+        self.file.flush()
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the parts of what is drawn, of a table those of its cells."""
+        if isinstance(renderable, Table):
+            renderable.box, renderable.title_justify = None, "left"
+            renderable.padding, renderable.pad_edge = (0, 2, 0, 0), False
+        return super().render(renderable, options)
 
 
 def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_json: bool) -> None:

@@ -55,18 +55,20 @@ class Selection:
     topics: tuple[Matcher, ...] = ()
     exclude: tuple[Matcher, ...] = ()
     nodes: tuple[Matcher, ...] = ()
-    # The first pattern of a topic as it was written, for the error where no channel is selected.
+    # The first pattern of topics and of nodes as they were written, for the error where no channel is selected.
     asked: str = ""
+    asked_node: str = ""
 
     @classmethod
     def of(cls, topics: Iterable[str] = (), exclude: Iterable[str] = (), nodes: Iterable[str] = ()) -> "Selection":
         """Read patterns; ConfigError names one that is wrong."""
-        names = tuple(topics)
+        names, publishers = tuple(topics), tuple(nodes)
         return cls(
             tuple(map(matcher, names)),
             tuple(map(matcher, exclude)),
-            tuple(node_matcher(node) for node in nodes),
-            names[0] if names else "",
+            tuple(map(node_matcher, publishers)),
+            next(iter(names), ""),
+            next(iter(publishers), ""),
         )
 
     def __call__(self, channel: _Named) -> bool:
@@ -81,12 +83,21 @@ class Selection:
         return not self.topics or any(test(channel_topic) for test in self.topics)
 
     def demand_some_of(self, source: Path, channels: Collection[_Named]) -> None:
-        """Raise RecordingError naming the channels of a recording if there are patterns and they select none."""
+        """Raise RecordingError naming what was asked for and what there is, if there are patterns and they select none."""
         if self == ALL or any(map(self, channels)):
             return
-        names = sorted({shown(channel.channel_topic) for channel in channels})
-        asked = shown(self.asked) or "that was asked for"
-        raise RecordingError(f"{source}: has no channel {asked}: {known_names(self.asked, names or ['none'])}")
+        names = sorted({channel.channel_topic for channel in channels})
+        nodes = sorted({channel.src for channel in channels})
+        if self.nodes and not any(test(node) for test in self.nodes for node in nodes):
+            raise RecordingError(f"{source}: has no message of node {_told(self.asked_node, nodes)}")
+        if self.asked:
+            raise RecordingError(f"{source}: has no channel {_told(self.asked, names)}")
+        raise RecordingError(f"{source}: no channel is left of these: {', '.join(map(shown, names))}")
+
+
+def _told(asked: str, there_are: Collection[str]) -> str:
+    """Return a pattern that selects nothing, and what there is."""
+    return f"{shown(asked)}: {known_names(asked, [shown(name) for name in there_are] or ['none'])}"
 
 
 ALL = Selection()

@@ -16,12 +16,13 @@ from telenano.settings import DEMO_RECORDING
 WORDS = {
     "up": "--scenario fig12",
     "session": "mark",
+    "simulate": "fig12 --out out/made",
     "topic echo": "afm/state",
     "topic hz": "afm/state",
     "link set": "delay_s=0.01",
     "link profile": "5g",
     "link udp": "127.0.0.1:5000 127.0.0.1:5001",
-    "record": "--out out",
+    "record": "--out made.mcap",
     "scenario check": "fig12",
     "scenario new": "fig12",
     "law balance": "wave",
@@ -30,9 +31,11 @@ WORDS = {
     "keys allow": "other KEY --role data",
     "bag export": f"{DEMO_RECORDING} --out out/made --to mcap-json",
     "bag rerun": f"{DEMO_RECORDING} --node controller@master",
-    "device probe": "simulated_impedance",
+    "device probe": "--device simulated_impedance",
+    "device monitor": "--device simulated_impedance",
     "device trial": "haply",
     "push": "--from 0,0 --to 100,0",
+    "study advise": "--delay 20",
     "study stability": "--environment spring --law wave --out out/made",
 }
 

@@ -24,14 +24,13 @@ GOOD = {
     "overruns_hz": 0.4, "received_hz": 0.0, "rig_percent": 110.0, "rig_mb": 480.0, "says": ["every node reports"],
 }  # fmt: skip
 STATUS = """\
-│ haptic_node@master │ running │ 0:00:06 │  3700.1 │
-│ recorder@master    │ running │ 0:00:06 │  8546.6 │
+haptic_node@master  running  0:00:06   3700.1
+recorder@master     running  0:00:06   8546.6
 recorder@master          no longer receives afm/state
 link forward             clean · 0 in flight
-age of the loop          law of the master: 0.522 of 1.3 ms (2.1 ms at 99 %); in ms: law of the master 0.522,
-                         queue at the device 0.193
-machine                  haptic_node@master 3700 of 4000 Hz: the machine is too busy for this rate: end what else
-                         runs there, or give a lower realtime.rate_hz
+age of the loop          law of the master: 0.522 of 1.3 ms (2.1 ms at 99 %); in ms: law of the master 0.522
+machine                  haptic_node@master 3700 of 4000 Hz: the machine is too busy for this rate: end what else \
+runs there, or give a lower realtime.rate_hz
 hand haptic_node@master  position · programme at 5.4 s
 every node reports and none waits for anything
 """

@@ -97,7 +97,8 @@ def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: 
 
     assert "delay_node@slave is not in the site file" in fails("replay", path, "--site-file", site)
     assert "give one of them" in fails("replay", path, "--end", "1", "--duration", "1")
-    assert "none of the messages" in fails("replay", path, "--site-file", site, "--nodes", "afm_node")
+    unknown = "has no message of node afm_node: known are controller@master, haptic_node@master"
+    assert unknown in fails("replay", path, "--site-file", site, "--nodes", "afm_node")
     assert "--quota-policy" in fails("record", "--out", tmp_path / "x.mcap", "--quota-policy", "none")
     site.write_text(f"nodes: {{haptic_node@master: 'ipc://{tmp_path}/h'}}\n")
     assert "player@master is missing" in fails("replay", path, "--site-file", site, "--nodes", "haptic_node")

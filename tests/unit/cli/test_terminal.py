@@ -105,3 +105,22 @@ def test_a_long_row_of_a_summary_is_drawn_upright_and_a_fact_by_its_text() -> No
     assert sum(fact["text"] in line for line in lines) == 1
     assert "kind" not in drawn.getvalue()
     assert any(line.split() == ["┃", "count", "┃"] for line in lines)
+
+
+@pytest.mark.parametrize("environment", [{}, {"NO_COLOR": "1", "FORCE_COLOR": "1"}])
+def test_a_table_in_a_pipe_is_a_line_a_row_with_columns_that_programs_find(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], environment: dict[str, str]
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    rows = [{"law": "wave", "about": "Wave variables " * 20, "share": 0.25}, {"law": "a", "about": "", "share": 1.0}]
+    output.print_rows(rows, title="laws")
+    title, headings, *cells = capsys.readouterr().out.splitlines()
+    assert title == "laws"
+    places = [headings.index(name) for name in ("law", "about")]
+    assert [[line[place:].split("  ")[0].strip() for place in places] for line in cells] == [
+        ["wave", ("Wave variables " * 20).strip()],
+        ["a", ""],
+    ]
+    assert [line.split()[-1] for line in cells] == ["0.25", "1"]
+    assert not any("\x1b" in line or line != line.rstrip() or not line.isascii() for line in cells)

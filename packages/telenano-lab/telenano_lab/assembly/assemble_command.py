@@ -6,9 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
-from telenano.cli import JsonOption, SiteFileOption, print_document, progress, refuse_unused, report_errors, results_in
+from telenano.cli import (
+    JsonOption,
+    SiteFileOption,
+    console,
+    print_document,
+    progress,
+    refuse_unused,
+    report_errors,
+    results_in,
+)
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption
@@ -76,7 +84,7 @@ def _print_found(particles: "list[Found]", file: Path) -> None:
             f"{one.radius_m * 1e9:.2f} ± {one.radius_error_m * 1e9:.2f}",
             "more than spheres" if one.is_cluster else "",
         )
-    Console().print(table)
+    console().print(table)
 
 
 def assemble(

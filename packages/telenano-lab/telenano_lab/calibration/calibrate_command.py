@@ -25,9 +25,22 @@ ColumnsOption = Annotated[
         "--columns", metavar="X Y", help="Columns of a text table, by number or title; default: by its headings."
     ),
 ]
+
+
+def _figure(path: Path | None) -> Path | None:
+    if path is not None and path.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{path}: must end in .png, .svg or .pdf")
+    return path
+
+
 FigureOption = Annotated[
     Path | None,
-    typer.Option("--figure", metavar="FILE", help="Draw the data, what was left out and the fit, as .png, .svg, .pdf."),
+    typer.Option(
+        "--figure",
+        metavar="FILE",
+        help="Draw the data, what was left out and the fit, as .png, .svg, .pdf.",
+        callback=_figure,
+    ),
 ]
 
 

@@ -22,9 +22,9 @@ _TAKEN, _LEFT_OUT, _FIT = "#0072b2", "0.65", "#d55e00"
 
 
 def draw(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format that the end of its file's name says, PNG without one."""
+    """Write a figure in the format that the end of its file's name says."""
     with atomic_file(path) as part:
-        figure.savefig(part, dpi=130, format=path.suffix[1:] or "png")
+        figure.savefig(part, dpi=130, format=path.suffix[1:])
 
 
 def contact_figure(way_m: Array, volts: Array, found: Sensitivity) -> "Figure":

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -165,7 +166,7 @@ def test_a_table_tells_a_sweep_that_was_too_short_from_a_law_without_theory(tmp_
     result = RUN.invoke(app, ["stability", "--law", "wave", "--environment", "spring", *options])
     assert result.exit_code == 0, result.output
     (row,) = (line for line in result.stdout.splitlines() if "wave" in line)
-    assert [cell.strip() for cell in row.split("│")[1:-1]] == ["wave", "K = 10 N/m", "no theory", "> 20", "> 20"]
+    assert re.split(" {2,}", row) == ["wave", "K = 10 N/m", "no theory", "> 20", "> 20"]
 
 
 def test_transparency_prints_one_object(tmp_path: Path) -> None:
