@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from telenano.cli.root import app
 
 WRONG = "no such value"
-# The processor's time of a command that is refused, as a multiple of that for a word that is no option [1]; one that has
-# begun goes on.
+# The processor's time of a command that is refused, as a multiple of that for a word that is no option [1]; a command
+# that has begun goes on.
 MOST_RATIO = 20.0
 # Options that take any text, name a file that the command writes, or need what is not here, with the reason.
 ANY = {
