@@ -83,7 +83,7 @@ class Selection:
         return not self.topics or any(test(channel_topic) for test in self.topics)
 
     def demand_some_of(self, source: Path, channels: Collection[_Named]) -> None:
-        """Raise RecordingError, with what was asked for and what there is, if there are patterns and they select none."""
+        """Raise RecordingError, with what was asked for and what there is, if patterns select none."""
         if self == ALL or any(map(self, channels)):
             return
         names = sorted({channel.channel_topic for channel in channels})
