@@ -1,10 +1,13 @@
 """What containers cost: the age of the loop under compose, as a ratio to the rig on the bare machine.
 
-    python benchmarks/compose.py [--rounds N] [--json]
+    python benchmarks/compose.py [--rounds N] [--first N] [--json]
 
 Runs the session of Fig. 12 in turn on the bare machine as it comes, on the bare machine without real time, and under
 `compose.yaml` with the images as they are (`make images`), and takes the medians over the rounds. The
 engine reports in `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
+
+With `--first` it runs that many sessions as a newcomer does, `docker compose up` with page and report from nothing, and
+counts the verdicts and the deadlines that were missed.
 """
 
 import argparse
@@ -15,6 +18,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -59,10 +63,51 @@ def composed() -> dict[str, Any]:
         run("down", "-v")
 
 
+def first() -> dict[str, Any]:
+    """Give the summary of `docker compose up` from nothing, with the page and the report."""
+    compose, out = compose_command(), ROOT / "out"
+    before = set(out.glob("*/summary.json"))
+
+    def run(*command: str) -> str:
+        return children.run(
+            command, cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ).stdout.strip()
+
+    try:
+        run(*compose, "up", "-d")
+        run("docker", "wait", run(*compose, "ps", "-q", "session"))
+    finally:
+        run(*compose, "down", "-v")
+    (made,) = set(out.glob("*/summary.json")) - before
+    found: dict[str, Any] = json.loads(made.read_text("utf-8"))
+    shutil.rmtree(made.parent)
+    return found
+
+
+def report_first(sessions: int, *, as_json: bool) -> None:
+    """Run first sessions and print how they end."""
+    summaries = [first() for _ in range(sessions)]
+    verdicts = Counter(summary["verdict"] for summary in summaries)
+    late = [summary["overruns"] for summary in summaries]
+    ages_ms = [summary["loop_age_ms"]["p99"] for summary in summaries]
+    rate_hz = statistics.median(summary["rate_hz"]["haptic/state"] for summary in summaries)
+    report = {
+        "verdicts": dict(verdicts), "late_deadlines": {"median": statistics.median(late), "most": max(late)},
+        "loop_age_p99_ms": statistics.median(ages_ms), "rate_hz": rate_hz,
+    }  # fmt: skip
+    if as_json:
+        print(json.dumps(report))
+        return
+    print(f"{sessions} first sessions: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}")
+    print(f"late deadlines: {statistics.median(late):g} in the middle session, {max(late)} in the worst")
+    print(f"loop: {rate_hz:.0f} Hz, {statistics.median(ages_ms):.2f} ms old at 99 %")
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=3, help="sessions of each way")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="count how N first sessions end, and no more")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
@@ -70,6 +115,9 @@ def main() -> None:
         given.rounds = 1
     if shutil.which("docker") is None:
         sys.exit("docker is not installed, so there is nothing to compare with")
+    if given.first:
+        report_first(given.first, as_json=given.json)
+        return
     ways = {"bare": bare, "bare_normal": lambda: bare(*ORDINARY), "compose": composed}
     found: dict[str, list[dict[str, Any]]] = {way: [] for way in ways}
     for _ in range(given.rounds):

@@ -29,8 +29,13 @@ LAST_PORT = 65535
 PAGE_PORT = "TELENANO__VIZ_NODE__PORT"
 # The node to run is given as node@site.
 NODE = "TELENANO_NODE"
+MACHINE = "TELENANO_MACHINE"
 SITE_FILE = "TELENANO_SITE_FILE"
 SCENARIO = "TELENANO_SCENARIO"
+RATE = f"{ENVIRONMENT_PREFIX}REALTIME__RATE_HZ"
+# Six nodes, a page and a session reach 1 kHz in containers with this many processors; fewer hold the loop up.
+PROCESSORS = 4
+RATE_OF_FEW_HZ = 500.0
 
 
 def main(command: list[str]) -> None:
@@ -42,6 +47,7 @@ def main(command: list[str]) -> None:
         cache.with_suffix(".part").rename(cache)
     node = os.environ.get(NODE, "")
     try:
+        choose_rate(len(os.sched_getaffinity(0)))
         if node and EPOCH_OFFSET_VARIABLE not in os.environ:
             check_runtime_directory()
             os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))
@@ -60,8 +66,7 @@ def node_command(node: str) -> list[str]:
     if not site:
         raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
     site_file = os.environ.get(SITE_FILE) or str(DEFAULT_SITE_FILE)
-    scenario = Path(os.environ.get(SCENARIO) or SCENARIO_DIRECTORY / "fig12.yaml")
-    write_in_force(scenario)
+    write_in_force(scenario_of_rig())
     files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
     return [sys.executable, "-m", module_of(name), *files, "--site", site]
 
@@ -82,6 +87,27 @@ def check_port(text: str) -> None:
                 f"no page: port {text} of {LOOPBACK}: {error.strerror}: set VIEW_PORT to another one, in .env or as in "
                 "`VIEW_PORT=8651 docker compose up`; the rig runs without its page"
             ) from error
+
+
+def scenario_of_rig() -> Path:
+    """Return the file of the scenario that all containers of the rig have."""
+    return Path(os.environ.get(SCENARIO) or SCENARIO_DIRECTORY / "fig12.yaml")
+
+
+def choose_rate(processors: int) -> None:
+    """Give the rig of a machine with few processors half the rate, where neither scenario nor environment gives one.
+
+    The sites of two machines have one rate, whatever processors each of them has, so it is left as it is. ConfigError
+    when the scenario cannot be read.
+    """
+    if processors >= PROCESSORS or os.environ.get(MACHINE):
+        return
+    document, _ = layered(scenario_of_rig())
+    if "rate_hz" not in (document.get("realtime") or {}):
+        os.environ[RATE] = f"{RATE_OF_FEW_HZ:g}"
+        sys.stderr.write(
+            f"{processors} processors: the rig runs at {RATE_OF_FEW_HZ:g} Hz; {RATE} in .env gives another rate\n"
+        )
 
 
 def write_in_force(scenario: Path) -> None:

@@ -17,7 +17,7 @@ from telenano.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.main import node_kind
 from telenano.settings import TWO_SITES_FILE
-from telenano.settings.config import environment_overrides, validate
+from telenano.settings.config import environment_overrides, layered, validate
 from telenano.settings.scenario import LoadedScenario, RealtimeConfig, Scenario
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import PAGE, START_ORDER, site_of
@@ -343,7 +343,10 @@ def test_compose_files_keep_to_what_both_commands_know() -> None:
 
 
 @pytest.fixture(scope="module")
-def entrypoint() -> Any:
+def entrypoint(monkeypatch: pytest.MonkeyPatch) -> Any:
+    # What the program sets of its environment ends with the test.
+    monkeypatch.setenv("TELENANO__REALTIME__RATE_HZ", "")
+    monkeypatch.delenv("TELENANO__REALTIME__RATE_HZ")
     specification = importlib.util.spec_from_file_location("entrypoint", DEPLOY / "entrypoint.py")
     assert specification is not None
     assert specification.loader is not None
@@ -443,3 +446,33 @@ def test_command_takes_the_place_of_the_entrypoint(
     assert (cache / "steps").read_text() == "code"
     assert os.environ["TELENANO_EPOCH_OFFSET_NS"] == (tmp_path / "epoch_offset_ns").read_text()
     monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS")
+
+
+@pytest.mark.parametrize(
+    ("processors", "given", "environment", "expected_hz"),
+    [
+        (2, "", {}, 500.0),
+        (3, "", {}, 500.0),
+        (4, "", {}, 1000.0),
+        # A person who gives a rate gets it, in the scenario or beside it, and so do two machines.
+        (2, "realtime: {rate_hz: 2000}", {}, 2000.0),
+        (2, "", {"TELENANO__REALTIME__RATE_HZ": "800"}, 800.0),
+        (2, "", {"TELENANO_MACHINE": "slave"}, 1000.0),
+    ],
+)
+def test_the_rig_of_few_processors_has_half_the_rate_unless_one_is_given(
+    entrypoint: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    processors: int,
+    given: str,
+    environment: dict[str, str],
+    expected_hz: float,
+) -> None:
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    scenario = tmp_path / "own.yaml"
+    scenario.write_text(f"name: own\ndescription: Own\nduration_s: 5.0\n{given}\n")
+    monkeypatch.setenv("TELENANO_SCENARIO", str(scenario))
+    entrypoint.choose_rate(processors)
+    assert LoadedScenario.of(*layered(scenario)).scenario.realtime.rate_hz == expected_hz
