@@ -342,11 +342,15 @@ def test_compose_files_keep_to_what_both_commands_know() -> None:
             assert "start_interval" not in service.get("healthcheck", {})
 
 
-@pytest.fixture(scope="module")
-def entrypoint(monkeypatch: pytest.MonkeyPatch) -> Any:
-    # What the program sets of its environment ends with the test.
+@pytest.fixture(autouse=True)
+def rate_of_no_other_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The entry point sets it in the environment of its own process.
     monkeypatch.setenv("TELENANO__REALTIME__RATE_HZ", "")
     monkeypatch.delenv("TELENANO__REALTIME__RATE_HZ")
+
+
+@pytest.fixture(scope="module")
+def entrypoint() -> Any:
     specification = importlib.util.spec_from_file_location("entrypoint", DEPLOY / "entrypoint.py")
     assert specification is not None
     assert specification.loader is not None
