@@ -47,10 +47,10 @@ def main(command: list[str]) -> None:
         cache.with_suffix(".part").rename(cache)
     node = os.environ.get(NODE, "")
     try:
-        choose_rate(len(os.sched_getaffinity(0)))
         if node and EPOCH_OFFSET_VARIABLE not in os.environ:
             check_runtime_directory()
             os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))
+        choose_rate(len(os.sched_getaffinity(0)))
         program = command or node_command(node)
     except ConfigError as error:
         sys.stderr.write(f"{error}\n")
