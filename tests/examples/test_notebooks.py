@@ -38,8 +38,13 @@ def test_a_difference_of_a_number_or_a_word_is_found() -> None:
     assert differs("1 2", "1")
 
 
-def test_three_notebooks_are_kept() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["experiment_table", "fig12_against_delay", "recording_to_figure"]
+def test_four_notebooks_are_kept() -> None:
+    assert [path.stem for path in NOTEBOOKS] == [
+        "experiment_table",
+        "fig12_against_delay",
+        "recording_to_figure",
+        "thirty_sessions",
+    ]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

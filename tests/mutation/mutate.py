@@ -194,7 +194,8 @@ def tests_pass(folder: Path, tests: tuple[str, ...], timeout_s: float | None) ->
     """Return whether the tests pass in a copy of the tree within a time."""
     # numba compiles nothing here: a mutant would wait longer for its compiler than for its tests
     own = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_DISABLE_JIT": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    marked = ["-m", "not stack and not endurance"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *marked, *tests]
     with subprocess.Popen(
         command, cwd=folder, env={**os.environ, **own}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         start_new_session=True, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (_MOST_BYTES,) * 2),

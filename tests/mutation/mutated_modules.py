@@ -65,18 +65,29 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
         "tests/verdicts/test_judge.py",
     ),
     "telenano/analysis/envelope.py": (
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
         "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/verdict.py": (
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
+    ),
+    "telenano/analysis/verdict_sentences.py": (
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
     ),
     "telenano/analysis/decision.py": (
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
         "tests/verdicts/test_judge.py",
     ),
     "telenano/analysis/read_out.py": (
