@@ -8,7 +8,6 @@ from typing import Any, ClassVar, NamedTuple, TypeGuard
 import msgspec
 
 from telenano.afm import safety
-from telenano.afm.config import DRIVERS, AfmConfig
 from telenano.afm.felt import FeltState
 from telenano.afm.programs.runner import RunnerState
 from telenano.afm.programs.settings import (
@@ -29,6 +28,7 @@ from telenano.extend.stage import Place
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
+from telenano.sections.afm_section import DRIVERS, AfmConfig
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, Scalar, SessionControl

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from telenano.extend.laws import HandSample
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandParams, LateralHandState, lateral_hand_step
-from telenano.laws.config import ControllerConfig
 from telenano.laws.lateral import (
     LateralFar,
     LateralHand,
@@ -27,6 +26,7 @@ from telenano.laws.lateral import (
 )
 from telenano.lockstep.link import Schedule
 from telenano.numerics.compiler import inlined
+from telenano.sections.controller_section import ControllerConfig
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]

@@ -13,8 +13,8 @@ from services.recorder.node import ACTIONS, RecorderNode
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.hand.disturbances import HandDisturbanceConfig
-from telenano.laws.config import OWN_LAWS, ControllerConfig
 from telenano.runtime.loop.node import Node
+from telenano.sections.controller_section import OWN_LAWS, ControllerConfig
 from telenano.settings.config import flatten, nested
 from telenano.settings.link_settings import LinkSettings
 

@@ -11,7 +11,6 @@ import pytest
 from scipy import signal
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig, noise_start, noise_step
 from telenano.afm.disturbed import (
     converted_v,
@@ -25,6 +24,7 @@ from telenano.afm.disturbed import (
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.devices.afm.instrument import driver_of
 from telenano.numerics.normal_numbers import normal_number
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.node_state import pack, restore
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.contact.electrostatic import (
     VACUUM_PERMITTIVITY_F_PER_M,
     electrostatic_force_n,
@@ -16,6 +15,7 @@ from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones
 from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
 from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.instrument import dynamic_afm
+from telenano.sections.afm_section import AfmConfig
 
 R = 10e-9
 

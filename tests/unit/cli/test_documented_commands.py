@@ -111,7 +111,7 @@ def test_a_documented_command_is_one_that_there_is(
     page: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the map of a page is made by the line before
-    monkeypatch.setattr("telenano.afm.config.AfmConfig.to_over_map", lambda config: None)
+    monkeypatch.setattr("telenano.sections.afm_section.AfmConfig.to_over_map", lambda config: None)
     context = context_of(arguments)
     options, path = context.params, context.command_path
     if path == "up":

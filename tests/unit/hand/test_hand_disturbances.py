@@ -10,7 +10,6 @@ from scipy import signal
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand
 from telenano.hand import step
-from telenano.hand.config import HapticConfig
 from telenano.hand.disturbances import (
     DisturbedHaptic,
     HandDisturbanceConfig,
@@ -19,6 +18,7 @@ from telenano.hand.disturbances import (
     wander_n,
 )
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError
 

@@ -13,8 +13,8 @@ from telenano_lab.studies.loops.push_study import Trial
 
 from telenano import SimulatedSession
 from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
-from telenano.laws.lateral_settings import LateralConfig
 from telenano.lockstep import across, lockstep
+from telenano.sections.lateral_section import LateralConfig
 from telenano.settings import find_scenario
 from telenano.wire import ConfigError
 

@@ -29,7 +29,7 @@ from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
-from telenano.hand.operator_config import InteractiveConfig
+from telenano.sections.operator_section import InteractiveConfig
 from telenano.serving.access import Role
 from telenano.wire.errors import RigError
 

@@ -76,7 +76,7 @@ def curve(
     with report_errors(as_json):
         validated(CurveSettings, given)
         import telenano_lab.microscopy.force_curve as curves
-        from telenano.afm import AfmConfig
+        from telenano.sections import AfmConfig
         from telenano_lab.microscopy.adhesion_fit import fit_adhesion
         from telenano_lab.microscopy.force_curve_figure import curve_figure
 

@@ -94,7 +94,7 @@ def scan(
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
         refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
-        from telenano.afm import AfmConfig
+        from telenano.sections import AfmConfig
         from telenano_lab.microscopy.image_output import write_images
         from telenano_lab.microscopy.simulated_image import take_image
 

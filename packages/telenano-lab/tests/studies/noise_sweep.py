@@ -17,7 +17,7 @@ from verdict_sweep import GAINS, LAWS, STIFFNESS_N_PER_M, Loop, wrong
 
 import telenano
 from telenano.afm import DisturbanceConfig, piezo_params
-from telenano.laws import ControllerConfig
+from telenano.sections import ControllerConfig
 from telenano.settings import instrument_named
 
 HOLD_S = (0.9, 6.9)

@@ -12,11 +12,11 @@ from telenano.laws.clamp import ClampConfig, ClampParams
 from telenano.laws.deadband import DeadbandConfig
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
-from telenano.laws.lateral_settings import LateralConfig
 from telenano.laws.passivity import PASSIVITY, PassivityConfig
 from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
 from telenano.laws.tactile import TACTILE, TactileConfig
 from telenano.laws.wave import WAVE, WaveConfig
+from telenano.sections.lateral_section import LateralConfig
 from telenano.settings.config import Settings, keys_of, merge, nested, package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import load, refuse

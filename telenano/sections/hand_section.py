@@ -12,8 +12,8 @@ from telenano.hand import sim, step
 from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, disturbed_plant_params
 from telenano.hand.lateral_hand import LateralHandConfig
 from telenano.hand.motor import SUBSTEP_S, MotorParams
-from telenano.hand.operator_config import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.hand.safety import SafetyParams
+from telenano.sections.operator_section import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.settings.config import Settings, filled, validate
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.entries import Entries, checked_model

@@ -17,14 +17,18 @@ from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSamplePro
 from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.felt import FeelConfig
 from telenano.afm.layers import Ground, Height
-from telenano.afm.made_samples import SampleConfig, layers_on
 from telenano.afm.programs.settings import InstrumentRequest
 from telenano.afm.programs.table import PROGRAMS
 from telenano.afm.safety import way_s
 from telenano.afm.sample.surface import PLANE, Surface
-from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
-from telenano.afm.section_config import (
+from telenano.afm.spring import spring_params
+from telenano.afm.step import AfmParams
+from telenano.afm.torsion import TorsionConfig
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.maps import OverMap, Span
+from telenano.extend.stage import LateralParams
+from telenano.sections.afm_parts import (
     MOST_CONTRADICTION,
     CantileverConfig,
     FrictionConfig,
@@ -34,12 +38,8 @@ from telenano.afm.section_config import (
     SpringConfig,
     TipSampleConfig,
 )
-from telenano.afm.spring import spring_params
-from telenano.afm.step import AfmParams
-from telenano.afm.torsion import TorsionConfig
-from telenano.extend.instruments import SafetyParams
-from telenano.extend.maps import OverMap, Span
-from telenano.extend.stage import LateralParams
+from telenano.sections.sample_maps import over_map
+from telenano.sections.sample_section import SampleConfig, layers_on
 from telenano.settings.config import Settings, filled, package_fields, section_of
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse
