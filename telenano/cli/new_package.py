@@ -59,8 +59,8 @@ def _taken(kind: Kind) -> Collection[str]:
 
     if kind == "sample":
         return TAKEN_AFM
-    from telenano.hand.operator_models import OWN_OPERATORS
     from telenano.sections.hand_section import TAKEN as TAKEN_HAPTIC
+    from telenano.sections.operator_kinds import OWN_OPERATORS
 
     return TAKEN_HAPTIC | TAKEN_AFM if kind in ("device", "instrument") else OWN_OPERATORS
 

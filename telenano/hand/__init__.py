@@ -1,11 +1,10 @@
-"""The hand and its haptic device as steps without a clock: motor, operator, guard and their settings."""
+"""The hand and its haptic device as steps without a clock: motor, operator and guard."""
 
 from typing import TYPE_CHECKING
 
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.hand.lateral_hand import LateralPath as LateralPath
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.operator import interpolate as interpolate
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
@@ -16,6 +15,6 @@ else:
     __getattr__, __dir__ = face(
         __name__,
         {
-            "telenano.sections": ("ARMS", "HapticConfig", "LimitsConfig"),
+            "telenano.sections": ("ARMS", "HapticConfig", "LateralPath", "LimitsConfig"),
         },
     )

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
-from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.recording.session_folder import RECORDING_NAME
@@ -20,6 +19,7 @@ from telenano.runtime.wiring.main import node_kind
 from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
 from telenano.sections.afm_section import AfmConfig
 from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
+from telenano.sections.program_table import PROGRAMS
 from telenano.sections.sample_section import SampleConfig
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
 from telenano.settings.device_drivers import Drivers

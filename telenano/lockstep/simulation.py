@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from telenano.afm.disturbances import instrument_name
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
@@ -38,6 +37,7 @@ from telenano.recording.column_table import ColumnTable
 from telenano.sections.afm_section import AfmConfig
 from telenano.sections.controller_section import ControllerConfig
 from telenano.sections.hand_section import HapticConfig
+from telenano.settings.afm_disturbances import instrument_name
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
 from telenano.settings.link_settings import EVEN, LinkSettings

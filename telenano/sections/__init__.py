@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from telenano.sections.controller_section import late_periods as late_periods
     from telenano.sections.hand_section import HapticConfig as HapticConfig
     from telenano.sections.hand_section import LimitsConfig as LimitsConfig
+    from telenano.sections.lateral_hand_section import LateralPath as LateralPath
     from telenano.sections.operator_section import ARMS as ARMS
     from telenano.sections.sample_section import SampleConfig as SampleConfig
     from telenano.sections.surface_files import read_surface as read_surface

@@ -40,7 +40,8 @@ def test_every_name_of_a_face_is_there_and_is_listed_once(room: str) -> None:
     ("before", "now", "names"),
     [
         ("afm", "sections", "AfmConfig AfmControllerConfig SAMPLES SampleConfig read_surface"),
-        ("hand", "sections", "ARMS HapticConfig LimitsConfig"),
+        ("afm", "settings", "CurveSettings DisturbanceConfig ScanSettings"),
+        ("hand", "sections", "ARMS HapticConfig LateralPath LimitsConfig"),
         ("laws", "sections", "ControllerConfig LAWS OWN_LAWS changed_config late_periods"),
     ],
 )

@@ -31,7 +31,7 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 from telenano.sections import AfmConfig
-from telenano.afm.programs.settings import requested
+from telenano.sections.program_requests import requested
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings import find_scenario, validate
 from telenano.testing import invoke

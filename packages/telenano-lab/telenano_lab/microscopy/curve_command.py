@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.afm import CurveSettings
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
@@ -20,7 +19,7 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.settings import DEFAULT_SITE_FILE, CurveSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import ConfigError, RigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from telenano.afm import ScanSettings
 from telenano.cli import (
     EXIT_FAILED,
     JsonOption,
@@ -19,7 +18,7 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.settings import DEFAULT_SITE_FILE, ScanSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import RigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
