@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.contact.force_grid import grid_force
 from telenano.afm.dynamic import NO_NOISE, advance, free_amplitude_m, steady_state
 from telenano.numerics.compiler import always_compiled
+from telenano.sections.afm_section import AfmConfig
 
 PERIODS = 150
 MEASURED = 20

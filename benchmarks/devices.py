@@ -23,16 +23,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.section_config import ModbusConfig
 from telenano.devices.afm.instrument import modbus_driver
 from telenano.devices.afm.modbus_frames import Conversation, Operation
 from telenano.devices.hand.calibration import HandleCalibration
 from telenano.devices.hand.serial_driver import SerialHandle
 from telenano.extend.hands import MODE_OFF, DriveCommand
-from telenano.hand.config import LimitsConfig
 from telenano.runtime.loop.log import StructuredLog, configure_logging
 from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage, use_huge_pages
+from telenano.sections.afm_parts import ModbusConfig
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import LimitsConfig
 from telenano.settings.scenario import RealtimeConfig
 from telenano.signals import children
 

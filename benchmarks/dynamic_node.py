@@ -26,10 +26,10 @@ from typing import Any, cast
 
 from empty_loop import EmptyLoops
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.instrument import dynamic_afm
 from telenano.recording.reader import Recording
+from telenano.sections.afm_section import AfmConfig
 from telenano.signals import children
 from telenano.wire import decode
 from telenano.wire.messages import AfmState, NodeHealth

@@ -25,7 +25,6 @@ from wire_examples import ordinary_example
 
 from services.controller.master_half import MasterController
 from services.delay_node.node import DelayNode
-from telenano.laws.config import ControllerConfig
 from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.journal import InputJournal
@@ -33,6 +32,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.sections.controller_section import ControllerConfig
 from telenano.settings.link_settings import LinkSettings
 from telenano.timing.clock import SystemClock
 from telenano.wire import TOPICS, decode, encode

@@ -22,8 +22,8 @@ from telenano_lab.learning import PUSH
 from telenano_lab.learning.engine import CONTROL_S
 from telenano_lab.learning.push_env import PushVectorEnv
 
-from telenano.afm.config import AfmConfig
 from telenano.devices.afm.instrument import driver_of
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import validate
 
 ROWS = 64

@@ -408,7 +408,7 @@ def check_law(name: str) -> dict[str, list[str]]:
         ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
             or the reason.
     """
-    from telenano.laws.law_rules import broken_rules
+    from telenano.lockstep.law_rules import broken_rules
 
     return broken_rules(name)
 

@@ -13,18 +13,23 @@ emergency stop cannot wait for NumPy.
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 
-def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def face(
+    room: str, moved: Mapping[str, Collection[str]] | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a room.
 
     Args:
         room: The name of its package, whose `__init__` imports the public names under `if TYPE_CHECKING:`.
+        moved: The public names of before that are now in another room, by that room. Code that imports them here finds
+            them, and `dir` does not list them.
     """
     package = sys.modules[room]
     modules: dict[str, str] = {}
+    rooms = {name: other for other, names in (moved or {}).items() for name in names}
 
     def module_of(name: str) -> str | None:
         # The parser is imported with the first name, because a process that uses no face does not need it.
@@ -32,7 +37,7 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
             from pathlib import Path
 
             modules.update(names_of(Path(str(package.__file__)).read_text(encoding="utf-8")))
-        return modules.get(name)
+        return modules.get(name) or rooms.get(name)
 
     def get(name: str) -> Any:
         # dunder names are asked for by the import system itself, and never belong to a face
@@ -40,7 +45,8 @@ def face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
         if module is None:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
         attribute = getattr(importlib.import_module(module), name)
-        setattr(package, name, attribute)
+        if name not in rooms:
+            setattr(package, name, attribute)
         return attribute
 
     def names() -> list[str]:

@@ -10,11 +10,11 @@ import sys
 from contextlib import nullcontext
 
 from services.afm_node.node import INPUTS, AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.devices.afm.instrument import driver_of
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.realtime import ordinary_scheduling
 from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
+from telenano.sections.afm_section import AfmConfig
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:

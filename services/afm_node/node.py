@@ -8,17 +8,8 @@ from typing import Any, ClassVar, NamedTuple, TypeGuard
 import msgspec
 
 from telenano.afm import safety
-from telenano.afm.config import DRIVERS, AfmConfig
 from telenano.afm.felt import FeltState
 from telenano.afm.programs.runner import RunnerState
-from telenano.afm.programs.settings import (
-    STIFFNESS,
-    InstrumentRequest,
-    changed_simulation,
-    is_of_simulation,
-    requested,
-)
-from telenano.afm.programs.table import CHANGES
 from telenano.afm.step import LONGEST_STEP_NS, command_wait_ns
 from telenano.devices.afm.capabilities import refusal
 from telenano.devices.afm.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
@@ -29,6 +20,15 @@ from telenano.extend.stage import Place
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
+from telenano.sections.afm_section import DRIVERS, AfmConfig
+from telenano.sections.program_requests import (
+    STIFFNESS,
+    InstrumentRequest,
+    changed_simulation,
+    is_of_simulation,
+    requested,
+)
+from telenano.sections.program_table import CHANGES
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, Scalar, SessionControl

@@ -11,9 +11,9 @@ import sys
 from services.controller.half import ControllerHalf
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from telenano.laws.config import ControllerConfig
 from telenano.runtime.loop.node import Node, NodeBus, NodeContext
 from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
+from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.nodes import site_of
 
 HALVES: dict[str, type[ControllerHalf]] = {"master": MasterController, "slave": SlaveController}

@@ -17,12 +17,12 @@ from telenano.extend.laws import (
 )
 from telenano.laws import energy
 from telenano.laws.clamp import clamped
-from telenano.laws.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
 from telenano.laws.integration import Heard, TimingParams, silence_ns
 from telenano.laws.lateral import NO_ENERGY, EnergyTank
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.sections.controller_section import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import ConfigError, RefusedError, described
 from telenano.wire.messages import SessionControl, TeleopBackward, TeleopForward

@@ -8,7 +8,6 @@ import msgspec
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
 from telenano.extend.laws import EnergyAccount, HandSample, MasterReference
 from telenano.laws import energy, integration
-from telenano.laws.config import ControllerConfig
 from telenano.laws.integration import MasterTiming, TimingParams
 from telenano.laws.lateral import (
     DIRECT,
@@ -24,6 +23,7 @@ from telenano.laws.lateral import (
 )
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import NodeContext
+from telenano.sections.controller_section import ControllerConfig
 from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from telenano.wire.received import Received

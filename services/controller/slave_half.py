@@ -10,11 +10,11 @@ from telenano.extend.laws import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, S
 from telenano.extend.virtual_mass import bounded
 from telenano.laws import energy, integration
 from telenano.laws.clamp import clamped
-from telenano.laws.config import ControllerConfig
 from telenano.laws.integration import Settled, SlaveTiming, TimingParams
 from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.node import NodeContext
+from telenano.sections.controller_section import ControllerConfig
 from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.messages import AfmState, LinkDelay, TeleopForward

@@ -5,7 +5,6 @@ passes the link. So it does not matter whether the network has lost the stop, wh
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
@@ -25,7 +24,7 @@ _SENDER = "estop@master"
 _UNREACHED = 5
 
 
-class FarStopState(NamedTuple):
+class FarStopState(msgspec.Struct, array_like=True):
     """The stop that is kept, as it was sent, empty for none; its copies, when the next is due [ns]; last id obeyed.
 
     number: that of the newest message of the sender of copies, -1 before it.
@@ -41,24 +40,24 @@ class FarStopState(NamedTuple):
 class FarStop:
     """The newest emergency stop for the instrument that has passed the link and is not obeyed yet."""
 
-    def __init__(self, path: Path | None) -> None:
-        """Begin without one; `path` is the file in which it outlasts this process, None for no file."""
-        self._path = path
-        self._state = FarStopState()
-        self._stop: SessionControl | None = None
+    def __init__(self, path: Path | None, state: FarStopState) -> None:
+        """Begin with a state and work on it; `path` is the file in which a stop outlasts this process, None for none.
 
-    def capture(self) -> FarStopState:
-        """Return the state."""
-        return self._state
+        Raises:
+            ValueError: What the state keeps is no stop.
+        """
+        self._path = path
+        self.restore(state)
 
     def restore(self, state: FarStopState) -> None:
-        """Continue from a state.
+        """Continue from a state and work on it.
 
         Raises:
             ValueError: What it keeps is no stop.
         """
         stop = accept("session/control", state.payload) if state.payload else None
-        self._state, self._stop = state, stop if isinstance(stop, SessionControl) else None
+        self._state = state
+        self._stop: SessionControl | None = stop if isinstance(stop, SessionControl) else None
 
     @property
     def identifier(self) -> str:
@@ -90,23 +89,23 @@ class FarStop:
             now_ns: The monotonic time [ns].
         """
         if control.src == _SENDER:
-            self._state = self._state._replace(number=control.seq)
+            self._state.number = control.seq
         if not is_meant(TIP, control.target) or control.id == self._state.obeyed:
             return ""
         if control.id == self.identifier:
             # its sender still repeats it
-            self._state = self._state._replace(due_ns=now_ns + RESEND_NS)
+            self._state.due_ns = now_ns + RESEND_NS
             return ""
         self._stop = control
-        self._state = self._state._replace(payload=payload, copies=0, due_ns=now_ns + RESEND_NS)
+        self._state.payload, self._state.copies, self._state.due_ns = payload, 0, now_ns + RESEND_NS
         return "" if self._path is None else kept_stop.keep(self._path, payload)
 
     def note_event(self, event: SessionEvent) -> bool:
         """Return whether an event is the first word of the instrument that it has obeyed the stop that is kept."""
         is_answer = self._stop is not None and event.src == TIP and event.kind == "ack" and event.id == self._stop.id
         if is_answer:
-            self._state = FarStopState(obeyed=event.id, number=self._state.number)
-            self._stop = None
+            state, self._stop = self._state, None
+            state.payload, state.copies, state.due_ns, state.obeyed = b"", 0, NEVER_NS, event.id
             if self._path is not None:
                 kept_stop.forget(self._path)
         return is_answer
@@ -128,6 +127,7 @@ class FarStop:
         """
         if self._stop is None or now_ns < self._state.due_ns:
             return None
-        number = self._state.number + 1
-        self._state = self._state._replace(copies=self._state.copies + 1, due_ns=now_ns + RESEND_NS, number=number)
-        return encode(msgspec.structs.replace(self._stop, src=_SENDER, seq=number, t_ns=t_ns))
+        self._state.copies += 1
+        self._state.number += 1
+        self._state.due_ns = now_ns + RESEND_NS
+        return encode(msgspec.structs.replace(self._stop, src=_SENDER, seq=self._state.number, t_ns=t_ns))

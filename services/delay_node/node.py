@@ -32,12 +32,13 @@ _STOP = "stop"
 
 
 class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
-    """The state of the node.
+    """The state of the node, which it works on.
 
-    The delays that readers know; what lies between the sites; when the newest answer was sent and received [ns], 0
-    before it; the command that began the session; when the other site is asked for its time. `capture` writes the
-    others: the engine, the exchanges of time stamps by second, when the next report is due [ns], how many messages it
-    has to tell of, and the emergency stop that the instrument has not obeyed yet.
+    The delays that readers know; what lies between the sites; the exchanges of time stamps by second; when the newest
+    answer was sent and received [ns], 0 before it; the command that began the session; when the next report is due
+    [ns], and how many messages it has to tell of; the emergency stop that the instrument has not obeyed yet; when the
+    other site is asked for its time. The engine alone is written when the state is captured, because its models hold
+    what follows from the settings as well.
     """
 
     engine: LinkState
@@ -49,7 +50,7 @@ class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
     session_id: str = ""
     status_ns: int
     unreported: int
-    stop: FarStopState = FarStopState()
+    stop: FarStopState = msgspec.field(default_factory=FarStopState)
     questions: Questions = msgspec.field(default_factory=Questions)
 
 
@@ -62,6 +63,7 @@ class DelayNode(ImpairedLink):
     journalled = True
     state_kind = DelayNodeState
     state_version = 2
+    memory: DelayNodeState
 
     def __init__(
         self,
@@ -96,12 +98,12 @@ class DelayNode(ImpairedLink):
             engine=self.engine.capture(),
             forward_delay=DeclaredDelay(DECLARED[self.forward.name]),
             backward_delay=DeclaredDelay(DECLARED[self.backward.name]),
-            clock=self.offset.capture(),
-            status_ns=self.status.deadline_ns,
+            clock=self.offset.state,
+            status_ns=self.memory.status_ns,
             unreported=0,
         )
         self._spans_machines, self._send_train = spans_machines, send_train
-        self._stop = FarStop(context.kept_stop)
+        self._stop = FarStop(context.kept_stop, self.memory.stop)
         # The report has the delays as well, which late readers need and which the clocks change, and asks for the next
         # exchange of time stamps.
         self.report_tasks += self._declare_forward, partial(self._declare, self.backward), self._ask
@@ -155,17 +157,14 @@ class DelayNode(ImpairedLink):
         self.report_if_due(now_ns)
 
     def capture(self) -> DelayNodeState:
-        memory = self.memory
-        memory.engine, memory.clock, memory.stop = self.engine.capture(), self.offset.capture(), self._stop.capture()
-        memory.status_ns, memory.unreported = self.status.deadline_ns, self.unreported
-        return memory
+        self.memory.engine = self.engine.capture()
+        return self.memory
 
     def restore(self, state: DelayNodeState, find: FindInput) -> None:
         self.memory = state
         self.engine.restore(state.engine, find)
         self.offset.restore(state.clock)
         self._stop.restore(state.stop)
-        self.status.deadline_ns, self.unreported = state.status_ns, state.unreported
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""

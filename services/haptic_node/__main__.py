@@ -11,9 +11,9 @@ from pathlib import Path
 
 from services.haptic_node.node import INPUTS, HapticNode
 from telenano.extend.hands import HapticDevice
-from telenano.hand.config import DRIVERS, HapticConfig
 from telenano.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 from telenano.runtime.wiring.main import NodeKind, ordinary, run_node
+from telenano.sections.hand_section import DRIVERS, HapticConfig
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:

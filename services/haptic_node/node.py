@@ -15,14 +15,14 @@ from telenano.extend.hands import (
     HapticReport,
 )
 from telenano.hand import safety
-from telenano.hand.config import DRIVERS, HapticConfig, changed_operator
 from telenano.hand.disturbances import DisturbedHaptic
-from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.device_node import DeviceNode, Parts
 from telenano.runtime.loop.node import NodeContext
+from telenano.sections.hand_section import DRIVERS, HapticConfig, changed_operator
+from telenano.sections.operator_section import InteractiveConfig
 from telenano.settings.config import changed_disturbances
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError

@@ -18,11 +18,11 @@ from telenano.extend.hands import (
     SpatialReading,
 )
 from telenano.hand import safety
-from telenano.hand.config import HapticConfig
 from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
-from telenano.hand.operator_config import InteractiveConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.runtime.loop.device_node import StepPart
+from telenano.sections.hand_section import HapticConfig
+from telenano.sections.operator_section import InteractiveConfig
 from telenano.timing.freshness import age_s
 from telenano.wire.messages import HapticCommand
 

@@ -78,8 +78,8 @@ class RigCommander:
 def forms() -> dict[str, Any]:
     """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
     # the models of the laws take a second to import, which only a page needs
-    from telenano.afm.programs.settings import InstrumentRequest
-    from telenano.laws.config import LAWS, ControllerConfig
+    from telenano.sections.controller_section import LAWS, ControllerConfig
+    from telenano.sections.program_requests import InstrumentRequest
     from telenano.settings.link_settings import LinkSettings
     from telenano.settings.network_profiles import PROFILES
 

@@ -2,22 +2,24 @@
 
 import asyncio
 import contextlib
-import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from concurrent.futures import Future, wait
 from functools import partial
 from string import ascii_uppercase
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import msgpack
 
+from services.viz_node.age_report import AgeReport
+from services.viz_node.command_desk import Answers, CommandDesk, Commander, Wish
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
-from services.viz_node.metrics import metrics_text
+from services.viz_node.metrics import MetricsText, metrics_text
 from services.viz_node.page_hand import HAND_FRESH_S, TICK_S, HandOutlet, PageHand
 from services.viz_node.page_session import REQUESTS_PER_S, Session
+from services.viz_node.page_threads import in_thread
+from services.viz_node.read_desk import ReadDesk
 from services.viz_node.requests import (
     CommandRequest,
     DocumentRequest,
@@ -32,99 +34,24 @@ from services.viz_node.requests import (
 )
 from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
-from telenano.console.lease import FREE_COMMANDS, Party
+from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
 from telenano.recording.messages import LeftOut
 from telenano.serving.access import Role
 from telenano.serving.panels import Asked, Picture, installed_panels
 from telenano.serving.people import Person
-from telenano.timing.loop_age import LoopAge, Part
 from telenano.wire.errors import RefusedError, TelenanoError
-from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP
 
 # without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
 # A page whose hand is too slow is told so this often [s].
 _SLOW_REPORT_PERIOD_S = 0.5
-# Of one page, with the one that is being carried out.
-MOST_COMMANDS = 4
-# As of a session/control (ADR 0014); a page that means it sends it again.
-VALIDITY_S = 1.0
-# At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
-_MOST_STOPS = 4
-# The end of the page waits this long for the stops under way, each of which is given up after 5 s.
-_STOPS_END_S = 6.0
-# Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
-_MOST_READS = 8
 # Of the values of one request to a panel: sixteen choices of 128 letters and their names.
 _MOST_ASKED_BYTES = 4096
-# Obeyed at any age, and whoever has left: it only ends a motion.
-_STOP = "stop"
-_ARM = "arm"
-_METRICS_NS = 1_000_000_000
-# The age of the loop is sent to the pages at this interval.
-_AGE_S = 1.0
 # A page that answers later than this was away.
 _LONGEST_WAY_S = 5.0
 REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
-
-Answers = Mapping[str, tuple[str, str]]
-T = TypeVar("T")
-
-
-class Commander(Protocol):
-    """How the commands of a page reach the rig. The methods block, and are called in threads."""
-
-    def send(
-        self,
-        command: str,
-        target: str,
-        parameters: Mapping[str, Scalar],
-        is_wanted: Callable[[], bool],
-        issued_ns: int,
-        by: str,
-    ) -> Answers:
-        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not.
-
-        It is not sent again once `is_wanted` is false, and an emergency stop after `issued_ns`, on the monotonic clock
-        [ns], makes it void. `by` is the name of who gave it, or empty.
-        """
-
-    def estop(self, by: str) -> Answers:
-        """Stop the devices at once; return by node the answer. TelenanoError says why not."""
-
-
-class Wish:
-    """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
-
-    def __init__(self, session: Session, command: str, arrived_s: float, *, goes: bool = False) -> None:
-        self.session = session
-        self.arrived_s = arrived_s
-        self.reason = ""
-        self.needs_lease = command not in FREE_COMMANDS
-        self._command = command
-        # Whether it lets the tip go somewhere, which any other command ends.
-        self.goes = goes
-        self._is_void = threading.Event()
-
-    def make_void(self, reason: str) -> None:
-        """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
-        if self._command != _STOP:
-            self.reason = f"{self._command} was cancelled: {reason}"
-            self._is_void.set()
-
-    def is_wanted(self) -> bool:
-        return not self._is_void.is_set()
-
-    def check(self, now_s: float) -> None:
-        """Raise RefusedError for a command that is void, or older than it is valid."""
-        if not self.is_wanted():
-            raise RefusedError(self.reason)
-        waited_s = now_s - self.arrived_s
-        if self._command != _STOP and waited_s > VALIDITY_S:
-            text = f"it waited for {waited_s:.1f} s behind other commands and was valid for {VALIDITY_S:.1f} s"
-            raise RefusedError(f"{self._command} expired: {text}")
 
 
 class _PanelRig:
@@ -167,20 +94,13 @@ class Hub:
         # called with whoever has the hand from now on, None for nobody
         self.on_lease: Callable[[Party | None], None] = lambda party: None
         self._source = source
-        self._commander = commander
+        self.commands = CommandDesk(commander)
         self._make_forms = forms
         self._forms: Mapping[str, Any] = {}
         self.hand = PageHand(open_hand)
-        self._document = document
+        self._reads = ReadDesk(document)
         self._feed = Feed()
-        self._turn = asyncio.Lock()
-        self._wishes: list[Wish] = []
-        self._stops: set[Future[Answers]] = set()
-        self._reads = 0
-        self._next_stop: asyncio.Task[Answers] | None = None
-        self._alive_s: float | None = None
         self._withdrawing: asyncio.Task[None] | None = None
-        self._held_up_s = self._distrust_until_s = 0.0
         self._about: Mapping[str, Any] = {}
         self.panels = installed_panels()
         self._desks = {row.id: row.desk() for row in self.panels.rows if row.desk is not None}
@@ -188,10 +108,8 @@ class Hub:
         self._guests_panel = "" if guests is None else guests.id
         make_picture = None if guests is None else guests.guest_picture
         self._picture: Picture = _NoPicture() if make_picture is None else make_picture(described())
-        # the age of the loop by its parts, as it was taken last [s], and what it is of
-        self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
-        # the text of the newest reports, and when it was made [ns]
-        self._metrics, self._metrics_ns = "", -_METRICS_NS
+        self.age = AgeReport()
+        self._metrics = MetricsText()
 
     async def run(self) -> None:
         """Tell the pages what changed, until cancelled."""
@@ -215,28 +133,28 @@ class Hub:
 
     def close(self) -> None:
         """Let the emergency stops under way be sent, and let go of the source."""
-        wait(self._stops.copy(), _STOPS_END_S)
+        self.commands.close()
         self._source.close()
 
     async def _prepare_forms(self) -> None:
         """Make the forms beside everything else, and tell the pages that have come meanwhile."""
         if self._make_forms is None:
             return
-        self._forms = await asyncio.wrap_future(_in_thread(self._make_forms))
+        self._forms = await asyncio.wrap_future(in_thread(self._make_forms))
         for session in self._recipients():
             session.answer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
         """Collect what has come and queue it for every page."""
         self.on_tick()
-        self._note_alive(time.monotonic())
+        self.commands.note_alive(time.monotonic())
         restarted = self._source.take_restart()
         if restarted:
             self._feed = Feed()
         for seen in self._source.poll(watched=bool(self.sessions)):
             self._feed.record(seen)
-            if seen.topic in AGE_TOPICS and self._commander is not None:
-                self._feed.left_out.guard(lambda each: self._age.take(*each), seen)
+            if seen.topic in AGE_TOPICS and self.commands.commander is not None:
+                self._feed.left_out.guard(self.age.record, seen)
         for session in self.sessions if restarted else ():
             session.restart(self.snapshot(session))
         changes = self._feed.take()
@@ -256,13 +174,13 @@ class Hub:
     def _take_age(self) -> dict[str, Any]:
         """Return the age of the loop by its parts for the pages, once a second, and each page the way to itself."""
         now_s = time.monotonic()
-        if now_s - self._age_s < _AGE_S:
+        if not self.age.take(now_s, is_watched=bool(self.sessions)):
             return {}
-        self._age_s, self._parts = now_s, self._age.parts() if self.sessions else []
         for session in self._recipients():
             way_s = sorted(session.ways_s)[len(session.ways_s) // 2] if session.ways_s else None
             session.answer(_packed({"k": "way", "stamp_s": now_s, "way_s": way_s}))
-        return {"age": [[part.name, part.p50_s, part.p99_s] for part in self._parts]} if self._parts else {}
+        parts = self.age.parts
+        return {"age": [[part.name, part.p50_s, part.p99_s] for part in parts]} if parts else {}
 
     def _look_at_lease(self) -> Mapping[str, Any] | None:
         """Return what pages are told of the lease, if it has changed; who lost it lets go, and its commands are void.
@@ -282,13 +200,14 @@ class Hub:
         if changes is not None:
             self.on_lease(holder)
         if changes is not None and holder is not None:
-            for wish in self._wishes:
-                if wish.session.party.id != holder.id and wish.needs_lease:
-                    wish.make_void(self._who_has_it())
+            self.commands.make_void(
+                self._who_has_it(), lambda wish: wish.session.party.id != holder.id and wish.needs_lease
+            )
         is_free = self._withdrawing is None or self._withdrawing.done()
-        if self.desk.lease.withdraw and self._commander is not None and is_free:
+        commander = self.commands.commander
+        if self.desk.lease.withdraw and commander is not None and is_free:
             with contextlib.suppress(RuntimeError):
-                self._withdrawing = asyncio.get_running_loop().create_task(self._withdraw(self._commander))
+                self._withdrawing = asyncio.get_running_loop().create_task(self._withdraw(commander))
         return changes
 
     async def _withdraw(self, commander: Commander) -> None:
@@ -296,7 +215,7 @@ class Hub:
         number = self.desk.lease.number
         send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
-            await asyncio.wrap_future(_in_thread(send))
+            await asyncio.wrap_future(in_thread(send))
             self.desk.note_withdrawn(number)
 
     def _who_has_it(self) -> str:
@@ -337,9 +256,7 @@ class Hub:
     def leave(self, session: Session) -> None:
         """Forget a page; what it asked for and was not carried out yet is given up."""
         self.sessions.discard(session)
-        for wish in self._wishes:
-            if wish.session is session:
-                wish.make_void("its page was closed")
+        self.commands.make_void("its page was closed", lambda wish: wish.session is session)
         self.desk.leave(session)
         if session is self.hand.holder:
             self.hand.release()
@@ -354,9 +271,7 @@ class Hub:
 
         The text is made at most once a second, however many ask: what it takes is time of the pages.
         """
-        if not 0 <= now_ns - self._metrics_ns < _METRICS_NS:
-            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns, self._parts), now_ns
-        return self._metrics
+        return self._metrics.at(now_ns, lambda: metrics_text(self._feed.snapshot()["nodes"], now_ns, self.age.parts))
 
     def snapshot(self, session: Session) -> bytes:
         """Return everything that a page needs to begin, and to a participant no more than that may know."""
@@ -366,7 +281,7 @@ class Hub:
             {
                 "k": "snapshot",
                 "role": session.role,
-                "commands": self._commander is not None,
+                "commands": self.commands.commander is not None,
                 "hand": self.hand.exists,
                 "streams": described(),
                 "forms": self._forms,
@@ -415,25 +330,12 @@ class Hub:
 
     async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
         """Return the answer to a page that reads in a recording, which every role may."""
-        document, counted = self._document, 0
         try:
             if not session.may_ask(time.monotonic()):
                 raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
-            if document is None:
-                raise RefusedError("only a recording can be read in parts, and this page shows a running rig")
-            if self._reads >= _MOST_READS:
-                raise RefusedError(
-                    f"{self._reads} parts of the recording are already being read: try again in a moment"
-                )
-            self._reads, counted = self._reads + 1, 1
-            work: Callable[[], Any] = document.about
-            if isinstance(request, PartRequest):
-                work = partial(document.part, request.from_s, request.to_s, request.spans)
-            answer = await asyncio.wrap_future(_in_thread(work))
+            answer = await self._reads.read(request)
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
-        finally:
-            self._reads -= counted
         return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": answer}
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
@@ -447,10 +349,10 @@ class Hub:
             raise RefusedError(f"this page was opened with the token of {whose} and stop, and not command")
         if isinstance(request, TransportRequest):
             return {"transport": ("ack", self._source.transport(request.action, request.value))}
-        if self._commander is None:
+        if self.commands.commander is None:
             raise RefusedError("a recording cannot be commanded")
         if isinstance(request, EstopRequest):
-            return await self._stop(self._commander, session.party.name)
+            return await self.commands.stop(session.party.name)
         if isinstance(request, LeaseRequest):
             # Opening the way of the hand may take as long as a lease lasts without its holder.
             with contextlib.suppress(TelenanoError):
@@ -460,7 +362,7 @@ class Hub:
             self.tick()
             return {"lease": ("ack", text)}
         if isinstance(request, CommandRequest):
-            return await self._command(self._commander, session, request, arrived_s)
+            return await self._command(session, request, arrived_s)
         raise RefusedError("a page says hello once")
 
     async def _ask_desk(self, session: Session, request: PanelRequest) -> Answers:
@@ -475,77 +377,18 @@ class Hub:
         asked = Asked(request.id, session.party.id, session.role.value, request.values, rig)
         return {request.panel: ("ack", await desk.ask(asked))}
 
-    async def _stop(self, commander: Commander, by: str) -> Answers:
-        """Stop the devices beside whatever else is being sent, and give up every command of every page."""
-        for wish in self._wishes:
-            wish.make_void("an emergency stop came after it")
-        if len(self._stops) < _MOST_STOPS:
-            return await self._stop_now(commander, by)
-        if self._next_stop is None:
-            self._next_stop = asyncio.create_task(self._stop_next(commander, by))
-        # Requests that come meanwhile share it, because it has not begun.
-        return await asyncio.shield(self._next_stop)
-
-    async def _stop_next(self, commander: Commander, by: str) -> Answers:
-        while len(self._stops) >= _MOST_STOPS:
-            await asyncio.sleep(TICK_S)
-        self._next_stop = None
-        return await self._stop_now(commander, by)
-
-    async def _stop_now(self, commander: Commander, by: str) -> Answers:
-        stop = _in_thread(partial(commander.estop, by))
-        self._stops.add(stop)
-        stop.add_done_callback(self._stops.discard)
-        return await asyncio.wrap_future(stop)
-
-    async def _command(
-        self, commander: Commander, session: Session, request: CommandRequest, arrived_s: float
-    ) -> Answers:
+    async def _command(self, session: Session, request: CommandRequest, arrived_s: float) -> Answers:
         """Send a command in its turn, unless it is void or too old by then."""
-        self._check_arrival(session, request)
-        wish = Wish(session, request.command, arrived_s, goes=request.command == _ARM and bool(request.parameters))
-        if wish.needs_lease:
-            self.desk.act(session, request.lease)
-        for other in self._wishes:
-            if other.goes:
-                other.make_void("another command came after it")
-        self._wishes.append(wish)
-        try:
-            async with self._turn:
-                wish.check(time.monotonic())
-                names = request.command, request.target, request.parameters
-                send = partial(commander.send, *names, wish.is_wanted, round(wish.arrived_s * 1e9), session.party.name)
-                return await asyncio.wrap_future(_in_thread(send))
-        finally:
-            self._wishes.remove(wish)
-            self._end_act(session)
-
-    def _check_arrival(self, session: Session, request: CommandRequest) -> None:
-        """Raise RefusedError for a command that may not even wait for its turn."""
         if session not in self.sessions:
             raise RefusedError(f"{request.command} was cancelled: its page was closed")
-        waiting = sum(wish.session is session for wish in self._wishes)
-        if waiting >= MOST_COMMANDS:
-            raise RefusedError(
-                f"{request.command} was not sent: {waiting} commands of this page wait already, as many as may be"
-            )
-        if request.command == _STOP:
-            return
-        if self._stops:
-            raise RefusedError(f"{request.command} was not sent: an emergency stop is being sent, wait for its answer")
-        now_s = time.monotonic()
-        self._note_alive(now_s)
-        if now_s < self._distrust_until_s:
-            raise RefusedError(
-                f"{request.command} cannot be shown to be fresh: the view was held up for {self._held_up_s:.1f} s, "
-                "during which it may have waited: send it again"
-            )
-
-    def _note_alive(self, now_s: float) -> None:
-        """Notice that this process stood still: what waited for it meanwhile seems to arrive only now."""
-        if self._alive_s is not None and now_s - self._alive_s > VALIDITY_S:
-            self._held_up_s, self._distrust_until_s = now_s - self._alive_s, now_s + VALIDITY_S
-        self._alive_s = now_s
+        self.commands.check_arrival(session, request.command)
+        wish = Wish(session, request, arrived_s)
+        if wish.needs_lease:
+            self.desk.act(session, request.lease)
+        try:
+            return await self.commands.send(wish)
+        finally:
+            self._end_act(session)
 
     def _push(self, session: Session, request: HandRequest) -> None:
         """Pass on the force of the page that has the hand; one at a time has it."""
@@ -596,7 +439,7 @@ class Hub:
 
     def _end_act(self, session: Session) -> None:
         """Let a page that has not taken the hand have it no longer than its acts last."""
-        if session is not self.hand.holder and not any(wish.session is session for wish in self._wishes):
+        if session is not self.hand.holder and not self.commands.waiting(session):
             with contextlib.suppress(TelenanoError):
                 self.desk.ended(session)
 
@@ -624,18 +467,3 @@ class _NoPicture:
 def _packed(fields: Mapping[str, Any]) -> bytes:
     packed: bytes = msgpack.packb(fields)
     return packed
-
-
-def _in_thread(work: Callable[[], T]) -> Future[T]:
-    """Begin what blocks in a daemon thread: the end of the process waits for those of `asyncio.to_thread`."""
-    done: Future[T] = Future()
-    done.set_running_or_notify_cancel()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:  # noqa: BLE001
-            done.set_exception(error)
-
-    threading.Thread(target=run, name="page", daemon=True).start()
-    return done

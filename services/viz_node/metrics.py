@@ -1,11 +1,13 @@
 """What a monitoring system asks for at /metrics: the newest reports of all nodes, as text of Prometheus 0.0.4."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from telenano.timing.loop_age import Part
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+# The text is made anew after this time.
+_PERIOD_NS = 1_000_000_000
 _STATES = ("starting", "ready", "running", "safe", "stopping", "ended")
 
 
@@ -67,3 +69,16 @@ def _family(name: str, kind: str, about: str, samples: Iterable[tuple[str, float
 
 def _escaped(text: str) -> str:
     return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+
+
+class MetricsText:
+    """The text, made at most once a second, however many ask: what it takes is time of the pages."""
+
+    def __init__(self) -> None:
+        self._text, self._made_ns = "", -_PERIOD_NS
+
+    def at(self, now_ns: int, make: Callable[[], str]) -> str:
+        """Return the text of a time [ns], which is made if the last one is older than a second."""
+        if not 0 <= now_ns - self._made_ns < _PERIOD_NS:
+            self._text, self._made_ns = make(), now_ns
+        return self._text

@@ -1,18 +1,15 @@
-"""The AFM as steps without a clock: contact, cantilever, sample, disturbances, guard, programs and their settings."""
+"""The AFM as steps without a clock: contact, cantilever, sample, disturbances, guard and programs."""
 
 from typing import TYPE_CHECKING
 
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.afm.config import SAMPLES as SAMPLES
-    from telenano.afm.config import AfmConfig as AfmConfig
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
     from telenano.afm.contact.maugis_dugdale import cohesive_stress_pa as cohesive_stress_pa
     from telenano.afm.contact.maugis_dugdale import force_n as force_n
     from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa as reduced_modulus_pa
     from telenano.afm.contact.tip_sample import branch_force as branch_force
-    from telenano.afm.disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.afm.disturbances import noise_start as noise_start
     from telenano.afm.disturbances import noise_step as noise_step
     from telenano.afm.disturbed import piezo_params as piezo_params
@@ -22,20 +19,21 @@ if TYPE_CHECKING:
     from telenano.afm.layers import Ground as Ground
     from telenano.afm.layers import Height as Height
     from telenano.afm.layers import Layer as Layer
-    from telenano.afm.made_samples import SampleConfig as SampleConfig
     from telenano.afm.part import Part as Part
     from telenano.afm.part import inputs_over as inputs_over
     from telenano.afm.part import part_start as part_start
     from telenano.afm.part import part_step as part_step
     from telenano.afm.part import register_part as register_part
-    from telenano.afm.programs.curve import CurveSettings as CurveSettings
-    from telenano.afm.programs.scan import ScanSettings as ScanSettings
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
-    from telenano.afm.sample.surface_files import read_surface as read_surface
-    from telenano.afm.section_config import AfmControllerConfig as AfmControllerConfig
     from telenano.afm.sim import simulated_afm as simulated_afm
     from telenano.afm.tip_guard import TipGuard as TipGuard
 else:
-    __getattr__, __dir__ = face(__name__)
+    __getattr__, __dir__ = face(
+        __name__,
+        {
+            "telenano.settings": ("CurveSettings", "DisturbanceConfig", "ScanSettings"),
+            "telenano.sections": ("AfmConfig", "AfmControllerConfig", "SAMPLES", "SampleConfig", "read_surface"),
+        },
+    )

@@ -15,19 +15,17 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.afm.cantilever import Plant
-from telenano.afm.disturbances import (
-    CreepConfig,
-    DisturbanceConfig,
-    HysteresisConfig,
-    Noise,
-    ReadoutConfig,
-    StageConfig,
-    noise_start,
-    noise_step,
-)
+from telenano.afm.disturbances import Noise, noise_start, noise_step
 from telenano.afm.part import Part, part_start, part_step, register_part
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
+from telenano.settings.afm_disturbances import (
+    CreepConfig,
+    DisturbanceConfig,
+    HysteresisConfig,
+    ReadoutConfig,
+    StageConfig,
+)
 
 Array = npt.NDArray[np.float64]
 

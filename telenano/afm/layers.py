@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel
-
 from telenano.afm.sample.surface import Surface
 
 
@@ -50,7 +48,7 @@ class Layer:
 
     Args:
         name: The name of its section in `afm_node.sample`.
-        config: The model of that section.
+        config: The model of that section, a class of `telenano.settings.Settings`.
         height: Returns, of the settings, how far it stands above the surface.
         around: Returns, of settings, the parameters of a part and the ground under it, those of the layer around that
             part; it registers its own part (`part.register_part`) before. ValueError names the key at fault.
@@ -60,7 +58,7 @@ class Layer:
     """
 
     name: str
-    config: type[BaseModel]
+    config: type[Any]
     height: Callable[[Any], Height]
     around: Callable[[Any, Any, Ground], Any]
     topic: str = ""

@@ -8,7 +8,7 @@ import msgspec
 
 from telenano.afm.cantilever import Plant
 from telenano.afm.contact.friction import FrictionParams
-from telenano.afm.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
+from telenano.afm.disturbances import NoiseState, noise_start, noise_step
 from telenano.afm.disturbed import (
     DisturbedState,
     PiezoState,
@@ -25,6 +25,7 @@ from telenano.afm.spring import SpringParams, spring_params
 from telenano.afm.step import AfmParams
 from telenano.extend.instruments import LateralStage, Relief, Simulation, VibratingCantilever
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
+from telenano.settings.afm_disturbances import DisturbanceConfig
 
 _AT_REST = Oscillation(0.0, 0.0)
 _QUIET = DisturbanceConfig()

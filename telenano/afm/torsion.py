@@ -13,39 +13,9 @@ images) knows the measured force only; what lies on the sample obeys the true on
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
 from telenano.afm.part import Motion, Part, motion_of, part_start, part_step, register_part, truths_of
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 from telenano.numerics.compiler import compiled
-from telenano.settings.config import Settings
-
-_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."
-
-
-class TorsionConfig(Settings):
-    """How the lateral force is measured, with the errors of the channel."""
-
-    factor_n_per_v: float = Field(2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V].")
-    range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V].")
-    gain_error: float = Field(
-        0.0, ge=-0.9, le=9.0, description="Relative error of the factor: 0.2 reads a fifth too much."
-    )
-    gain_uncertainty: float = Field(
-        0.0, ge=0.0, le=1.0, description="Relative standard uncertainty that the calibration states."
-    )
-    crosstalk_x: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="x"))
-    crosstalk_y: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="y"))
-
-    @property
-    def most_n(self) -> float:
-        """The greatest lateral force along an axis that can be read [N]."""
-        return self.factor_n_per_v * self.range_v
-
-    def around(self, part: Any, stiffness_n_per_m: float) -> Any:
-        """Return the parameters of a part whose lateral force this channel measures; k of the cantilever [N/m]."""
-        cross = stiffness_n_per_m * self.crosstalk_x, stiffness_n_per_m * self.crosstalk_y
-        return TorsionParams(part, 1.0 + self.gain_error, *cross, self.most_n)
 
 
 class TorsionParams(NamedTuple):

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.disturbances import instrument_name
 from telenano.analysis.plugins import recorded_plugins, require_installed
-from telenano.laws.config import ControllerConfig
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
+from telenano.sections.controller_section import ControllerConfig
+from telenano.settings.afm_disturbances import instrument_name
 from telenano.settings.config import validate
 from telenano.settings.link_settings import EVEN, LinkSettings
 from telenano.settings.named_instruments import IDEAL

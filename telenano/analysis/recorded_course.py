@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.disturbances import instrument_name
 from telenano.analysis.recorded_session import Session
 from telenano.analysis.session import COLUMNS, Conditions, hand_in_words, sample_in_words
 from telenano.recording.column_table import Column, ColumnTable
 from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.silence import LONGEST_STEP_S
+from telenano.settings.afm_disturbances import instrument_name
 from telenano.settings.config import validate
 from telenano.settings.link_settings import LinkSettings
 from telenano.settings.scenario import LoadedScenario

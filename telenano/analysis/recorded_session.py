@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm.section_config import SafetyConfig
 from telenano.analysis.conditions import conditions, described
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.holds import (
@@ -27,14 +26,15 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
 from telenano.analysis.line_states import line_states
-from telenano.hand.config import LimitsConfig, recorded_hand
-from telenano.hand.operator_config import ForceProfileConfig, InteractiveConfig
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.recording.arrays import in_step
 from telenano.recording.messages import LeftOut, readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.silence import HAND, LONGEST_STEP_S, Break, breaks_of, ends_of, joined, running_of, sent_of
 from telenano.recording.site_clock import Timeline
+from telenano.sections.afm_parts import SafetyConfig
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
+from telenano.sections.hand_section import LimitsConfig, recorded_hand
+from telenano.sections.operator_section import ForceProfileConfig, InteractiveConfig
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing import loop_age

@@ -110,8 +110,8 @@ def hand_in_words(scenario: "Scenario", origin: str) -> str:
         ConfigError: The hand cannot be read; the message names the key.
     """
     # A kept summary is read without these, whose import takes longer.
-    from telenano.hand.config import recorded_hand
-    from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig
+    from telenano.sections.hand_section import recorded_hand
+    from telenano.sections.operator_section import ForceProfileConfig, ImpedanceConfig
 
     operator, simulated = recorded_hand(scenario.haptic_node, origin)
     if not simulated:

@@ -38,7 +38,7 @@ _MORE_FILES = {"command": {"command_body.py.txt": "command.py"}, "analysis": {"a
 def _taken(kind: Kind) -> Collection[str]:
     # The import is here because no other command of this module needs the models.
     if kind == "law":
-        from telenano.laws.config import TAKEN as TAKEN_LAWS
+        from telenano.sections.controller_section import TAKEN as TAKEN_LAWS
 
         return TAKEN_LAWS
     if kind == "task":
@@ -55,12 +55,12 @@ def _taken(kind: Kind) -> Collection[str]:
         return LAZY_COMMANDS
     if kind == "check":
         return ()
-    from telenano.afm.config import TAKEN as TAKEN_AFM
+    from telenano.sections.afm_section import TAKEN as TAKEN_AFM
 
     if kind == "sample":
         return TAKEN_AFM
-    from telenano.hand.config import TAKEN as TAKEN_HAPTIC
-    from telenano.hand.operator_models import OWN_OPERATORS
+    from telenano.sections.hand_section import TAKEN as TAKEN_HAPTIC
+    from telenano.sections.operator_kinds import OWN_OPERATORS
 
     return TAKEN_HAPTIC | TAKEN_AFM if kind in ("device", "instrument") else OWN_OPERATORS
 

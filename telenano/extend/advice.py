@@ -24,7 +24,7 @@ class AdvisedSession(NamedTuple):
     """What an adviser is given at the start of a rig.
 
     Attributes:
-        controller: The section of the controller, `telenano.laws.ControllerConfig`.
+        controller: The section of the controller, `telenano.sections.ControllerConfig`.
         now_ns: Returns the time on the monotonic clock [ns].
         absent_laws: The laws of packages that are not installed, each with a sentence that says where it is.
     """

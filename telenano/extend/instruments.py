@@ -117,7 +117,7 @@ class Simulation(Protocol):
 
     @property
     def disturbances(self) -> Any:
-        """Return what disturbs it (`telenano.afm.DisturbanceConfig`), None for one that cannot be disturbed."""
+        """Return what disturbs it (`telenano.settings.DisturbanceConfig`), None for one that cannot be disturbed."""
 
     def configure(self, config: Any) -> None:
         """Take other disturbances from now on."""

@@ -9,27 +9,21 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from telenano.extend.instruments import OwnImage, OwnLine, SafetyParams
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import LateralParams, Place
 from telenano.settings.config import Settings
+from telenano.settings.program_settings import Force as Force
+from telenano.settings.program_settings import Length as Length
+from telenano.settings.program_settings import Position as Position
+from telenano.settings.program_settings import ProgramSettings as ProgramSettings
+from telenano.settings.program_settings import Speed as Speed
 from telenano.wire.messages import Scalar
-
-Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
-Position = Annotated[float, Field(ge=-1e-3, le=1e-3)]
-Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
-Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
-
-
-class ProgramSettings(Settings):
-    """Settings of a program."""
-
 
 Array = npt.NDArray[np.float64]
 S = TypeVar("S", bound=Settings)
@@ -262,6 +256,8 @@ class Program(ABC, Generic[S, P, T]):
         """Return in words what a program that is finished did not reach; empty for nothing."""
         return ""
 
+
+AnyProgram = Program[Any, Any, Any]
 
 # The base needs this time besides that of its whole way, because it may still be taking up its speed after a hold.
 _SPARE_S = 1.0

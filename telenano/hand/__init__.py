@@ -1,19 +1,20 @@
-"""The hand and its haptic device as steps without a clock: motor, operator, guard and their settings."""
+"""The hand and its haptic device as steps without a clock: motor, operator and guard."""
 
 from typing import TYPE_CHECKING
 
 from telenano.faces import face
 
 if TYPE_CHECKING:
-    from telenano.hand.config import HapticConfig as HapticConfig
-    from telenano.hand.config import LimitsConfig as LimitsConfig
-    from telenano.hand.lateral_hand import LateralPath as LateralPath
     from telenano.hand.motor import MotorParams as MotorParams
     from telenano.hand.operator import interpolate as interpolate
-    from telenano.hand.operator_config import ARMS as ARMS
     from telenano.hand.operator_models import operator_at_rest as operator_at_rest
     from telenano.hand.operator_models import operator_step as operator_step
     from telenano.hand.part import HandPart as HandPart
     from telenano.hand.part import initial_plant as initial_plant
 else:
-    __getattr__, __dir__ = face(__name__)
+    __getattr__, __dir__ = face(
+        __name__,
+        {
+            "telenano.sections": ("ARMS", "HapticConfig", "LateralPath", "LimitsConfig"),
+        },
+    )

@@ -17,14 +17,13 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from telenano.extend.hands import Capabilities, DeviceReading
 from telenano.hand.sim import SimulatedHaptic
 from telenano.hand.step import DisturbedPlantParams, disturbed_reading
 from telenano.numerics.normal_numbers import normal_number
 from telenano.numerics.sines import sine_noise, sines_of
-from telenano.settings.config import Settings
+from telenano.settings.hand_disturbances import HandDisturbanceConfig
 
 Series = npt.NDArray[np.float64]
 
@@ -35,56 +34,6 @@ _WANDER_LOW_HZ = 0.05
 _WANDER_HIGH_HZ = 13.0
 # The wander is another stream of its seed than the vibration of an instrument is.
 _WANDER = 2
-
-
-class EncoderConfig(Settings):
-    """Quantisation of the position."""
-
-    enabled: bool = Field(False, description="Whether it acts")
-    resolution_m: float = Field(1e-6, gt=0.0, le=1e-2, description="Way of the arm for a step [m]; up to 1e-2")
-
-
-class ForceNoiseConfig(Settings):
-    """Noise of the force sensor."""
-
-    enabled: bool = Field(False, description="Whether it acts")
-    rms_n: float = Field(0.01, ge=0.0, le=100.0, description="White noise, root mean square of a sample [N]")
-
-
-class TremorConfig(Settings):
-    """Tremor of the operator."""
-
-    enabled: bool = Field(False, description="Whether it acts")
-    rms_n: float = Field(0.05, ge=0.0, le=100.0, description="Root mean square of its force [N]")
-    frequency_hz: float = Field(9.0, ge=1.0, le=50.0, description="Its frequency [Hz]; 1 to 50")
-
-
-class WanderConfig(Settings):
-    """Wandering of the operator's force."""
-
-    enabled: bool = Field(False, description="Whether it acts")
-    rms_n: float = Field(
-        0.03, ge=0.0, le=100.0, description="Root mean square of its force, 1/f from 0.05 to 13 Hz [N]"
-    )
-
-
-class HandDisturbanceConfig(Settings):
-    """Section `haptic_node.disturbances`."""
-
-    seed: int = Field(0, ge=0, lt=2**63, description="Seed of everything that is random")
-    encoder: EncoderConfig = Field(EncoderConfig(), description="Quantisation of the position")
-    force_noise: ForceNoiseConfig = Field(ForceNoiseConfig(), description="Noise of the force sensor")
-    tremor: TremorConfig = Field(TremorConfig(), description="Tremor of the operator")
-    wander: WanderConfig = Field(WanderConfig(), description="Wandering of the operator's force")
-
-    @property
-    def any_enabled(self) -> bool:
-        return self.encoder.enabled or self.force_noise.enabled or self.tremor.enabled or self.wander.enabled
-
-    @property
-    def resolution_m(self) -> float:
-        """Way of the arm for a step of the encoder [m], 0 without one."""
-        return self.encoder.resolution_m if self.encoder.enabled else 0.0
 
 
 class HandDisturbanceState(NamedTuple):

@@ -7,9 +7,9 @@ each topic is taken at every tick.
 from collections.abc import Iterator, Mapping, Sequence
 
 from telenano.extend.advice import Advice, AdvisedSession, Adviser
-from telenano.laws.config import LAWS
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.loop.log import StructuredLog
+from telenano.sections.controller_section import LAWS
 from telenano.settings.known_packages import known_of, where_it_is
 from telenano.settings.package_topics import topics_by_name
 from telenano.settings.plugins import code_of, installed, load

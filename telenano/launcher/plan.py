@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
-from telenano.afm.config import DRIVERS as INSTRUMENTS
-from telenano.afm.config import AfmConfig
-from telenano.afm.made_samples import SampleConfig
-from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.recording.session_folder import RECORDING_NAME
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.transports import fetching
 from telenano.runtime.wiring.main import node_kind
+from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
+from telenano.sections.program_table import PROGRAMS
+from telenano.sections.sample_section import SampleConfig
 from telenano.settings.config import Settings, environment_overrides, flag_overrides, keys_of, merge
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.included import (
@@ -461,7 +461,7 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
 
 def _drivers_of(name: str) -> Drivers | None:
     """Return the drivers of a node that has a device, None for any other."""
-    from telenano.hand.config import DRIVERS as HANDLES
+    from telenano.sections.hand_section import DRIVERS as HANDLES
 
     return {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
 

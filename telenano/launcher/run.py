@@ -22,7 +22,6 @@ from telenano.launcher.session import SessionNode
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import ProcFiles, Watchdog
-from telenano.laws.config import ControllerConfig
 from telenano.recording.disk_watch import free_bytes
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.session_folder import SessionFolder
@@ -37,6 +36,7 @@ from telenano.runtime.loop.realtime import raise_file_limit, shallow_idle
 from telenano.runtime.wiring.descriptors import check_rig
 from telenano.runtime.wiring.link_transports import LineCheck, fetching_transport, link_transport
 from telenano.runtime.wiring.participant import Participant, StopSignals
+from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, RELAY, STOP_ORDER, TIP, name_of
 from telenano.wire.printable import quoted

@@ -1,14 +1,13 @@
-"""Teleoperation laws as two-ports: their steps, the timing of both halves, force clamp, x and y, and settings."""
+"""Teleoperation laws as two-ports: their steps, the timing of both halves, force clamp, x and y.
 
-from typing import TYPE_CHECKING
+Their settings and the table of laws are in `telenano.sections`.
+"""
 
 from telenano.faces import face
 
-if TYPE_CHECKING:
-    from telenano.laws.config import LAWS as LAWS
-    from telenano.laws.config import OWN_LAWS as OWN_LAWS
-    from telenano.laws.config import ControllerConfig as ControllerConfig
-    from telenano.laws.config import changed_config as changed_config
-    from telenano.laws.config import late_periods as late_periods
-else:
-    __getattr__, __dir__ = face(__name__)
+__getattr__, __dir__ = face(
+    __name__,
+    {
+        "telenano.sections": ("ControllerConfig", "LAWS", "OWN_LAWS", "changed_config", "late_periods"),
+    },
+)

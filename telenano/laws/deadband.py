@@ -13,14 +13,10 @@ what is held back is not lost, only late, and cannot be spent before: they stay 
 model-mediated law is not in the channel at all.
 """
 
-from typing import Annotated, NamedTuple
-
-from pydantic import Field
+from typing import NamedTuple
 
 from telenano.extend.laws import PortSignal
-from telenano.extend.ranges import parameter
 from telenano.numerics.compiler import compiled
-from telenano.settings.config import Settings
 
 
 class DeadbandParams(NamedTuple):
@@ -33,35 +29,6 @@ class DeadbandParams(NamedTuple):
     force_n: float
     wave_sqrt_w: float
     keep_alive_s: float
-
-
-class DeadbandConfig(Settings):
-    """Section `controller.deadband`; floors at the tip's scale, wave at the hand's."""
-
-    enabled: bool = Field(default=False, description="Whether signals that would not be felt are kept back")
-    weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        default=0.1, description="Least perceptible relative change w; [0, 1)"
-    )
-    position_resolution_m: float = Field(
-        default=5e-11, ge=0.0, le=10.0, description="Least change of a position sent [m]"
-    )
-    velocity_floor_m_per_s: float = parameter(1e-10, "m/s", "Least change of a velocity [m/s]", zero=True)
-    force_floor_n: float = parameter(1e-10, "N", "Least change of a force [N]")
-    wave_floor_sqrt_w: float = parameter(1e-3, "sqrt(W)", "Least change of a wave [sqrt(W)]")
-    keep_alive_s: Annotated[float, Field(gt=0.0, le=0.04)] = Field(
-        default=0.02, description="Longest time without a signal [s]; (0, 0.04], for the devices take 0.05 as silence"
-    )
-
-    def to_params(self) -> DeadbandParams:
-        return DeadbandParams(
-            enabled=self.enabled,
-            weber_fraction=self.weber_fraction,
-            position_m=self.position_resolution_m,
-            velocity_m_per_s=self.velocity_floor_m_per_s,
-            force_n=self.force_floor_n,
-            wave_sqrt_w=self.wave_floor_sqrt_w,
-            keep_alive_s=self.keep_alive_s,
-        )
 
 
 class DeadbandState(NamedTuple):

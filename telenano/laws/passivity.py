@@ -70,19 +70,16 @@ from typing import NamedTuple
 from telenano.extend.laws import (
     EnergyAccount,
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
     tip_signal,
 )
-from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     NOTHING_HEARD,
     HandPort,
     Mass,
-    MassConfig,
     MassParams,
     at_hand,
     at_rest,
@@ -104,13 +101,6 @@ from telenano.extend.virtual_mass import (
     worked,
 )
 from telenano.numerics.compiler import compiled
-from telenano.numerics.discretisation import approach
-
-# The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
-# moments.
-_LET_GO_S = 0.2
-# A store that begins empty has this level [J].
-_LEAST_LEVEL_J = 1e-9
 
 
 class PassivityParams(NamedTuple):
@@ -132,63 +122,6 @@ class PassivityParams(NamedTuple):
     level_j: float
     refill_n_s_per_m: float
     shared: float
-
-
-class PassivityConfig(MassConfig):
-    """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
-
-    silence_limit_s: float = parameter(
-        0.5,
-        "s",
-        "Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
-        " cannot be spent, and each time that hand and tip are joined again their positions differ by what they moved",
-    )
-    coupling_stiffness_n_per_m: float = parameter(1500.0, "N/m", "Spring of the coupling K_c [N/m]")
-    coupling_damping_n_s_per_m: float = parameter(60.0, "N s/m", "Damper of the base B_c [N s/m]")
-    speed_limit_m_per_s: float = parameter(
-        0.05, "m/s", "Fastest motion of the slave's reference, at the hand's scale [m/s]"
-    )
-    force_margin_n: float = parameter(
-        0.0, "N", "Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
-    )
-    clamp_release_s: float = parameter(
-        4.0, "s", "Time constant with which the clamp follows a hand that presses less tau_c [s]"
-    )
-    start_energy_j: float = parameter(1e-3, "J", "Energy that each side may spend at the start E_0 [J]", zero=True)
-    energy_cap_j: float = parameter(5e-3, "J", "Most energy that a side keeps to spend [J]")
-    refill_damping_n_s_per_m: float = parameter(
-        460.0, "N s/m", "Damper that the hand feels while the master's store is empty, less as it nears E_0 B_t [N s/m]"
-    )
-    exchange_s: float = parameter(
-        0.15, "s", "Time constant with which each side sends its store to the other tau_e [s]"
-    )
-
-    def to_params(self, period_s: float) -> PassivityParams:
-        """Return the constants of the compiled steps for a period [s] of the hand."""
-        rate = self.coupling_stiffness_n_per_m / self.coupling_damping_n_s_per_m
-        return PassivityParams(
-            mass=self.mass_params(period_s),
-            coupling_n_per_m=self.coupling_stiffness_n_per_m,
-            relaxed=approach(rate * period_s),
-            step_m=self.speed_limit_m_per_s * period_s,
-            margin_n=self.force_margin_n,
-            release=approach(period_s / self.clamp_release_s),
-            let_go=approach(period_s / min(self.clamp_release_s, _LET_GO_S)),
-            start_j=min(self.start_energy_j, self.energy_cap_j),
-            cap_j=self.energy_cap_j,
-            level_j=max(min(self.start_energy_j, self.energy_cap_j), _LEAST_LEVEL_J),
-            refill_n_s_per_m=self.refill_damping_n_s_per_m,
-            shared=approach(period_s / self.exchange_s),
-        )
-
-    def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample K that the loop of coupling and base tolerates [N/m].
-
-        A period takes the base to relaxed (1 + K_e / K_c) of the way to its rest, K_e = alpha_f alpha_p K: at 2 the
-        sample gets all the energy that the coupling gives, and beyond it more.
-        """
-        relaxed = approach(self.coupling_stiffness_n_per_m / self.coupling_damping_n_s_per_m * period_s)
-        return (2.0 / relaxed - 1.0) * self.coupling_stiffness_n_per_m / (self.force_scale * self.position_scale)
 
 
 class Account(NamedTuple):
@@ -541,6 +474,3 @@ def master_energy_account(params: PassivityParams, state: MasterState) -> Energy
 def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAccount:
     """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
-
-
-PASSIVITY = Law.of(__name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True)

@@ -13,11 +13,9 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
+from telenano.extend.laws import HandSample, MasterReference, PortSignal, port_signal
 from telenano.extend.virtual_mass import (
     Mass,
-    MassConfig,
     MassParams,
     at_hand,
     at_rest,
@@ -35,14 +33,6 @@ class PositionForceParams(NamedTuple):
     """Constants of the law."""
 
     mass: MassParams
-
-
-class PositionForceConfig(MassConfig):
-    """Section `controller.position_force`."""
-
-    def to_params(self, period_s: float) -> PositionForceParams:
-        """Return the constants of the compiled steps for a period [s] of the hand."""
-        return PositionForceParams(self.mass_params(period_s))
 
 
 @compiled
@@ -87,6 +77,3 @@ def master_receive(
 def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> Mass:
     """Keep the tip's reference constant when alpha_p changes."""
     return rescaled(old.mass, new.mass, state)
-
-
-POSITION_FORCE = Law.of(__name__, PositionForceConfig, slave=pass_through)

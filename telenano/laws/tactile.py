@@ -15,13 +15,10 @@ with mass, damping and stiffness of the cantilever, and alpha the scale of lengt
 operator does reaches the instrument, so there is no loop that delay could make unstable.
 """
 
-from typing import Literal, NamedTuple
-
-from pydantic import Field
+from typing import NamedTuple
 
 from telenano.extend.laws import (
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
@@ -31,15 +28,12 @@ from telenano.extend.laws import (
 )
 from telenano.extend.pass_through import SlaveState
 from telenano.extend.pass_through import slave_start as slave_start
-from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     FARTHEST_M,
-    ScaledConfig,
     at_hand,
     bounded,
 )
 from telenano.numerics.compiler import compiled
-from telenano.settings.config import filled
 
 # The wire can carry so much [N].
 _MOST_N = 1e6
@@ -68,46 +62,6 @@ class TactileParams(NamedTuple):
     inertia_kg: float
     damping_n_s_per_m: float
     spring_n_per_m: float
-
-
-class TactileConfig(ScaledConfig):
-    """Section `controller.tactile`."""
-
-    position_scale: float = parameter(
-        1e-6, "m/m", "alpha_p, metres at the tip per metre at the hand; 1e-6 is the 0.1 cm/nm of Fig. 10"
-    )
-    cantilever_stiffness_n_per_m: float = parameter(
-        40.0, "N/m", "Stiffness k of the cantilever [N/m], as the instrument has it"
-    )
-    scaling: Literal["linear", "impedance"] = Field(
-        default="linear", description="How the force is scaled for the hand: Eq. 12, or Eq. 13 with the three below"
-    )
-    impedance_scale: float = Field(
-        default=1e4, ge=1.0, le=1e6, description="alpha of Eq. 13: length at the hand for a length at the tip"
-    )
-    cantilever_mass_kg: float = parameter(1e-6, "kg", "Mass of the cantilever in Eq. 13, m_c [kg]")
-    cantilever_damping_n_s_per_m: float = parameter(
-        0.0, "N s/m", "Damping of the cantilever in Eq. 13, b_c [N s/m]", zero=True
-    )
-
-    def to_params(self, period_s: float) -> TactileParams:
-        """Return the constants of the compiled steps for a period [s] of the hand."""
-        inertia, damping, spring = impedance_scaled(
-            self.impedance_scale,
-            self.cantilever_mass_kg,
-            self.cantilever_damping_n_s_per_m,
-            self.cantilever_stiffness_n_per_m,
-        )
-        return filled(
-            TactileParams,
-            self,
-            period_s=period_s,
-            stiffness_n_per_m=self.cantilever_stiffness_n_per_m,
-            by_impedance=self.scaling == "impedance",
-            inertia_kg=inertia,
-            damping_n_s_per_m=damping,
-            spring_n_per_m=spring,
-        )
 
 
 class MasterState(NamedTuple):
@@ -196,6 +150,3 @@ def slave_send(
 def retune(old: TactileParams, new: TactileParams, state: MasterState) -> MasterState:
     """Continue where the hand is: a changed scale counts from the point of the first touch."""
     return state
-
-
-TACTILE = Law.of(__name__, TactileConfig, link_loop=False, rest_force=None, must_know=("cantilever_stiffness_n_per_m",))

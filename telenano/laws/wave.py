@@ -49,10 +49,8 @@ import math
 from typing import NamedTuple
 
 from telenano.extend.laws import (
-    MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
@@ -60,12 +58,10 @@ from telenano.extend.laws import (
     port_signal,
     tip_signal,
 )
-from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import (
     OVERDRAWN_J,
     HandPort,
     Mass,
-    MassConfig,
     MassParams,
     at_hand,
     at_rest,
@@ -83,7 +79,6 @@ from telenano.extend.virtual_mass import (
     worked,
 )
 from telenano.numerics.compiler import compiled
-from telenano.numerics.discretisation import approach, decay
 
 
 class WaveParams(NamedTuple):
@@ -96,39 +91,6 @@ class WaveParams(NamedTuple):
     bridge_s: float
     clamped: bool
     margin_n: float
-
-
-class WaveConfig(MassConfig):
-    """Section `controller.wave`."""
-
-    impedance_n_s_per_m: float = parameter(100.0, "N s/m", "Impedance of the line b [N s/m]")
-    silence_limit_s: float = parameter(
-        0.5,
-        "s",
-        "Time without a signal from the other half after which the hand is let go [s]: waves die out"
-        " with filter_s by themselves, and a line that comes back has lost what was in transit",
-    )
-    filter_s: float = parameter(0.02, "s", "Time constant of the wave filter tau_f [s]; 0 = none", zero=True)
-    fade_s: float = parameter(1.0, "s", "Time in which a force that the line begins under fades tau_0 [s]")
-
-    def to_params(self, period_s: float) -> WaveParams:
-        """Return the constants of the compiled steps for a period [s] of the hand."""
-        b = self.impedance_n_s_per_m
-        share = 1.0 if self.filter_s == 0.0 else approach(period_s / self.filter_s)
-        fade = decay(period_s / self.fade_s)
-        return WaveParams(
-            mass=self.mass_params(period_s, b),
-            impedance_n_s_per_m=b,
-            share=share,
-            fade=fade,
-            bridge_s=max(self.filter_s, period_s),
-            clamped=False,
-            margin_n=0.0,
-        )
-
-    def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the slave half tolerates, which makes long steps after late signals."""
-        return self.limit_of_damper(self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
 class Inbox(NamedTuple):
@@ -495,14 +457,3 @@ def master_energy_account(params: WaveParams, state: MasterState) -> EnergyAccou
 def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount:
     """Return the energy that has arrived and was neither given to the environment nor sent back."""
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
-
-
-WAVE = Law.of(
-    __name__,
-    WaveConfig,
-    uses_waves=True,
-    uses_energy=True,
-    local_loop=True,
-    passive=True,
-    fixed_in_contact=("impedance_n_s_per_m",),
-)

@@ -14,7 +14,7 @@ from telenano.link.fate import Direction, DirectionStats, Fate, Figures, Release
 from telenano.link.models.jitter import RandomDelay
 from telenano.link.models.outages import Outages
 from telenano.link.models.queueing import ServedQueue, Waiting
-from telenano.link.pipeline import InFlight, Pipeline, PipelineState, TopicPipeline
+from telenano.link.pipeline import InFlight, Pipeline, PipelineState, SharedModels, TopicPipeline
 from telenano.settings.link_files import Files, read_files
 from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.wire.node_state import FindInput
@@ -84,8 +84,7 @@ class DirectionEngine:
         self._pushed = 0
         self._figures = Figures()
         self._pipeline = Pipeline(direction, settings, self.files_of(settings), start_ns)
-        self._topic_pipelines: dict[str, TopicPipeline] = {}
-        self._queues = self._all_queues()
+        self._note_models()
 
     def submit(
         self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "", *, at_once: bool = False
@@ -97,7 +96,7 @@ class DirectionEngine:
         if now_ns < self._now_ns:
             now_ns = self._now_ns
         self._now_ns = now_ns
-        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        pipeline = self._topics.get(topic) or self._pipeline.open(topic)
         self._figures.messages_in += 1
         self._figures.bytes_in += len(payload)
         self._arrivals += 1
@@ -113,7 +112,7 @@ class DirectionEngine:
 
     def leave_out(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str, cause: str) -> None:
         """Drop a message that arrived at now_ns [ns] for a cause that is no impairment, which its fate names."""
-        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        pipeline = self._topics.get(topic) or self._pipeline.open(topic)
         self._figures.messages_in += 1
         self._figures.bytes_in += len(payload)
         self._arrivals += 1
@@ -169,7 +168,7 @@ class DirectionEngine:
 
     def draw_losses(self, topic: str, count: int) -> list[bool]:
         """Return whether each of the next messages of a topic is lost, where nothing else but a delay impairs it."""
-        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        pipeline = self._topics.get(topic) or self._pipeline.open(topic)
         return [pipeline.lost_by(self._now_ns, 0) != "" for _ in range(count)]
 
     def due(self, now_ns: int) -> list[Release]:
@@ -215,31 +214,46 @@ class DirectionEngine:
         """Apply settings to the messages that arrive from now on; the second half, which cannot fail.
 
         Messages in flight keep their fate. A model whose own settings stay the same continues as if nothing had
-        happened; one that is new or changed begins its course (outage schedule, trace, slots) now.
+        happened (`carry_over`); one that is new or changed begins its course (outage schedule, trace, slots) now.
         """
         now_ns = self._now_ns = max(self._now_ns, now_ns)
         self._advance(now_ns)
-        old = self._pipeline.shared_models
+        before = self._pipeline.shared_models
         self._pipeline.adopt(settings, files, now_ns)
-        # The pipelines open again at once: the state of a topic after a change follows from the settings and from its
-        # state before.
-        self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
-        self._pipeline.forget_unused()
-        self._queues = self._all_queues()
-        same_topics = tuple(old) == tuple(self._pipeline.shared_models)
-        for pattern, shared in old.items():
-            if shared.queue is None:
-                continue
-            follower = self._pipeline.shared_models.get(pattern)
-            _hold_again(shared.queue, None if follower is None else follower.outages, now_ns)
-            if any(shared.queue is queue for queue in self._queues):
-                continue
-            if shared.queue.is_instant and follower is not None and follower.queue is not None and same_topics:
-                follower.queue.refill(shared.queue.waiting)
-                continue
-            self._empty(shared.queue, now_ns)
-            if follower is not None and follower.queue is not None:
-                follower.queue.wait_until(shared.queue.free_ns)
+        self._note_models()
+        # What waits goes from a queue to the next of its block, unless topics may have moved between blocks.
+        next_of = self._pipeline.shared_models
+        may_wait_on = tuple(before) == tuple(next_of)
+        for pattern, shared in before.items():
+            if shared.queue is not None:
+                self._hand_over(shared.queue, next_of.get(pattern), now_ns, may_wait_on=may_wait_on)
+
+    def _hand_over(
+        self, queue: ServedQueue[InFlight], block: SharedModels | None, now_ns: int, *, may_wait_on: bool
+    ) -> None:
+        """Take over what waits in a queue under the settings of before, unless the queue continues.
+
+        What waited for the end of an outage alone waits on in the queue of the same block. What a server has yet to
+        send is sent by the server of before, and the next one begins after it.
+
+        Args:
+            queue: The queue under the settings of before.
+            block: The models that the same block has now, None for a block that is gone.
+            now_ns: When the settings have come into force [ns].
+            may_wait_on: Whether each block has the topics that it had.
+        """
+        _hold_again(queue, None if block is None else block.outages, now_ns)
+        successor = None if block is None else block.queue
+        if any(queue is kept for kept in self._queues):
+            return
+        if queue.is_instant and successor is not None and may_wait_on:
+            successor.refill(queue.waiting)
+            return
+        while queue.leave_ns is not None:
+            message, sent_ns = queue.pop()
+            self._schedule(message, sent_ns, now_ns)
+        if successor is not None:
+            successor.wait_until(queue.free_ns)
 
     def begin_session(self, now_ns: int) -> None:
         """Count the schedules that are given in session time from now on [ns]."""
@@ -255,7 +269,7 @@ class DirectionEngine:
             arrivals=self._arrivals,
             pushed=self._pushed,
             figures=self._figures,
-            topics=list(self._topic_pipelines),
+            topics=list(self._topics),
             pipeline=self._pipeline.capture(),
             fates=self._fates,
             in_flight=[
@@ -279,10 +293,9 @@ class DirectionEngine:
         files = self.files_of(settings)
         pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
         for topic in state.topics:
-            pipeline.of_topic(topic)
+            pipeline.open(topic)
         pipeline.restore(state.pipeline, settings, files)
-        self._topic_pipelines = {topic: pipeline.of_topic(topic) for topic in state.topics}
-        self._queues = self._all_queues()
+        self._note_models()
         self._now_ns, self._arrivals, self._pushed = state.now_ns, state.arrivals, state.pushed
         self._figures, self._fates = state.figures, state.fates
         # The entries keep the order of the heap, so that the list is a heap again.
@@ -300,7 +313,7 @@ class DirectionEngine:
 
     def _captured(self, message: InFlight) -> Queued:
         pipeline, order, seq, copy, payload, *rest = message
-        topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
+        topic, now = pipeline.topic, self._topics[pipeline.topic]
         # The way of a message from the queue on depends on these settings only.
         if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
             raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
@@ -309,22 +322,15 @@ class DirectionEngine:
 
     def _restored(self, queued: Queued, find: FindInput) -> InFlight:
         topic, size_bytes, *rest = queued
-        message = InFlight._make((self._topic_pipelines[topic], *rest))
+        message = InFlight._make((self._topics[topic], *rest))
         payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)
         return message._replace(payload=payload)
 
-    def _empty(self, queue: ServedQueue[InFlight], now_ns: int) -> None:
-        """Decide the fate of all that waits in a queue which new settings have replaced."""
-        while queue.leave_ns is not None:
-            message, sent_ns = queue.pop()
-            self._schedule(message, sent_ns, now_ns)
-
-    def _all_queues(self) -> list[ServedQueue[InFlight]]:
-        return [shared.queue for shared in self._pipeline.shared_models.values() if shared.queue is not None]
-
-    def _open(self, topic: str) -> TopicPipeline:
-        pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
-        return pipeline
+    def _note_models(self) -> None:
+        """Note which topics are open and which queues there are, after either may have changed."""
+        self._topics = self._pipeline.topics
+        shared_models = self._pipeline.shared_models.values()
+        self._queues = [shared.queue for shared in shared_models if shared.queue is not None]
 
     def _delay(
         self, pipeline: TopicPipeline, delay_ns: int, now_ns: int, payload: bytes, seq: int, src: str

@@ -1,16 +1,16 @@
 """From settings to models: which models a topic goes through, and what survives a change of settings.
 
 Loss, delay, duplication, corruption and reordering belong to a topic; queue, slots, outages and the origin of traces
-belong to a block of settings and are shared by all topics under it. A model lives on as long as what defines it stays
-the same, so that a change of one key does not restart the others.
+belong to a block of settings and are shared by all topics under it (`carry_over`).
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import msgspec
 
+from telenano.link.carry_over import Defined, ModelTable
 from telenano.link.fate import Direction
 from telenano.link.models.courses import delay_at, lost_at
 from telenano.link.models.events import Corruptor, Overtaking
@@ -23,7 +23,6 @@ from telenano.settings.link_files import Files
 from telenano.settings.link_settings import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
 from telenano.wire.node_state import Part, part
 
-Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000
 
 
@@ -136,28 +135,31 @@ class PipelineState(NamedTuple):
 
 
 class Pipeline:
-    """Builds and keeps the models of one direction."""
+    """Builds the models of one direction, those of the topics that it has had messages of and those that they share."""
 
     def __init__(self, direction: Direction, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         self._direction: Direction = direction
         self._streams: dict[tuple[str, ...], RandomStream] = {}
-        self._models: dict[tuple[str, ...], tuple[object, Any]] = {}
-        self._used: set[tuple[str, ...]] = set()
         self._progress: dict[tuple[str, str], LatestRelease] = {}
         self.shared_models: dict[str, SharedModels] = {}
+        self.topics: dict[str, TopicPipeline] = {}
         self._session_ns = NO_SESSION_NS
-        self._adopt(settings, files, now_ns)
+        self._build(settings, files, now_ns, ModelTable())
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        """Build the blocks again where their definition differs; models that begin now have their origin at now_ns."""
+        """Build the models for settings; what continues is in `carry_over`, and what begins has its origin at now_ns.
+
+        The topics open again at once: the state of a topic after a change follows from the settings and from its state
+        before.
+        """
+        before = self._table.models
         if settings.seed != self._seed:
             self._streams.clear()
-            self._models.clear()
+            before = {}
         if tuple(files) != tuple(self.shared_models):
-            # Topics may move between queues: none is kept, so that what waits goes first and order holds.
-            self._models = {key: model for key, model in self._models.items() if key[:2] != ("shared", "queue")}
-        self._used.clear()
-        self._adopt(settings, files, now_ns)
+            # Topics may move between queues.
+            before = {key: model for key, model in before.items() if key[:2] != ("shared", "queue")}
+        self._build(settings, files, now_ns, ModelTable(before))
 
     def begin_session(self, now_ns: int) -> None:
         """Count the schedules that are given in session time from now on."""
@@ -166,21 +168,17 @@ class Pipeline:
             if shared.outages is not None:
                 shared.outages.begin_session(now_ns)
 
-    def forget_unused(self) -> None:
-        """Forget the models that the settings in force, and the topics opened under them, do not have."""
-        self._models = {key: model for key, model in self._models.items() if key in self._used}
-
     def capture(self) -> PipelineState:
         """Return the state."""
         return PipelineState(
             [(names, stream.drawn) for names, stream in self._streams.items() if stream.drawn],
-            [(key, part(getattr(model, "state", model))) for key, (_, model) in self._models.items()],
+            [(key, part(getattr(model, "state", model))) for key, (_, model) in self._table.models.items()],
             list(self._progress.items()),
             self._session_ns,
         )
 
     def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
-        """Continue from a state, with the topics open that were; those have to be opened again afterwards.
+        """Continue from a state, with the topics open that were.
 
         Raises:
             KeyError: The state is not one of a pipeline with these settings and topics; ValueError and TypeError mean
@@ -189,22 +187,30 @@ class Pipeline:
         self._session_ns = state.session_ns
         for names, drawn in state.drawn:
             self._stream(*names).advance_to(drawn)
+        models = self._table.models
         for key, kept in state.models:
-            definition, model = self._models[key]
+            definition, model = models[key]
             if isinstance(model, int):
-                self._models[key] = (definition, kept.like(model))
+                models[key] = Defined(definition, kept.like(model))
             else:
                 model.state = kept.like(model.state)
         self._progress.update(state.latest_release)
-        # Blocks copy some values of their models, so they adopt the settings here.
-        self._adopt(settings, files, 0)
+        # Blocks and topics copy some values of their models, so they are built again of these.
+        self._build(settings, files, 0, ModelTable(models))
 
-    def _adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        self._seed = settings.seed
+    def _build(self, settings: LinkSettings, files: dict[str, Files], now_ns: int, table: ModelTable) -> None:
+        self._seed, self._table = settings.seed, table
         self._settings: DirectionSettings = getattr(settings, self._direction)
         self.shared_models = {pattern: self._shared_models_of(pattern, held, now_ns) for pattern, held in files.items()}
+        self.topics = {topic: self._models_of(topic) for topic in self.topics}
+        table.close()
 
-    def of_topic(self, topic: str) -> TopicPipeline:
+    def open(self, topic: str) -> TopicPipeline:
+        """Return the models that a topic goes through, which this makes for its first message."""
+        pipeline = self.topics[topic] = self._models_of(topic)
+        return pipeline
+
+    def _models_of(self, topic: str) -> TopicPipeline:
         shared = self.shared_models[self._settings.pattern_of(topic)]
         s, reliable = shared.settings, self._settings.is_reliable(topic)
         latest_release = self._progress.setdefault(("topic", topic), LatestRelease())
@@ -234,24 +240,19 @@ class Pipeline:
             self._streams[names] = stream(self._seed, self._direction, *names)
         return self._streams[names]
 
-    def _kept(self, key: tuple[str, ...], definition: object, make: Callable[[], Model]) -> Model:
-        """Return the model of this key, the same one as long as what defines it stays the same."""
-        self._used.add(key)
-        model = self._models.get(key)
-        if model is None or model[0] != definition:
-            model = self._models[key] = (definition, make())
-        kept: Model = model[1]
-        return kept
-
     def _shared_models_of(self, pattern: str, files: Files, now_ns: int) -> SharedModels:
         s = self._settings.block(pattern)
         return SharedModels(
             s,
             files,
             latest_release=self._progress.setdefault(("block", pattern), LatestRelease()),
-            course_origin_ns=self._kept(("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns),
+            course_origin_ns=self._table.take(
+                ("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns
+            ),
             counter=self._counter(pattern, s, files),
-            losses_origin_ns=self._kept(("shared", "losses", pattern), (s.loss_trace, files.losses), lambda: now_ns),
+            losses_origin_ns=self._table.take(
+                ("shared", "losses", pattern), (s.loss_trace, files.losses), lambda: now_ns
+            ),
             queue=self._queue(pattern, s, files.delivery_ns, now_ns),
             slot_gate=self._gate(pattern, s.slots, now_ns),
             outages=self._outages(pattern, s.outage, now_ns),
@@ -262,7 +263,7 @@ class Pipeline:
         if "number" not in (s.delay_trace.by, s.loss_trace.by):
             return None
         definition = (s.delay_trace, files.course, s.loss_trace, files.losses)
-        return self._kept(("shared", "count", pattern), definition, MessageCount)
+        return self._table.take(("shared", "count", pattern), definition, MessageCount)
 
     def _queue(
         self, pattern: str, s: Impairment, delivery_ns: tuple[int, ...] | None, now_ns: int
@@ -280,7 +281,7 @@ class Pipeline:
             return None
         definition = (s.rate, s.delivery_trace, delivery_ns, s.queue)
         draw = self._stream("shared", "queue", pattern)
-        return self._kept(("shared", "queue", pattern), definition, lambda: ServedQueue(s.queue, server, draw))
+        return self._table.take(("shared", "queue", pattern), definition, lambda: ServedQueue(s.queue, server, draw))
 
     def _gate(self, pattern: str, slots: Slots, now_ns: int) -> SlotGate | None:
         if slots.min_interval_s is None:
@@ -288,7 +289,7 @@ class Pipeline:
         longest_s = slots.min_interval_s if slots.max_interval_s is None else slots.max_interval_s
         interval_ns = round(slots.min_interval_s * NS_PER_S), round(longest_s * NS_PER_S)
         draw = self._stream("shared", "slots", pattern)
-        return self._kept(
+        return self._table.take(
             ("shared", "slots", pattern),
             slots,
             lambda: SlotGate(interval_ns, slots.max_messages, slots.max_bytes, now_ns, draw),
@@ -301,18 +302,22 @@ class Pipeline:
         # Whether an outage drops or holds does not move it.
         definition = outage.model_copy(update={"mode": "drop"})
         session_ns = self._session_ns
-        return self._kept(("shared", "outage", pattern), definition, lambda: Outages(outage, now_ns, draw, session_ns))
+        return self._table.take(
+            ("shared", "outage", pattern), definition, lambda: Outages(outage, now_ns, draw, session_ns)
+        )
 
     def _event(self, topic: str, name: str, probability: float, correlation: float) -> Occurrence | None:
         if probability == 0.0:
             return None
         draw = self._stream(topic, name)
-        return self._kept((topic, name), (probability, correlation), lambda: Occurrence(probability, correlation, draw))
+        return self._table.take(
+            (topic, name), (probability, correlation), lambda: Occurrence(probability, correlation, draw)
+        )
 
     def _applies(self, topic: str, probability: float) -> Occurrence:
         # Not through _event: a probability of 0 has to be a model here, one that never applies.
         draw = self._stream(topic, "apply")
-        return self._kept((topic, "apply"), probability, lambda: Occurrence(probability, 0.0, draw))
+        return self._table.take((topic, "apply"), probability, lambda: Occurrence(probability, 0.0, draw))
 
     def _losses(self, topic: str, s: Impairment) -> list[tuple[str, Callable[[], bool]]]:
         losses: list[tuple[str, Callable[[], bool] | None]] = [
@@ -326,14 +331,14 @@ class Pipeline:
         chain, draw = s.markov_loss, self._stream(topic, "markov_loss")
         if chain.p13 == 0.0 and chain.p14 == 0.0:
             return None
-        return self._kept((topic, "markov_loss"), chain, lambda: MarkovLossChain(chain, draw))
+        return self._table.take((topic, "markov_loss"), chain, lambda: MarkovLossChain(chain, draw))
 
     def _gilbert_elliott(self, topic: str, s: Impairment) -> GilbertElliottChain | None:
         chain = s.gilbert_elliott
         if chain.p == 0.0 and chain.loss_in_good == 0.0:
             return None
         step, decide = self._stream(topic, "gilbert_elliott/step"), self._stream(topic, "gilbert_elliott/loss")
-        return self._kept((topic, "gilbert_elliott"), chain, lambda: GilbertElliottChain(chain, step, decide))
+        return self._table.take((topic, "gilbert_elliott"), chain, lambda: GilbertElliottChain(chain, step, decide))
 
     def _corruptor(self, topic: str, s: Impairment) -> Corruptor | None:
         happens = self._event(topic, "corruption", s.corruption.probability, s.corruption.correlation)
@@ -344,7 +349,7 @@ class Pipeline:
         happens = self._event(topic, "reordering", s.reordering.probability, s.reordering.correlation)
         if happens is None:
             return None
-        return self._kept((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
+        return self._table.take((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
 
     def _lasting_jitter(self, pattern: str, s: Impairment, files: Files, now_ns: int) -> RandomDelay | None:
         if s.jitter.scale_s == 0.0 or s.jitter.correlation_time_s == 0.0:
@@ -354,7 +359,9 @@ class Pipeline:
         def source(name: str, settings: Jitter) -> JitterSource:
             draw = self._stream("shared", name, pattern)
             definition = (settings, files.samples)
-            return self._kept(("shared", name, pattern), definition, lambda: JitterSource(*definition, draw, now_ns))
+            return self._table.take(
+                ("shared", name, pattern), definition, lambda: JitterSource(*definition, draw, now_ns)
+            )
 
         first = source("jitter", s.jitter)
         if share == 0.0:
@@ -366,7 +373,9 @@ class Pipeline:
         if settings.scale_s == 0.0 or shared.lasting_jitter is not None:
             return shared.lasting_jitter
         draw = self._stream(topic, which, "jitter")
-        return self._kept((topic, "jitter", which), (settings, samples), lambda: JitterSource(settings, samples, draw))
+        return self._table.take(
+            (topic, "jitter", which), (settings, samples), lambda: JitterSource(settings, samples, draw)
+        )
 
 
 def _is_constant(pipeline: TopicPipeline) -> bool:

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.laws import HandSample
-from telenano.hand.lateral_hand import LateralHandConfig, LateralHandParams, LateralHandState, lateral_hand_step
-from telenano.laws.config import ControllerConfig
+from telenano.hand.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
 from telenano.laws.lateral import (
     LateralFar,
     LateralHand,
@@ -27,6 +26,8 @@ from telenano.laws.lateral import (
 )
 from telenano.lockstep.link import Schedule
 from telenano.numerics.compiler import inlined
+from telenano.sections.controller_section import ControllerConfig
+from telenano.sections.lateral_hand_section import LateralHandConfig
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from telenano.extend.laws import Law
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.numerics.compiler import chosen_step
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 
 Step = Callable[..., Any]
 

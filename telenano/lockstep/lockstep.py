@@ -32,11 +32,9 @@ import numpy.typing as npt
 from telenano.afm.safety import REASON_NAMES
 from telenano.afm.step import AfmParams, initial_afm_state
 from telenano.extend.laws import NO_SIGNAL, TipMeasurement
-from telenano.hand.config import HapticConfig
 from telenano.hand.step import HapticParams
 from telenano.hand.step import HapticStepState as HapticChainState
 from telenano.hand.step import initial_state as haptic_at_start
-from telenano.laws.config import ControllerConfig
 from telenano.laws.deadband import deadband, initial_deadband_state
 from telenano.laws.lateral import hand_moves as moves_stage
 from telenano.lockstep.across import (
@@ -74,6 +72,8 @@ from telenano.lockstep.sites import (
 from telenano.lockstep.steering import hand_ends, hand_moves, hand_notes, hand_sees, hand_writes
 from telenano.lockstep.trajectory import Series, Trajectory
 from telenano.numerics.compiler import borrowed, compiled, compiled_call, inlined, is_compiled
+from telenano.sections.controller_section import ControllerConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import ConfigError, RigError
 
 _NEVER_NS = 2**62

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import instrument_name
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
@@ -30,14 +28,16 @@ from telenano.analysis.holds import (
 from telenano.analysis.interruptions import in_words
 from telenano.analysis.session import COLUMNS, Conditions, Session, hand_in_words, sample_in_words
 from telenano.extend.instruments import SafetyParams
-from telenano.hand.config import HapticConfig
-from telenano.laws.config import ControllerConfig
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.lockstep import Rig
 from telenano.lockstep.steering import columns_of
 from telenano.lockstep.trajectory import Trajectory, known_of
 from telenano.recording.column_table import ColumnTable
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import ControllerConfig
+from telenano.sections.hand_section import HapticConfig
+from telenano.settings.afm_disturbances import instrument_name
 from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
 from telenano.settings.link_settings import EVEN, LinkSettings

@@ -15,7 +15,7 @@ from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.analysis.holds import NO_CONTEXT, Guard, Hold, Instrument, Limits, SessionContext, judge_holds
 from telenano.analysis.interruptions import ModeReport, interruptions_of
 from telenano.extend.instruments import SafetyParams
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 
 Series = npt.NDArray[np.float64]
 

@@ -24,6 +24,8 @@ SOURCES = (
         "telenano/laws",
         "telenano/link",
         "telenano/lockstep",
+        "telenano/sections",
+        "telenano/settings",
     ),
     # a verdict
     *("telenano/analysis/modes.py", "telenano/analysis/verdict_thresholds.py", "telenano/analysis/read_out.py"),

@@ -10,10 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
+import msgspec
+
 from telenano.link.direction import DirectionEngine
 from telenano.link.engine import LinkEngine
 from telenano.link.fate import Direction, Fate, Release
-from telenano.runtime.loop.deadlines import PeriodicDeadline
+from telenano.runtime.loop.deadlines import deadline_after
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.settings.link_settings import LinkSettings, Setting
@@ -54,6 +56,20 @@ class DirectionPath(NamedTuple):
     outlet: SiteEndpoint
 
 
+class LinkMemory(Protocol):
+    """What every link keeps for its reports: when the next is due [ns], and how many messages it has to tell of."""
+
+    status_ns: int
+    unreported: int
+
+
+class Reports(msgspec.Struct):
+    """The memory of a link that keeps nothing else."""
+
+    status_ns: int
+    unreported: int = 0
+
+
 class ImpairedLink(Node):
     """Holds messages of both directions until the engine releases them, and reports on link/status and link/fates."""
 
@@ -92,12 +108,11 @@ class ImpairedLink(Node):
         self.backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self.directions = (self.forward, self.backward)
         self.offset = OffsetFilter(_CLOCK_WINDOW)
-        self.unreported = 0
+        self.memory: LinkMemory = Reports(self.clock.monotonic_ns() + STATUS_PERIOD_NS)
         # These tasks report what happened to the messages of each direction.
         self.fate_tasks: tuple[Task, ...] = tuple(partial(self.publish_fates, way) for way in self.directions)
         # The report has the state of the link as well.
         self.report_tasks: tuple[Task, ...] = (*self.fate_tasks, self.publish_status)
-        self.status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     @abstractmethod
@@ -106,7 +121,7 @@ class ImpairedLink(Node):
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
-        due_ns = min(self.status.deadline_ns, self.freshness.deadline_ns())
+        due_ns = min(self.memory.status_ns, self.freshness.deadline_ns())
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
@@ -129,8 +144,8 @@ class ImpairedLink(Node):
 
     def report_if_due(self, now_ns: int) -> None:
         """Have the next idle gap publish the reports, ten times a second."""
-        if now_ns >= self.status.deadline_ns:
-            self.status.advance(now_ns)
+        if now_ns >= self.memory.status_ns:
+            self.memory.status_ns = deadline_after(self.memory.status_ns, now_ns, STATUS_PERIOD_NS)
             for task in self.report_tasks:
                 self.defer(task)
 
@@ -144,8 +159,8 @@ class ImpairedLink(Node):
             may_report: Whether an idle gap of the loop comes next.
         """
         self.steps += 1
-        self.unreported += 1
-        if self.unreported >= FATES_AT_ONCE and may_report:
+        self.memory.unreported += 1
+        if self.memory.unreported >= FATES_AT_ONCE and may_report:
             for task in self.fate_tasks:
                 self.defer(task)
 
@@ -168,7 +183,7 @@ class ImpairedLink(Node):
 
     def publish_fates(self, way: DirectionPath) -> None:
         """Publish what became of the messages of a direction since the last report."""
-        self.unreported = 0
+        self.memory.unreported = 0
         fates = tuple(_link_fate(fate) for fate in self.take_fates(way))
         for first in range(0, len(fates), _MOST_FATES):
             self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.faces import face
 
 if TYPE_CHECKING:
+    from telenano.settings.afm_disturbances import DisturbanceConfig as DisturbanceConfig
     from telenano.settings.config import Settings as Settings
     from telenano.settings.config import flag_overrides as flag_overrides
     from telenano.settings.config import flatten as flatten
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from telenano.settings.plugins import fault_of_package as fault_of_package
     from telenano.settings.plugins import installed as installed
     from telenano.settings.plugins import load as load
+    from telenano.settings.program_settings import CurveSettings as CurveSettings
+    from telenano.settings.program_settings import ScanSettings as ScanSettings
     from telenano.settings.scenario import LoadedScenario as LoadedScenario
     from telenano.settings.scenario import Scenario as Scenario
 else:

@@ -80,7 +80,7 @@ class NodeBench:
 
 def afm_config(section: Any = None) -> Any:
     """Return the settings of a section `afm_node`, validated; ValueError names what is wrong."""
-    from telenano.afm.config import AfmConfig
+    from telenano.sections.afm_section import AfmConfig
 
     return section if isinstance(section, AfmConfig) else AfmConfig.model_validate(section or {})
 
@@ -104,7 +104,7 @@ def afm_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
 
 def haptic_config(section: Any = None) -> Any:
     """Return the settings of a section `haptic_node`, validated; ValueError names what is wrong."""
-    from telenano.hand.config import HapticConfig
+    from telenano.sections.hand_section import HapticConfig
 
     return section if isinstance(section, HapticConfig) else HapticConfig.model_validate(section or {})
 
@@ -235,10 +235,10 @@ def trial(
         RefusedError: The program refuses its settings.
         TimeoutError: It is not done within most_s.
     """
-    from telenano.afm.config import AfmConfig
     from telenano.extend.programs import Inputs, Instrument
     from telenano.extend.samples import Oscillation
     from telenano.extend.stage import Place, moved
+    from telenano.sections.afm_section import AfmConfig
 
     config = AfmConfig()
     limits, lateral = config.to_params().safety, config.to_lateral_params()

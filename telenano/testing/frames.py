@@ -11,8 +11,8 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.config import ControllerConfig
+from telenano.sections.controller_section import OWN_LAWS as LAWS
+from telenano.sections.controller_section import ControllerConfig
 from telenano.settings.config import flatten
 from telenano.settings.link_settings import LinkSettings
 from telenano.testing.filled_messages import examples, schema_of

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.laws.clamp import ClampConfig, clamped
-from telenano.laws.config import LAWS, ControllerConfig
+from telenano.laws.clamp import clamped
+from telenano.sections.clamp_section import ClampConfig
+from telenano.sections.controller_section import LAWS, ControllerConfig
 
 PERIOD_S = 1e-3
 LOST = -1

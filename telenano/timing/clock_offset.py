@@ -13,9 +13,10 @@ given. A way that becomes longer changes nothing of that. What the line takes no
 exchanges of the last second answer (`telenano.timing.line_present`).
 """
 
-from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
+
+import msgspec
 
 from telenano.timing.clock_line import MOST_DRIFT, Bounds, ClockLine, are_apart
 from telenano.timing.line_present import LinePresent
@@ -60,13 +61,16 @@ class Block(NamedTuple):
         return Block(question[1], question[0], -answer[1], answer[0], self.exchanges + other.exchanges)
 
 
-class OffsetState(NamedTuple):
-    """When the newest exchange was complete [ns], the drift shown last [s/s], the blocks in view, the line now."""
+class OffsetState(msgspec.Struct, array_like=True):
+    """When the newest exchange was complete [ns], the drift shown last [s/s], the blocks in view, the line now.
 
-    newest_ns: int
-    drift: float
-    blocks: list[Block]
-    present: LinePresent | None = None
+    The state of a recording of before may lack the last one.
+    """
+
+    newest_ns: int = 0
+    drift: float = 0.0
+    blocks: list[Block] = msgspec.field(default_factory=list)
+    present: LinePresent = msgspec.field(default_factory=LinePresent)
 
 
 class OffsetFilter:
@@ -76,11 +80,18 @@ class OffsetFilter:
         """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""
         if window < 1:
             raise ValueError(f"window is {window}, must be at least 1 second")
-        self.blocks: deque[Block] = deque(maxlen=window)
-        self.present = LinePresent()
-        self._newest_ns = 0
-        self._drift = 0.0
+        self._window = window
+        self.restore(OffsetState())
+
+    def restore(self, state: OffsetState) -> None:
+        """Continue from a state and work on it."""
+        self.state = state
         self._line: ClockLine | None = None
+
+    @property
+    def present(self) -> LinePresent:
+        """What an exchange takes at least now."""
+        return self.state.present
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> bool:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
@@ -100,16 +111,16 @@ class OffsetFilter:
         if received_ns - sent_ns < back_ns - there_ns:
             return False
         block = Block(sent_ns, there_ns - sent_ns, received_ns, back_ns - received_ns, 1)
-        if self.blocks and self._is_of_another_clock(block):
-            self.blocks.clear()
-            told_ns, self.present = self.present.told_ns, LinePresent()
-            self.present.told_ns = told_ns
+        if self.state.blocks and self._is_of_another_clock(block):
+            self.state.blocks.clear()
+            self.state.present = LinePresent(told_ns=self.present.told_ns)
         self._line = None
-        self._newest_ns = received_ns
-        if self.blocks and self.blocks[-1].answered_ns // BLOCK_NS == received_ns // BLOCK_NS:
-            self.blocks[-1] = self.blocks[-1].joined(block)
+        self.state.newest_ns = received_ns
+        if self.state.blocks and self.state.blocks[-1].answered_ns // BLOCK_NS == received_ns // BLOCK_NS:
+            self.state.blocks[-1] = self.state.blocks[-1].joined(block)
         else:
-            self.blocks.append(block)
+            self.state.blocks.append(block)
+            del self.state.blocks[: -self._window]
         return self.present.record(sent_ns, there_ns, back_ns, received_ns)
 
     def line(self) -> ClockLine | None:
@@ -117,13 +128,12 @@ class OffsetFilter:
 
         Where the other clock has changed its rate, or was set by little, the newest seconds count alone.
         """
-        if self._line is None and self.blocks:
-            self._line = self._fitted(self.blocks)
-            while len(self.blocks) > 1 and (newest := self._newest_apart(self._line)):
-                while len(self.blocks) > newest:
-                    self.blocks.popleft()
-                self._line = self._fitted(self.blocks)
-            self._drift = self._line.drift
+        if self._line is None and self.state.blocks:
+            self._line = self._fitted(self.state.blocks)
+            while len(self.state.blocks) > 1 and (newest := self._newest_apart(self._line)):
+                del self.state.blocks[:-newest]
+                self._line = self._fitted(self.state.blocks)
+            self.state.drift = self._line.drift
         return self._line
 
     def estimate(self) -> Offset | None:
@@ -131,9 +141,9 @@ class OffsetFilter:
         line, present = self.line(), self.present.round_trip()
         if line is None or present is None:
             return None
-        count = sum(block.exchanges for block in self.blocks)
+        count = sum(block.exchanges for block in self.state.blocks)
         uncertainty_s = 0.5 * max(0.0, line.round_trip_ns * 1e-9)
-        offset_s, round_trip_s = line.at(self._newest_ns) * 1e-9, present.now_ns * 1e-9
+        offset_s, round_trip_s = line.at(self.state.newest_ns) * 1e-9, present.now_ns * 1e-9
         return Offset(offset_s, uncertainty_s, round_trip_s, count)
 
     def there_ns(self) -> int | None:
@@ -141,7 +151,7 @@ class OffsetFilter:
         line, there = self.line(), self.present.there
         if line is None or there is None:
             return None
-        return round(there.least_ns + line.drift * (self._newest_ns - there.at_ns))
+        return round(there.least_ns + line.drift * (self.state.newest_ns - there.at_ns))
 
     def report(self, *, of_line: bool = True) -> LinkClock:
         """Return what is known of the other clock, and of a line between two machines how well its round trip is."""
@@ -160,39 +170,29 @@ class OffsetFilter:
             round_trip_since_ns=present.since_ns if of_line else None,
         )
 
-    def capture(self) -> "OffsetState":
-        """Return the state, for `restore`."""
-        return OffsetState(self._newest_ns, self._drift, list(self.blocks), self.present.copy())
-
-    def restore(self, state: "OffsetState") -> None:
-        """Continue from a state."""
-        self._newest_ns, self._drift = state.newest_ns, state.drift
-        self.blocks.extend(state.blocks)
-        self.present = LinePresent() if state.present is None else state.present.copy()
-
     def _is_of_another_clock(self, block: Block) -> bool:
-        last = self.blocks[-1]
+        last = self.state.blocks[-1]
         rise_ns = STEP_NS + MOST_DRIFT * abs(block.answered_ns - last.asked_ns)
         fall_ns = STEP_NS + MOST_DRIFT * abs(block.asked_ns - last.answered_ns)
         return block.low_ns > last.high_ns + rise_ns or block.high_ns < last.low_ns - fall_ns
 
     def _newest_apart(self, whole: ClockLine) -> int:
         """Return how many of the newest seconds are apart from those before; 0 where one line fits all of them."""
-        half = len(self.blocks) // 2
+        half = len(self.state.blocks) // 2
         if whole.round_trip_ns < 0.0:
             return half
         # To try all parts at once would take milliseconds.
         sizes = [_LEAST_PART << n for n in range(half.bit_length()) if _LEAST_PART << n < half] + [half]
-        newest = sizes[self._newest_ns // _TURN_NS % len(sizes)]
-        if min(newest, len(self.blocks) - newest - 1) < _LEAST_PART:
+        newest = sizes[self.state.newest_ns // _TURN_NS % len(sizes)]
+        if min(newest, len(self.state.blocks) - newest - 1) < _LEAST_PART:
             return 0
         # The second before the newest part may have exchanges of both.
-        blocks = list(self.blocks)
+        blocks = list(self.state.blocks)
         parts = [(self._fitted(part), _bounds_of(part)) for part in (blocks[: -newest - 1], blocks[-newest:])]
         return newest if are_apart(whole, parts, _LOOKS) else 0
 
     def _fitted(self, blocks: Iterable[Block]) -> ClockLine:
-        return ClockLine.through(*_bounds_of(blocks), self._drift)
+        return ClockLine.through(*_bounds_of(blocks), self.state.drift)
 
 
 def _bounds_of(blocks: Iterable[Block]) -> Bounds:

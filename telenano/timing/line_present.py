@@ -103,10 +103,6 @@ class Way(msgspec.Struct, array_like=True):
     jumped_ns: int = 0
     newest: list[tuple[int, int]] = msgspec.field(default_factory=list)
 
-    def copy(self) -> "Way":
-        """Return a copy that does not change with this one."""
-        return Way(self.least_ns, self.at_ns, self.since_ns, self.jumped_ns, list(self.newest))
-
     def record(self, sent_ns: int, took_ns: int) -> int:
         """Record a message and what it took; return by how much the way is seen with it to have become longer [ns].
 
@@ -228,11 +224,6 @@ class LinePresent(msgspec.Struct, array_like=True):
         now_ns = max(0, self.there.least_ns + self.back.least_ns)
         low_ns, high_ns = map(sum, zip(self.there.interval(), self.back.interval(), strict=True))
         return RoundTrip(now_ns, max(0, low_ns - _SAME_NS), max(0, high_ns + _SAME_NS), self.since_ns)
-
-    def copy(self) -> "LinePresent":
-        """Return a copy that does not change with this one."""
-        there, back = (None if way is None else way.copy() for way in (self.there, self.back))
-        return LinePresent(there, back, self.since_ns, self.told_ns, list(self.both_ns), self.jumped_ns)
 
     @property
     def is_in_doubt(self) -> bool:

@@ -12,8 +12,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from telenano.afm.config import AfmConfig
-from telenano.hand.config import HapticConfig
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.rig_node import RigNode
@@ -27,6 +25,8 @@ from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.timing.clock import NEVER_NS
 from telenano.virtual.bus import VirtualBus
 from telenano.virtual.rig import Engine

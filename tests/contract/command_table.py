@@ -10,12 +10,12 @@ from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
 from services.player.node import SETTERS, PlayerNode
 from services.recorder.node import ACTIONS, RecorderNode
-from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.programs.settings import InstrumentRequest
-from telenano.hand.disturbances import HandDisturbanceConfig
-from telenano.laws.config import OWN_LAWS, ControllerConfig
 from telenano.runtime.loop.node import Node
+from telenano.sections.controller_section import OWN_LAWS, ControllerConfig
+from telenano.sections.program_requests import InstrumentRequest
+from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.settings.config import flatten, nested
+from telenano.settings.hand_disturbances import HandDisturbanceConfig
 from telenano.settings.link_settings import LinkSettings
 
 SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"

@@ -16,14 +16,14 @@ from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
 from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
-from telenano.laws.config import ControllerConfig
 from telenano.runtime.loop.commands import CommandHandler
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import ControllerConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.config import flatten
 from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telenano.afm.config import AfmConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import TelenanoError
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"

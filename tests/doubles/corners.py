@@ -8,7 +8,7 @@ exception. It prints what was no number, one line each.
 
 import sys
 
-from telenano.laws.law_corners import NotANumberError, check, failures
+from telenano.lockstep.law_corners import NotANumberError, check, failures
 
 __all__ = ["NotANumberError", "check", "failures"]
 

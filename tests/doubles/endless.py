@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
-from telenano.laws.config import LAWS, ControllerConfig
 from telenano.numerics.compiler import compiled, compiled_form
+from telenano.sections.controller_section import LAWS, ControllerConfig
 
 PERIOD_S = 1e-3
 CYCLE_S = 2.0

@@ -10,9 +10,7 @@ import msgspec
 from services.afm_node.node import AfmNode
 from services.haptic_node.node import HapticNode
 from telenano.afm import safety
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.runtime.loop.arming import ARM
 from telenano.runtime.loop.commands import Command, CommandClient
@@ -21,6 +19,8 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.testing import VirtualClock
 from telenano.wire import encode
 from telenano.wire.messages import Message, SessionControl, SessionEvent

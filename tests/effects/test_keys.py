@@ -18,9 +18,9 @@ from key_effects import Leaf, asked_by, bases_of, by_section, effect_of, fits, l
 from pydantic import Field, create_model
 
 from services.afm_node import __main__ as afm_node
-from telenano.afm.config import AfmConfig
-from telenano.afm.section_config import FrictionConfig
 from telenano.launcher.scenario_keys import scenario_schema
+from telenano.sections.afm_parts import FrictionConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import merge
 
 SEED = 93

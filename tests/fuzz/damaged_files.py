@@ -212,7 +212,7 @@ WRITE: dict[str, Callable[[Path], Any]] = {
 
 
 def _read_map(path: Path) -> None:
-    from telenano.afm.sample.surface_files import read_surface
+    from telenano.sections.surface_files import read_surface
 
     surface = read_surface(path, size_m=1e-7 if path.suffix == ".npy" else None)
     assert np.isfinite(surface.height_m).all()

@@ -29,7 +29,7 @@ from telenano_devices.touch.hd_device import HdConfig
 from telenano.devices.hand import wire
 from telenano.extend.hands import MODE_POSITION, DeviceError, DriveCommand
 from telenano.extend.instruments import DeviceError as InstrumentError
-from telenano.hand.config import HapticConfig
+from telenano.sections.hand_section import HapticConfig
 
 REALS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 0.0, -1.0, 2.0**63)
 TICKS = 120

@@ -26,14 +26,11 @@ from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.session import SessionNode
 from telenano.launcher.supervisor import Supervisor
-from telenano.laws.config import OWN_LAWS, ControllerConfig
 from telenano.recording.channel_filter import Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
@@ -44,6 +41,9 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import OWN_LAWS, ControllerConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.testing.frames import Frames, stream

@@ -310,7 +310,7 @@ def test_much_damage_leads_to_no_traceback(tmp_path: Path, name: str, seed: int)
 
 
 def test_the_files_are_whole_before_they_are_damaged(tmp_path: Path) -> None:
-    from telenano.afm.sample.surface_files import read_surface
+    from telenano.sections.surface_files import read_surface
 
     for name in ("map.gwy", "map.gsf", "map.ibw"):
         if name.endswith("ibw"):

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from telenano.laws.config import KNOWN_LAWS
+from telenano.sections.controller_section import KNOWN_LAWS
 from telenano.virtual import LINK_ENDPOINT, LINK_NODE, Timing, VirtualRig
 from telenano.wire import Message
 

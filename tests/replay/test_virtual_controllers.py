@@ -13,8 +13,8 @@ from telenano_devices.nanonis.nanonis_calibration import NanonisCalibration
 from telenano_devices.nanonis.nanonis_driver import NanonisAfm
 
 import services.afm_node.__main__ as afm
-from telenano.afm.config import AfmConfig
 from telenano.devices.afm.instrument import driver_of
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings import find_scenario
 from telenano.settings.config import validate
 from telenano.virtual import Timing, VirtualRig

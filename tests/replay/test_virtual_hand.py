@@ -5,9 +5,9 @@ import pytest
 import yaml
 from lateral_hand import FIXTURES, PARTICLE_M, LatePage, Pushed, push_by_hand, scenario
 
-from telenano.laws.config import ControllerConfig
 from telenano.lockstep import lockstep
 from telenano.lockstep.simulation import SimulatedSession
+from telenano.sections.controller_section import ControllerConfig
 from telenano.settings.config import merge, nested
 
 DELAYED = tuple(f"delay_node.{way}.delay_s=0.1" for way in ("forward", "backward"))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_traces
 
-from telenano.laws.config import LAWS
+from telenano.sections.controller_section import LAWS
 from telenano.settings.link_settings import Impairment
 from telenano.virtual import ARMED_S, STARTED_S, Timing, VirtualRig
 

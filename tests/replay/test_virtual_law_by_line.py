@@ -8,8 +8,8 @@ from telenano_laws import by_line
 from telenano_laws.by_line import HAND, MASTER, SLAVE, TIP, Candidate, Policy
 from telenano_laws.by_line_command import carry_out
 
-from telenano.laws import ControllerConfig
 from telenano.runtime import Command
+from telenano.sections import ControllerConfig
 from telenano.virtual import VirtualRig
 
 WATCHED = (("law/status", MASTER), ("node/health", MASTER), ("node/health", SLAVE), ("haptic/state", HAND))

@@ -42,9 +42,9 @@ from services.controller.slave_half import SlaveController
 from services.haptic_node.node import HapticNode
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS
-from telenano.laws.config import LAWS, ControllerConfig
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.trajectory import Trajectory
+from telenano.sections.controller_section import LAWS, ControllerConfig
 from telenano.virtual import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 from telenano.wire import Message, encode
 from telenano.wire.messages import AfmCommand, SessionControl, TeleopForward

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from reset_rig import HAND, MASTER_HALF, SLAVE_HALF, STILL_M, TIP, ResetRig
 
-from telenano.laws.config import LAWS
+from telenano.sections.controller_section import LAWS
 
 # The base is withdrawn to there [m], and goes back at this speed where no other is stated [m/s].
 AWAY_M, SPEED_M_PER_S = -100e-9, 50e-9

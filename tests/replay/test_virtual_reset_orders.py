@@ -10,7 +10,7 @@ from contextlib import closing
 import pytest
 from reset_rig import HAND, MASTER_HALF, SLAVE_HALF, TIP, ResetRig
 
-from telenano.laws.config import LAWS
+from telenano.sections.controller_section import LAWS
 from telenano.virtual import LINK_NODE
 
 # The orders of one rig, which begins with the state that the one before has left.

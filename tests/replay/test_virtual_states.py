@@ -20,7 +20,6 @@ from services.controller import __main__ as controller
 from services.controller import half
 from services.delay_node import __main__ as delay
 from services.haptic_node import __main__ as haptic
-from telenano.afm.config import AfmConfig
 from telenano.afm.sample_models import register_sample
 from telenano.afm.sim import SimulatedInstrument
 from telenano.extend.samples import AfmSample, PlantInputs, SampleModel
@@ -29,6 +28,7 @@ from telenano.recording.reader import RawMessage, Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.rerun.rerun import rerun
 from telenano.runtime.loop import journal
+from telenano.sections.afm_section import AfmConfig
 from telenano.virtual import LINK_NODE, NODES, VirtualRig, record_session
 from telenano.wire.errors import RecordingError
 from telenano.wire.node_state import pack, restore

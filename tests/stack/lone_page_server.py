@@ -9,8 +9,9 @@ import uvicorn
 from made_source import MadeSource
 
 from services.viz_node import server
+from services.viz_node.command_desk import Commander
 from services.viz_node.feed import Seen
-from services.viz_node.hub import Commander, Hub
+from services.viz_node.hub import Hub
 from telenano.serving.access import Access
 
 # Takes the force down [N] and across [N, N].

@@ -15,9 +15,9 @@ import yaml
 from emulated_controllers import PATIENCE_S, Gwyscope, Nanonis
 from stack_rig import Rig, judged
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.sample.surface_files import read_surface
 from telenano.recording.reader import Recording
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.surface_files import read_surface
 from telenano.testing import free_ports
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]

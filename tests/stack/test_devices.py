@@ -20,8 +20,8 @@ from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.analysis.modes import fitted
 from telenano.devices.afm.modbus_frames import Conversation
-from telenano.laws.config import ControllerConfig
 from telenano.recording.reader import Recording
+from telenano.sections.controller_section import ControllerConfig
 
 pytestmark = pytest.mark.endurance
 

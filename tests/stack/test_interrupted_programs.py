@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from stack_rig import Rig
 
-from telenano.afm.sample.surface_files import read_surface
+from telenano.sections.surface_files import read_surface
 
 pytestmark = pytest.mark.stack
 SCAN = ("scan", "--live", "--json", "--pixels", "16", "--size", "60", "--lines")

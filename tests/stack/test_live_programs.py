@@ -9,12 +9,12 @@ import numpy.typing as npt
 import pytest
 from stack_rig import Rig, held_up, judged
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.sample.surface import Surface
-from telenano.afm.sample.surface_files import read_surface
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.surface_files import read_surface
 from telenano.wire.messages import AfmState
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]

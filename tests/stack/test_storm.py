@@ -18,8 +18,8 @@ import pytest
 from stack_rig import PATIENCE_S, Rig
 from storm import HAND, NODES, RECORDER, check_gaps, check_parts, disturb, parts, plan, start_of, steps, verdicts_of
 
-from telenano.afm.section_config import SafetyConfig
 from telenano.recording.reader import Recording
+from telenano.sections.afm_parts import SafetyConfig
 
 KILL, TERM, STOP = signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP
 KILLS = int(os.environ.get("TELENANO_STORM_KILLS", "60"))

@@ -17,7 +17,7 @@ from scanned_image import LINE_NS, POINTS, SIZE_M, heights_m, scanned
 from stack_rig import Rig
 
 from telenano.afm.sample.surface import Surface
-from telenano.afm.sample.surface_files import read_surface
+from telenano.sections.surface_files import read_surface
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

@@ -12,9 +12,7 @@ import telenano
 from telenano.faces import names_of
 
 LIBRARY = Path(telenano.__path__[0])
-FACES = sorted(
-    path.parent.name for path in LIBRARY.glob("*/__init__.py") if "face(__name__)" in path.read_text("utf-8")
-)
+FACES = sorted(path.parent.name for path in LIBRARY.glob("*/__init__.py") if "import face" in path.read_text("utf-8"))
 
 
 def text_of(room: str) -> str:
@@ -36,6 +34,22 @@ def test_every_name_of_a_face_is_there_and_is_listed_once(room: str) -> None:
         assert module.startswith(f"telenano.{room}."), f"{name} belongs to another room"
         assert getattr(package, name) is getattr(importlib.import_module(module), name)
     assert set(names) <= set(dir(package))
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "names"),
+    [
+        ("afm", "sections", "AfmConfig AfmControllerConfig SAMPLES SampleConfig read_surface"),
+        ("afm", "settings", "CurveSettings DisturbanceConfig ScanSettings"),
+        ("hand", "sections", "ARMS HapticConfig LateralPath LimitsConfig"),
+        ("laws", "sections", "ControllerConfig LAWS OWN_LAWS changed_config late_periods"),
+    ],
+)
+def test_a_package_of_before_finds_a_name_where_it_was(before: str, now: str, names: str) -> None:
+    old, new = (importlib.import_module(f"telenano.{room}") for room in (before, now))
+    for name in names.split():
+        assert getattr(old, name) is getattr(new, name)
+        assert name not in dir(old)
 
 
 def test_a_name_that_is_not_listed_is_refused_as_python_refuses_it() -> None:

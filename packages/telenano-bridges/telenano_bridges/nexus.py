@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 from telenano_lab.microscopy.image_files import Image, ImageFacts, LiveImage, images_of_lines
 
-from telenano.afm import AfmConfig
 from telenano.files import atomic_file
 from telenano.recording import CopyResult, Recording, Selection, Timeline, last_force_profile
+from telenano.sections import AfmConfig
 from telenano.settings import LoadedScenario, validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 

@@ -48,7 +48,7 @@ def calibrate_handle(
     """
     with report_errors(as_json=False):
         from telenano.devices import SerialHandle
-        from telenano.hand import LimitsConfig
+        from telenano.sections import LimitsConfig
         from telenano_devices.handle.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
         from telenano_devices.line_fit import fit_line
 

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from telenano.laws import ControllerConfig
+from telenano.sections import ControllerConfig
 
 # The two halves of the law, and the nodes of the hand and of the tip.
 MASTER = "controller@master"

@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
-from telenano.afm import AfmConfig
 from telenano.cli import DurationOption, SiteFileOption, report_errors, section_of
 from telenano.console import live_rig, send_control
-from telenano.laws import ControllerConfig
 from telenano.runtime import Command
+from telenano.sections import AfmConfig, ControllerConfig
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError, TelenanoError
 from telenano_laws.by_line import CANDIDATES, MASTER, TOPICS, Decision, Policy, facts_of

@@ -3,7 +3,7 @@
 import pytest
 
 from telenano.extend.laws import NO_SIGNAL, NO_TIP
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 from telenano.testing import ADVERSE, EVERYTHING, balance, drawn, worst_balances
 
 OWN = ("bounded_model", "matched_wave", "tdpa", "two_layer")

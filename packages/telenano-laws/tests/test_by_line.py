@@ -25,8 +25,8 @@ from telenano_laws.by_line import (
 )
 from telenano_laws.by_line_command import carry_out, policy_of
 
-from telenano.laws import ControllerConfig
 from telenano.runtime import Command
+from telenano.sections import ControllerConfig
 from telenano.wire import ConfigError, TelenanoError
 
 EVEN = Line(0.02, 0.02, 0.021, 0.021, 0.001, 0.0, 10.0)

@@ -9,7 +9,7 @@ import pytest
 from telenano_laws.drift import Drift, drifted, error_of, no_drift
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 
 SCALE, PERIOD_S = 1.5e-6, 2e-3
 

@@ -25,8 +25,9 @@ from telenano_laws.surface import (
     unknown,
 )
 
-from telenano.afm import AfmConfig, branch_force
+from telenano.afm import branch_force
 from telenano.numerics import compiled_form
+from telenano.sections import AfmConfig
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm

@@ -2,24 +2,13 @@
 
 from typing import NamedTuple
 
-from pydantic import Field
-
-from telenano.extend.programs import Begun, Force, Inputs, Instrument, Program, ProgramSettings, Progress, Speed, Wanted
+from telenano.extend.programs import Begun, Inputs, Instrument, Program, Progress, Wanted
 from telenano.extend.stage import Place
+from telenano.settings.program_settings import CurveSettings
 from telenano.wire.errors import RefusedError
 
 # phases, in order
 RISE, DOWN, UP, DONE = range(4)
-
-
-class CurveSettings(ProgramSettings):
-    """A force curve where the tip is."""
-
-    start_m: float = Field(
-        20e-9, ge=1e-12, le=1e-3, description="Way above the rest point at which it begins and ends [m]."
-    )
-    load_n: Force = Field(20e-9, description="Force at which it turns [N].")
-    speed_m_per_s: Speed = Field(50e-9, description="Speed of the base [m/s].")
 
 
 class CurvePlan(NamedTuple):

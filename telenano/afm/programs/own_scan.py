@@ -6,10 +6,10 @@ the force as ever; whatever ends the image withdraws the tip.
 
 from typing import NamedTuple
 
-from telenano.afm.programs.scan import ScanSettings
 from telenano.extend.instruments import OwnImage, OwnLine
 from telenano.extend.programs import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
 from telenano.extend.stage import Place
+from telenano.settings.program_settings import ScanSettings
 from telenano.wire.errors import RefusedError
 
 RISE, IMAGE, DONE = range(3)

@@ -1,13 +1,11 @@
 """Runs the programs of the instrument: one at a time, behind the guard, until all is done or something ends it."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 from telenano.afm import safety
 from telenano.afm.programs.own_scan import OWN_SCAN
-from telenano.afm.programs.settings import InstrumentRequest
-from telenano.afm.programs.table import PROGRAMS, AnyProgram
-from telenano.extend.programs import Inputs, Instrument, Wanted
+from telenano.extend.programs import AnyProgram, Inputs, Instrument, Wanted
 from telenano.extend.stage import Place
 from telenano.wire.errors import RefusedError
 from telenano.wire.instrument import MOST_TEXT
@@ -20,6 +18,16 @@ _NOT_READY = {
     safety.MODE_RETRACTING: "the tip is still retracting",
     safety.MODE_ESTOP: "the emergency stop is latched: arm the AFM first",
 }
+
+
+class ProgramRequest(Protocol):
+    """What `set` asks of a program, and the section of each."""
+
+    @property
+    def program(self) -> str | None: ...
+
+    def settings_of(self, program: str) -> Any:
+        """Return the section of a program."""
 
 
 class Asked(NamedTuple):
@@ -61,10 +69,10 @@ class ProgramRunner:
     `name` is that of the program, empty while there is none; its plan and its state are what the program made of them.
     """
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: Instrument, programs: Mapping[str, AnyProgram]) -> None:
         self.name = ""
         self.state: RunState = "finished"
-        self._instrument = instrument
+        self._instrument, self._table = instrument, programs
         self._plan: Any = None
         self._reached: Any = None
         self._aborted, self._notice = "", ""
@@ -81,7 +89,7 @@ class ProgramRunner:
             kind, kind_reached = self._program.kinds()
             self._plan, self._reached = plan.of_kind(kind), reached.of_kind(kind_reached)
 
-    def request(self, request: InstrumentRequest, mode: int, place: Place, *, device_lost: bool) -> str:
+    def request(self, request: ProgramRequest, mode: int, place: Place, *, device_lost: bool) -> str:
         """Begin a program, or change the one that runs; return a sentence. RefusedError says why not.
 
         Args:
@@ -91,7 +99,7 @@ class ProgramRunner:
             device_lost: Whether the device is lost.
         """
         wanted = request.program
-        if wanted in PROGRAMS:
+        if wanted is not None and wanted in self._table:
             if self.name:
                 raise RefusedError(f"program: a {self.name} is running; abort it first")
             if reason := "the instrument is lost" if device_lost else _NOT_READY.get(mode, ""):
@@ -173,7 +181,7 @@ class ProgramRunner:
         return self._program_of(self.name)
 
     def _program_of(self, name: str) -> AnyProgram:
-        return OWN_SCAN if name == "scan" and self._instrument.scans else PROGRAMS[name]
+        return OWN_SCAN if name == "scan" and self._instrument.scans else self._table[name]
 
     @property
     def _label(self) -> str:

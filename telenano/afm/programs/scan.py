@@ -7,29 +7,24 @@ Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from telenano.extend.feedback import carried_out, feedback_step, gain_fault, integral_share
 from telenano.extend.programs import (
     Begun,
     FinishedLine,
-    Force,
     Inputs,
     Instrument,
-    Length,
-    Position,
     Program,
-    ProgramSettings,
     Progress,
-    Speed,
     Wanted,
     Way,
 )
 from telenano.extend.stage import LateralParams, Place, moved
+from telenano.settings.program_settings import ScanSettings
 from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]
@@ -38,34 +33,6 @@ Array = npt.NDArray[np.float64]
 SETTLE, LINES, DONE = range(Way.ARRIVED, Way.ARRIVED + 3)
 # The names of the gains as the user knows them, by `set`, in a scenario, or on the command line.
 GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
-
-
-class ScanSettings(ProgramSettings):
-    """An image with a constant force, or with a constant amplitude of a vibrating tip."""
-
-    mode: Literal["contact", "tapping"] = Field(
-        "contact",
-        description="contact: the force is held; tapping: the amplitude, which needs afm_node.model dynamic.",
-    )
-    width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
-    depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
-    x_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
-    y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
-    pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line.")
-    lines: int = Field(64, ge=1, le=4096, description="Lines of the image.")
-    dwell_s: float = Field(4e-3, gt=0.0, le=10.0, description="Time on each pixel, each way [s].")
-    setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
-    amplitude_m: float = Field(20e-9, ge=1e-12, le=1e-3, description="Amplitude without a sample, in tapping mode [m].")
-    setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of that amplitude that is held.")
-    gain_per_s: float = Field(400.0, gt=0.0, le=1e7, description="Integral gain of the feedback [1/s].")
-    proportional: float = Field(0.0, ge=0.0, le=100.0, description="Proportional gain of the feedback, no unit.")
-    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
-    settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")
-
-    @property
-    def free_amplitude_m(self) -> float:
-        """Return the amplitude without a sample [m]; 0 in contact mode."""
-        return self.amplitude_m if self.mode == "tapping" else 0.0
 
 
 class ScanPlan(NamedTuple):

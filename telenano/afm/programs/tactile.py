@@ -8,26 +8,20 @@ and the stage goes no faster. The base stands, so that the deflection is the hei
 """
 
 import math
-from typing import Literal, NamedTuple
-
-from pydantic import Field
+from typing import NamedTuple
 
 from telenano.extend.feedback import gain_fault, integral_share
 from telenano.extend.programs import (
     Begun,
-    Force,
     Inputs,
     Instrument,
-    Length,
-    Position,
     Program,
-    ProgramSettings,
     Progress,
-    Speed,
     Wanted,
     Way,
 )
 from telenano.extend.stage import LateralParams, Place, moved
+from telenano.settings.program_settings import TactileSettings
 from telenano.wire.errors import RefusedError
 
 # These phases come after the way to the surface.
@@ -35,36 +29,6 @@ FEEL = Way.ARRIVED
 DONE = Way.ARRIVED + 1
 # The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
-
-
-class TactileSettings(ProgramSettings):
-    """A path that a hand feels."""
-
-    drive: Literal["line", "pointer"] = Field(
-        "line", description="line: from x0, y0 to x1, y1; pointer: wherever lateral.x_m and lateral.y_m lead."
-    )
-    x0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
-    y0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
-    x1_m: Position | None = Field(None, description="End of the line [m]; default: half the sample further.")
-    y1_m: Position | None = Field(None, description="End of the line [m]; default: as y0_m.")
-    speed_m_per_s: Speed = Field(30e-9, description="Speed of the tip [m/s], limited by the two below (Eq. 14).")
-    feature_m: Length = Field(1e-9, description="Least length of a feature that is to be felt, dL [m].")
-    bandwidth_hz: float = Field(30.0, gt=0.0, le=1e5, description="Bandwidth of the operator's device, f_m [Hz].")
-    setpoint_n: Force = Field(5e-9, description="Force with which the tip touches the first point [N].")
-    hold: Literal["height", "force"] = Field(
-        "height", description="height: the base stands, the deflection is the height; force: a feedback holds it."
-    )
-    gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of that feedback [1/s].")
-    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
-
-    @property
-    def felt_speed_m_per_s(self) -> float:
-        """The fastest motion of the tip at which its features are felt [m/s] (Eq. 14).
-
-        >>> round(TactileSettings(feature_m=1e-9, bandwidth_hz=30.0).felt_speed_m_per_s * 1e9, 9)  # nm/s
-        30.0
-        """
-        return self.feature_m * self.bandwidth_hz
 
 
 class TactilePlan(NamedTuple):

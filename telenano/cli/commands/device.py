@@ -68,9 +68,9 @@ def package_rows() -> list[dict[str, Any]]:
     Of an installed one that is what a check of `telenano doctor` with the name of the driver found; the project's own
     that are not installed have the command that adds them.
     """
-    from telenano.afm.config import DRIVERS as INSTRUMENTS
     from telenano.cli.commands.doctor import checks_of_packages
-    from telenano.hand.config import DRIVERS as HANDLES
+    from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
+    from telenano.sections.hand_section import DRIVERS as HANDLES
 
     handles, instruments = HANDLES.all(), INSTRUMENTS.all()
     drivers, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}

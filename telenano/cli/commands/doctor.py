@@ -67,8 +67,8 @@ def doctor(
 
 def compile_models(*, as_json: bool) -> None:
     """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
-    from telenano.laws.config import KNOWN_LAWS
     from telenano.lockstep.simulation import compile_scenario
+    from telenano.sections.controller_section import KNOWN_LAWS
 
     if importlib.util.find_spec("numba") is None:
         raise ConfigError(f"numba is not installed, and nothing can be compiled: {how_to_install(extra_of('numba'))}")
@@ -152,9 +152,9 @@ def extensions() -> list[Finding]:
     rows = all_installed()
     if not rows:
         return []
-    from telenano.afm.config import DRIVERS as INSTRUMENTS
-    from telenano.hand.config import DRIVERS as HANDLES
     from telenano.runtime.wiring.main import node_kind
+    from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
+    from telenano.sections.hand_section import DRIVERS as HANDLES
     from telenano.wire.nodes import SERVICES
 
     for name in SERVICES:

@@ -22,7 +22,7 @@ LawArgument = Annotated[
 def list_laws(as_json: JsonOption = False) -> None:
     """List the laws, those of installed packages included, and what keeps one from being used."""
     with report_errors(as_json):
-        from telenano.laws.config import LAWS, PACKAGE_LAWS
+        from telenano.sections.controller_section import LAWS, PACKAGE_LAWS
 
         rows = [{"law": name, **_origin(name), "about": _about(law)} for name, law in LAWS.items()]
         problems = dict(PACKAGE_LAWS.problems)
@@ -38,7 +38,7 @@ def list_laws(as_json: JsonOption = False) -> None:
 def show(law: LawArgument, as_json: JsonOption = False) -> None:
     """Show what a law is, and its parameters with default, range and unit."""
     with report_errors(as_json):
-        from telenano.laws.config import LAWS
+        from telenano.sections.controller_section import LAWS
 
         row = LAWS[law]
         properties: dict[str, Any] = row.config.model_json_schema()["properties"]
@@ -70,8 +70,8 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from telenano.laws.config import LAWS, ControllerConfig
-        from telenano.laws.law_rules import LATE_PERIODS, broken_rules
+        from telenano.lockstep.law_rules import LATE_PERIODS, broken_rules
+        from telenano.sections.controller_section import LAWS, ControllerConfig
 
         law = LAWS[law].name
         if not as_json:
@@ -106,7 +106,7 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
 
 
 def _origin(name: str) -> dict[str, str]:
-    from telenano.laws.config import OWN_LAWS
+    from telenano.sections.controller_section import OWN_LAWS
     from telenano.settings.plugins import installed
 
     if name in OWN_LAWS:

@@ -8,8 +8,8 @@ says of itself whether it closes a loop (`Law.link_loop`), so no law is known he
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from telenano.afm.config import DRIVERS
-from telenano.afm.programs.table import PROGRAMS
+from telenano.sections.afm_section import DRIVERS
+from telenano.sections.program_table import PROGRAMS
 
 # A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
 LEAST_LOOP_HZ = 200.0

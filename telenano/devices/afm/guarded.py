@@ -11,18 +11,19 @@ from typing import Any, cast
 import msgspec
 
 from telenano.afm import safety
-from telenano.afm.config import AfmConfig
-from telenano.afm.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
+from telenano.afm.felt import LEFT, FeltInputs, FeltState, felt_step
 from telenano.afm.layers import Layer
-from telenano.afm.made_samples import layers_on
 from telenano.afm.programs.runner import ProgramRunner
-from telenano.afm.section_config import FrictionConfig
 from telenano.extend.instruments import AfmDriver, AfmReport, LateralStage, OwnScan, SafetyParams, Simulation
 from telenano.extend.programs import FinishedLine, Inputs, Wanted
 from telenano.extend.samples import AfmSample, Oscillation
 from telenano.extend.stage import LateralParams, Place, moved
 from telenano.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from telenano.runtime.loop.node import Node
+from telenano.sections.afm_parts import FrictionConfig
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.feel_section import FeelConfig
+from telenano.sections.sample_section import layers_on
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, Array
 

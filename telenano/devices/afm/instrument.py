@@ -5,13 +5,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from telenano.afm.config import DRIVERS, SAMPLES, AfmConfig
-from telenano.afm.made_samples import layers_on
 from telenano.afm.programs.reach import Reach
 from telenano.afm.programs.runner import ProgramRunner
-from telenano.afm.programs.settings import LateralTarget
 from telenano.afm.sample.surface import Surface
-from telenano.afm.section_config import ModbusConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.afm.step import AfmParams
 from telenano.extend.feedback import remaining
@@ -19,6 +15,11 @@ from telenano.extend.instruments import AfmDriver, SafetyParams
 from telenano.extend.programs import Instrument
 from telenano.extend.stage import Place
 from telenano.runtime.loop.node import LOOP_PERIOD_S
+from telenano.sections.afm_parts import ModbusConfig
+from telenano.sections.afm_section import DRIVERS, SAMPLES, AfmConfig
+from telenano.sections.program_requests import LateralTarget
+from telenano.sections.program_table import PROGRAMS
+from telenano.sections.sample_section import layers_on
 from telenano.settings.config import read_yaml, validate
 from telenano.settings.device_drivers import DeviceDriver
 from telenano.settings.known_packages import where_it_is
@@ -209,4 +210,4 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
         lateral_uncertainty=config.torsion.gain_uncertainty,
         scans=hasattr(driver, "own_scan"),
     )
-    return ProgramRunner(instrument)
+    return ProgramRunner(instrument, PROGRAMS)

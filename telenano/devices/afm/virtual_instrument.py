@@ -9,14 +9,14 @@ instrument.outcome.state                       # "finished"
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.programs.runner import Report
-from telenano.afm.programs.settings import requested
 from telenano.afm.safety import ACTION_RETRACT, MODE_RETRACTING, initial_safety_state
 from telenano.devices.afm.guarded import AfmMemory, AfmPart, GuardedInstrument, Stage, Step, line_fields
 from telenano.devices.afm.instrument import driver_of, reach_of, runner_of
 from telenano.extend.instruments import Simulation
 from telenano.extend.programs import Wanted
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.program_requests import requested
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AwareDatetime, Field, model_validator
 
 from telenano.devices.hand import wire
-from telenano.hand.config import LimitsConfig
+from telenano.sections.hand_section import LimitsConfig
 from telenano.settings.config import Settings
 
 _COUNT_LIMIT = 2**31 - 1

@@ -26,7 +26,7 @@ from telenano.extend.hands import (
     HapticReport,
     Status,
 )
-from telenano.hand.config import LimitsConfig
+from telenano.sections.hand_section import LimitsConfig
 from telenano.wire.errors import cause
 
 _MS = 1_000_000

@@ -34,6 +34,11 @@ def _quantile(ordered: npt.NDArray[np.float64], share: float) -> float:
     return low + (place - i) * (high - low)
 
 
+def deadline_after(deadline_ns: int, now_ns: int, period_ns: int) -> int:
+    """Return the next deadline of a grid [ns] after one that is due, without those missed by a period or more."""
+    return deadline_ns + (max(0, now_ns - deadline_ns) // period_ns + 1) * period_ns
+
+
 class PeriodicDeadline:
     """A grid of absolute deadlines: a late step does not move later ones; missed deadlines are skipped and counted."""
 
@@ -50,7 +55,7 @@ class PeriodicDeadline:
         Returns:
             The periods since the last step, 1 unless deadlines were missed.
         """
-        missed = max(0, now_ns - self.deadline_ns) // self.period_ns
-        self.overruns += missed
-        self.deadline_ns += (missed + 1) * self.period_ns
-        return missed + 1
+        before_ns, self.deadline_ns = self.deadline_ns, deadline_after(self.deadline_ns, now_ns, self.period_ns)
+        periods = (self.deadline_ns - before_ns) // self.period_ns
+        self.overruns += periods - 1
+        return periods

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from telenano.cli import JsonOption, print_json, report_errors
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 from telenano.testing.law_balance.balance import Balance, states_passivity, worst_balances
 from telenano.testing.law_balance.balance_draws import ALL_KINDS
 from telenano.wire import ConfigError, TelenanoError

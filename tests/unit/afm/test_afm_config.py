@@ -3,9 +3,9 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.section_config import CantileverConfig, SafetyConfig, TipSampleConfig
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.sections.afm_parts import CantileverConfig, SafetyConfig, TipSampleConfig
+from telenano.sections.afm_section import AfmConfig
 
 
 def walk(model):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import DisturbanceConfig
 from telenano.afm.sample.surface import height_at
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
+from telenano.sections.afm_section import AfmConfig
+from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.settings.config import validate
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, RefusedError

@@ -11,13 +11,13 @@ from telenano_lab.microscopy.image_files import Image, write_gsf
 from test_afm_programs import QUICK, Imager
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
-from telenano.afm.made_samples import SampleConfig
 from telenano.afm.programs.reach import Reach
 from telenano.afm.sample.surface import Surface, checked, plane_levelled
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.extend.programs import Span, approach_limit_s
 from telenano.extend.stage import Place
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.sample_section import SampleConfig
 from telenano.wire.errors import RefusedError
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"

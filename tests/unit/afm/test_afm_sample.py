@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from telenano_lab.microscopy.image_files import Image, write_gsf
 
-from telenano.afm.made_samples import SampleConfig
-from telenano.afm.sample.surface_files import read_surface
+from telenano.sections.sample_section import SampleConfig
+from telenano.sections.surface_files import read_surface
 from telenano.wire.errors import ConfigError
 
 HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (7, 11)).astype(np.float32).astype(float)

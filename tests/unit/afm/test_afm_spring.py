@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from telenano.afm.config import AfmConfig
-from telenano.afm.section_config import SafetyConfig, SpringConfig
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.spring import spring_force, spring_params
 from telenano.afm.step import AfmInputs, initial_afm_state, step
+from telenano.sections.afm_parts import SafetyConfig, SpringConfig
+from telenano.sections.afm_section import AfmConfig
 
 CONFIG = AfmConfig(environment="spring", spring=SpringConfig(stiffness_n_per_m=38.0, rest_position_m=1e-9))
 PARAMS = CONFIG.to_spring_params()

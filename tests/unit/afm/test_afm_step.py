@@ -6,12 +6,12 @@ import pytest
 from telenano.afm import safety
 from telenano.afm.cantilever import initial_state
 from telenano.afm.cantilever import step as measure
-from telenano.afm.config import AfmConfig
 from telenano.afm.part import inputs_at
 from telenano.afm.safety import SafetyInputs, initial_safety_state, safety_step
 from telenano.afm.sim import simulated_afm
 from telenano.afm.step import AfmInputs, initial_afm_state, step
 from telenano.extend.samples import AfmSample
+from telenano.sections.afm_section import AfmConfig
 
 DT = 1e-3
 

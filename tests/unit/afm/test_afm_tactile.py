@@ -7,8 +7,8 @@ import pytest
 from test_afm_programs import Imager
 
 from telenano.extend.laws import HandSample, TipMeasurement
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
 from telenano.laws.tactile import impedance_scaled
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 from telenano.wire.errors import RefusedError
 
 SECTION = {

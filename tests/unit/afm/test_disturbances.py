@@ -11,8 +11,7 @@ import pytest
 from scipy import signal
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig, noise_start, noise_step
+from telenano.afm.disturbances import BOLTZMANN_J_PER_K, noise_start, noise_step
 from telenano.afm.disturbed import (
     converted_v,
     converter_params,
@@ -25,6 +24,8 @@ from telenano.afm.disturbed import (
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.devices.afm.instrument import driver_of
 from telenano.numerics.normal_numbers import normal_number
+from telenano.sections.afm_section import AfmConfig
+from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.node_state import pack, restore
 
@@ -312,7 +313,8 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
 
 VIBRATION = """
 import hashlib
-from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
+from telenano.afm.disturbances import noise_start, noise_step
+from telenano.settings.afm_disturbances import DisturbanceConfig
 config = DisturbanceConfig.model_validate({"vibration": {"enabled": True}})
 state, digest = noise_start(), hashlib.sha256()
 for _ in range(2000):

@@ -7,12 +7,12 @@ import pytest
 from instrument_theory import drive_work_j
 
 from telenano.afm.cantilever import equilibrium, initial_state
-from telenano.afm.config import AfmConfig
 from telenano.afm.contact.force_grid import build_force_grid, grid_force
 from telenano.afm.contact.tip_sample import branch_force
 from telenano.afm.dynamic import NO_NOISE, DynamicState, advance, free_amplitude_m, steady_state
 from telenano.afm.dynamic_plant import BOLTZMANN_J_PER_K, KICKS_PER_PERIOD, NORMALS_PER_PERIOD, Damping, build_dynamic
 from telenano.numerics.compiler import compiled, compiled_form
+from telenano.sections.afm_section import AfmConfig
 
 CONFIG = AfmConfig()
 PLANT = CONFIG.to_params().plant

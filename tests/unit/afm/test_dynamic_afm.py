@@ -8,13 +8,14 @@ from instrument_theory import drive_work_j
 from pydantic import ValidationError
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
-from telenano.afm.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
+from telenano.afm.disturbances import BOLTZMANN_J_PER_K
 from telenano.afm.dynamic import free_amplitude_m
 from telenano.afm.safety import MODE_ESTOP, MODE_FOLLOW, MODE_RETRACTED, MODE_RETRACTING
 from telenano.afm.sample.surface import height_at
 from telenano.afm.sim import SimulatedInstrument, simulated_afm
 from telenano.devices.afm.instrument import dynamic_afm
+from telenano.sections.afm_section import AfmConfig
+from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.node_state import pack, restore
 

@@ -6,16 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.contact.electrostatic import (
     VACUUM_PERMITTIVITY_F_PER_M,
     electrostatic_force_n,
     electrostatic_strength_n_m2,
 )
 from telenano.afm.contact.lennard_jones import contact_distance_m, lennard_jones_force
-from telenano.afm.disturbances import DisturbanceConfig, noise_start, noise_step
+from telenano.afm.disturbances import noise_start, noise_step
 from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.instrument import dynamic_afm
+from telenano.sections.afm_section import AfmConfig
+from telenano.settings.afm_disturbances import DisturbanceConfig
 
 R = 10e-9
 

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
+from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, Felt, FeltInputs, FeltState, felt_step
 from telenano.extend.stage import Place
+from telenano.sections.feel_section import FeelConfig
 
 HERE = Place(0.0, 0.0)
 # `frequency_shift_hz` falls to its minimum of -8 Hz at 0.4 nm

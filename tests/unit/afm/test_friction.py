@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from test_afm_programs import SOFT, Imager, parameters
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.contact.friction import FrictionParams, FrictionState, adhesion_n, friction_step
 from telenano.afm.sample.surface import checked
 from telenano.afm.sim import simulated_afm
+from telenano.sections.afm_section import AfmConfig
 
 MU, LATERAL_N_PER_M = 0.3, 100.0
 PARAMS = FrictionParams(MU, 12.5e-9, LATERAL_N_PER_M, 10e-6)

@@ -39,7 +39,7 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 import telenano
-from telenano.afm.config import AfmConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.devices.afm.instrument import driver_of
 from telenano.settings.config import validate
 from telenano.settings.scenario import named_in

@@ -12,12 +12,12 @@ import pytest
 
 from services.afm_node.node import AfmNode
 from telenano.afm import safety, sample_models
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.step import AfmInputs, AfmParams, initial_afm_state, step
 from telenano.extend.samples import AfmSample, PlantInputs, SampleModel
 from telenano.numerics import compiled
 from telenano.numerics.compiler import always_compiled
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import Settings
 
 

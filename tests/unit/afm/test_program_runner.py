@@ -7,10 +7,10 @@ import pytest
 
 from telenano.afm import safety
 from telenano.afm.programs.runner import ProgramRunner, RunnerState
-from telenano.afm.programs.table import PROGRAMS
 from telenano.extend.programs import Begun, Inputs, Instrument, Program, Progress, Wanted
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import Place
+from telenano.sections.program_table import PROGRAMS
 from telenano.settings.config import Settings
 from telenano.wire.errors import RefusedError
 
@@ -71,7 +71,7 @@ class Searching(Counting):
 def runner(monkeypatch: pytest.MonkeyPatch) -> ProgramRunner:
     for name, program in (("count", Counting()), ("search", Searching())):
         monkeypatch.setitem(PROGRAMS, name, program)
-    return ProgramRunner(instrument())
+    return ProgramRunner(instrument(), PROGRAMS)
 
 
 def instrument() -> Instrument:
@@ -127,7 +127,7 @@ def test_of_two_warnings_the_first_is_kept_until_it_is_taken(runner: ProgramRunn
     for _ in range(3):
         runner.step(INPUTS, DT)
     assert runner.take_notice() == "be careful"
-    ask_again = ProgramRunner(instrument())
+    ask_again = ProgramRunner(instrument(), PROGRAMS)
     ask(ask_again, "count")
     ask_again.take_notice()
     for _ in range(3):
@@ -248,7 +248,7 @@ def test_an_instrument_with_a_scan_of_its_own_takes_images_by_it_and_by_nothing_
 
     monkeypatch.setattr("telenano.afm.programs.runner.OWN_SCAN", taking("by its own scan"))
     monkeypatch.setitem(PROGRAMS, "scan", taking("line by line"))
-    of_it = ProgramRunner(instrument()._replace(scans=scans))
+    of_it = ProgramRunner(instrument()._replace(scans=scans), PROGRAMS)
     assert ask(of_it, "scan") == ("by its own scan" if scans else "line by line")
     of_it.end()
     assert ask(of_it, "count") == "it counts"
@@ -258,7 +258,7 @@ def test_a_runner_goes_on_from_the_state_of_another(runner: ProgramRunner) -> No
     ask(runner, "count")
     runner.step(INPUTS, DT)
     ask(runner, "pause")
-    other = ProgramRunner(instrument())
+    other = ProgramRunner(instrument(), PROGRAMS)
     other.restore(runner.capture())
     assert (other.report(), other.take_notice()) == (runner.report(), "be careful")
     for each in (runner, other):
@@ -277,7 +277,7 @@ def test_a_state_of_a_program_that_is_not_there_or_has_changed_is_refused(
     assert state.reached is not None
     changed = state._replace(reached=state.reached._replace(names=("step", "waits")))
     with pytest.raises(ValueError, match="it lacks paused and has in addition waits"):
-        ProgramRunner(instrument()).restore(changed)
+        ProgramRunner(instrument(), PROGRAMS).restore(changed)
     monkeypatch.delitem(PROGRAMS, "count")
     with pytest.raises(KeyError):
-        ProgramRunner(instrument()).restore(state)
+        ProgramRunner(instrument(), PROGRAMS).restore(state)

@@ -7,8 +7,8 @@ from telenano_lab.assembly import bench
 from test_afm_programs import SOFT, Imager, command
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import RefusedError
 
 SPRING = {"environment": "spring", "spring": {"stiffness_n_per_m": 2.0, "rest_position_m": -1e-8, "bilateral": False}}

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from telenano.afm import TipGuard
-from telenano.afm.config import AfmConfig
+from telenano.sections.afm_section import AfmConfig
 
 PERIOD_S = 1e-3
 LIMITS = AfmConfig().to_params().safety

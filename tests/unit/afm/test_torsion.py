@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.part import Part, part_start, part_step, register_part
-from telenano.afm.torsion import TorsionConfig
 from telenano.devices.afm.instrument import driver_of
 from telenano.extend.samples import AfmSample, PlantInputs
+from telenano.sections.afm_parts import TorsionConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 

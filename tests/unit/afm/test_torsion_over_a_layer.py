@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.afm import AfmConfig, part_step
+from telenano.afm import part_step
 from telenano.afm.sim import SimulatedInstrument
 from telenano.afm.torsion import TorsionParams, _step
 from telenano.devices import driver_of
 from telenano.extend.samples import PlantInputs
 from telenano.numerics import compiled_form
+from telenano.sections import AfmConfig
 from telenano.settings import validate
 
 pytestmark = pytest.mark.check("compiles a layer, takes 13 s")

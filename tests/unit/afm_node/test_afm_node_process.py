@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import RefusedError
 
 

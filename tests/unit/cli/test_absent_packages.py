@@ -15,11 +15,11 @@ from telenano_devices.gwyscope import gwyscope_model
 from telenano_devices.nanonis import nanonis_model
 from telenano_lab.microscopy.force_curve import read_measured
 
-from telenano.afm import config as afm
-from telenano.afm.sample.surface_files import read_surface
 from telenano.cli.commands.device import package_rows
 from telenano.devices.afm.instrument import calibration_of_file
 from telenano.launcher.plan import Plan, UpRequest, make_plan
+from telenano.sections import afm_section as afm
+from telenano.sections.surface_files import read_surface
 from telenano.settings import plugins
 from telenano.settings.config import validate
 from telenano.settings.known_packages import KNOWN_PACKAGES, known_of

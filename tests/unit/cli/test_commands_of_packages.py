@@ -13,7 +13,6 @@ from telenano_lab.microscopy.image_files import Image
 from telenano_lab.microscopy.image_output import write_images
 from typer.testing import CliRunner
 
-from telenano.afm.sample.surface_files import read_surface
 from telenano.cli import lazy_commands
 from telenano.cli.commands.doctor import checks_of_packages
 from telenano.cli.root import app
@@ -21,6 +20,7 @@ from telenano.recording import recorded
 from telenano.recording.export import export_recording
 from telenano.recording.made_records import write_recording
 from telenano.recording.provenance import plugin_facts
+from telenano.sections.surface_files import read_surface
 from telenano.settings import plugins
 from telenano.testing import describe_package
 from telenano.wire import example

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 from telenano.settings import DeviceDriver
 from telenano.devices import AfmCapabilities
-from telenano.afm import AfmControllerConfig as ControllerSettings
+from telenano.sections import AfmControllerConfig as ControllerSettings
 from telenano_devices.controllers.piezo_calibration import ControllerCalibration
 from telenano_devices.controllers.request_driver import RequestDriver
 

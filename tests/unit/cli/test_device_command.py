@@ -6,9 +6,9 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from telenano.afm.config import AfmConfig
 from telenano.cli import root
 from telenano.cli.commands.device_files import section_of
+from telenano.sections.afm_section import AfmConfig
 
 
 @pytest.mark.parametrize("emulator", ["haply", "handle", "t7", "gwyscope", "nanonis"])

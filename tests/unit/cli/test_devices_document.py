@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from telenano.afm.config import AfmConfig
-from telenano.hand.config import HapticConfig
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.scenario import LoadedScenario
 
 ROOT = Path(__file__).parents[3]

@@ -10,13 +10,13 @@ import pytest
 from documented_lines import RULES, differing, lines, makes, pictures, rule_of, runner_of
 from typer.testing import CliRunner
 
-from telenano.afm.programs.settings import requested
 from telenano.cli.lazy_commands import load
 from telenano.cli.model_options import validated
 from telenano.cli.root import app
 from telenano.console.command_client import parse_parameters
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.runtime.wiring.observer import known_name
+from telenano.sections.program_requests import requested
 from telenano.settings.link_settings import LinkSettings, profile_changes
 from telenano.settings.network_profiles import PROFILES
 
@@ -111,7 +111,7 @@ def test_a_documented_command_is_one_that_there_is(
     page: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the map of a page is made by the line before
-    monkeypatch.setattr("telenano.afm.config.AfmConfig.to_over_map", lambda config: None)
+    monkeypatch.setattr("telenano.sections.afm_section.AfmConfig.to_over_map", lambda config: None)
     context = context_of(arguments)
     options, path = context.params, context.command_path
     if path == "up":

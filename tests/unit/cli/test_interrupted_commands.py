@@ -17,8 +17,8 @@ from typing import NamedTuple
 import pytest
 from interruptions import Ended, as_at_a_terminal, environment, files_below, interrupted
 
-from telenano.afm.sample.surface_files import read_surface
 from telenano.cli.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
+from telenano.sections.surface_files import read_surface
 
 CODES = {signal.SIGINT: EXIT_INTERRUPTED, signal.SIGTERM: EXIT_TERMINATED}
 

@@ -21,7 +21,7 @@ import json, sys
 import numpy as np
 import yaml
 from services.afm_node.node import AfmNode
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano.devices.afm.instrument import driver_of, reach_of
 from telenano.testing import NodeBench
 from telenano.numerics.compiler import compiled_form

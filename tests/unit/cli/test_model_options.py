@@ -6,10 +6,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from telenano.afm.programs.curve import CurveSettings
-from telenano.afm.programs.scan import ScanSettings
-from telenano.afm.programs.table import OWN_PROGRAMS
 from telenano.cli.model_options import GIVEN, options_of, validated, with_options
+from telenano.sections.program_table import OWN_PROGRAMS
+from telenano.settings.program_settings import CurveSettings, ScanSettings
 from telenano.wire.errors import ConfigError
 
 RUNNER = CliRunner()

@@ -39,12 +39,12 @@ from types import SimpleNamespace
 import numpy as np
 from pydantic import ValidationError
 from telenano.devices.afm.instrument import driver_of
-from telenano.afm.config import AfmConfig
-from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import LAWS, OWN_LAWS, ControllerConfig
 from telenano.extend.laws import HandSample
-from telenano.laws.law_rules import broken_rules
+from telenano.lockstep.law_rules import broken_rules
 from services.haptic_node.__main__ import device_of
-from telenano.hand.config import HapticConfig
+from telenano.sections.hand_section import HapticConfig
 from msgspec import msgpack
 from telenano.wire.node_state import Part, part
 

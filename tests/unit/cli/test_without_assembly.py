@@ -30,8 +30,8 @@ PUSH = {"program": "push", "push.x1_m": 2e-7, "push.approach_m_per_s": 5e-6}
 PROGRAM = """
 import json, sys
 from pathlib import Path
-from telenano.afm import AfmConfig
-from telenano.afm.programs.settings import requested
+from telenano.sections import AfmConfig
+from telenano.sections.program_requests import requested
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings import find_scenario, validate
 from telenano.testing import invoke

@@ -8,8 +8,8 @@ import pytest
 from services.controller.__main__ import half_of_site
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.config import ControllerConfig
+from telenano.sections.controller_section import OWN_LAWS as LAWS
+from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import SessionControl
 

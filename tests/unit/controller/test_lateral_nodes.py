@@ -8,7 +8,7 @@ from test_controller_node import answer_fields, forward_fields, hand_fields, tip
 
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from telenano.laws.config import ControllerConfig
+from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import SessionControl
 from telenano.wire.node_state import pack, restore

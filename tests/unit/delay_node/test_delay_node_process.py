@@ -10,8 +10,8 @@ from recorder_samples import fields_of
 
 from services.afm_node.node import AfmNode
 from services.delay_node.node import DelayNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.link_settings import LinkSettings
 from telenano.timing.freshness import Freshness
 from telenano.wire import decode, encode

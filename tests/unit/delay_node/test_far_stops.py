@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from services.afm_node.node import AfmNode
 from services.delay_node.node import DelayNode
 from telenano.afm import safety
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.kept_stop import keep
@@ -27,6 +26,7 @@ from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.link_settings import LinkSettings
 from telenano.testing import VirtualClock
 from telenano.wire import decode, encode

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from telenano.afm.config import TAKEN
-from telenano.afm.programs.table import PROGRAMS
 from telenano.devices.afm.capabilities import TABLE, refusal
 from telenano.launcher.plan import UpRequest, make_plan, refused_laws
-from telenano.laws.config import KNOWN_LAWS, ControllerConfig
+from telenano.sections.afm_section import TAKEN
+from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
+from telenano.sections.program_table import PROGRAMS
 from telenano.settings.known_packages import KNOWN_MODEL_LAWS
 from telenano.wire.errors import ConfigError
 

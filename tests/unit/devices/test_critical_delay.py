@@ -10,7 +10,7 @@ from telenano_devices.t7.t7_model import T7Model
 from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
-from telenano.laws.config import ControllerConfig
+from telenano.sections.controller_section import ControllerConfig
 
 PERIOD_S = 1e-3
 SPRING_N_PER_M = 38.0
@@ -72,7 +72,7 @@ def growth_per_s(round_trip: int, cycle_s: float) -> float:
 
 
 def config_law(config: ControllerConfig) -> tuple[object, object]:
-    from telenano.laws.config import LAWS
+    from telenano.sections.controller_section import LAWS
 
     return LAWS[config.law], config.params()
 

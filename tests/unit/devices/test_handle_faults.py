@@ -16,7 +16,7 @@ from telenano_devices.handle.handle_line import PATH, HandleLine, HandleRig
 from services.haptic_node.node import HapticNode
 from telenano.devices.hand import serial_driver, wire
 from telenano.extend.hands import MODE_OFF, MODE_POSITION
-from telenano.hand.config import HapticConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import ConfigError
 
 MS = 1_000_000

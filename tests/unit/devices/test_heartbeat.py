@@ -12,9 +12,9 @@ from telenano_devices.t7.stage_line import PARAMS, StageLine, calibration
 from telenano_devices.t7.t7_model import HeartbeatScript, T7Model
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.devices.afm.register_map import MAPS, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 

@@ -10,12 +10,12 @@ from pymodbus.pdu import ModbusPDU
 from telenano_devices.t7 import t7_model
 from telenano_devices.t7.stage_line import PARAMS, StageLine, StageRig, calibration
 
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.modbus_driver import ModbusAfm
 from telenano.devices.afm.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
 from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
+from telenano.sections.afm_section import AfmConfig
 from telenano.testing import VirtualClock
 from telenano.wire.errors import ConfigError
 

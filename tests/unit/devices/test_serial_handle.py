@@ -13,8 +13,8 @@ from telenano_devices.handle.simulate_handle import handled
 
 from telenano.devices.hand.serial_driver import refusal
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import ConfigError, RefusedError
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)

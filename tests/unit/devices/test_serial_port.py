@@ -17,7 +17,7 @@ import pytest
 
 from telenano.devices.hand.port import SerialPort, holder_of
 from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig, LimitsConfig
+from telenano.sections.hand_section import HapticConfig, LimitsConfig
 
 # of Linux: the exclusive mark of a terminal
 TIOCGEXCL = 0x80045440

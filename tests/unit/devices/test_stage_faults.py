@@ -11,8 +11,8 @@ from telenano_devices.t7.stage_line import PARAMS, StageLine, StageRig
 from telenano_devices.t7.t7_server import respond
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.devices.afm import modbus_line
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import ConfigError
 
 MS = 1_000_000

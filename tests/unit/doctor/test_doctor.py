@@ -16,9 +16,9 @@ from telenano.cli.commands import doctor
 from telenano.doctor import checks
 from telenano.doctor.checks import Endpoint, KernelClock
 from telenano.extend.checks import Finding
-from telenano.laws.config import KNOWN_LAWS
 from telenano.runtime.bus.address_book import AddressBook, NodeEntry
 from telenano.runtime.security.keyring import Keyring
+from telenano.sections.controller_section import KNOWN_LAWS
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.testing import run
 

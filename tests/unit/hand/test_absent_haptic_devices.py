@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from telenano.hand import HapticConfig
-from telenano.hand.config import DRIVERS, SECTIONS
+from telenano.sections import HapticConfig
+from telenano.sections.hand_section import DRIVERS, SECTIONS
 from telenano.settings import entries, validate
 from telenano.wire import ConfigError
 from telenano.wire.extras import how_to_add_package

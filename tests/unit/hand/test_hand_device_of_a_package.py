@@ -13,7 +13,7 @@ PROGRAM = """
 import json, my_slide, telenano
 from services.haptic_node.__main__ import build
 from telenano.extend.hands import DriveCommand
-from telenano.hand.config import HapticConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.hand.part import initial_plant
 from telenano.numerics.compiler import compiled_form
 from telenano.testing import NodeBench

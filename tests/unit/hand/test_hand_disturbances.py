@@ -10,16 +10,11 @@ from scipy import signal
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand
 from telenano.hand import step
-from telenano.hand.config import HapticConfig
-from telenano.hand.disturbances import (
-    DisturbedHaptic,
-    HandDisturbanceConfig,
-    HandDisturbanceState,
-    disturbed,
-    wander_n,
-)
+from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceState, disturbed, wander_n
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.config import validate
+from telenano.settings.hand_disturbances import HandDisturbanceConfig
 from telenano.wire.errors import RefusedError
 
 DT = 1e-3

@@ -12,10 +12,10 @@ from telenano_lab.studies.pages.motor_theory import bandwidth_hz
 
 import services.haptic_node
 from telenano.extend.hands import DriveCommand
-from telenano.hand.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
 from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE
-from telenano.hand.operator_config import ImpedanceConfig
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
+from telenano.sections.operator_section import ImpedanceConfig
 
 README = Path(services.haptic_node.__file__).with_name("README.md")
 

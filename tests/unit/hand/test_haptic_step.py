@@ -11,9 +11,9 @@ import pytest
 
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION, DeviceError, DriveCommand, HapticDevice
 from telenano.hand import safety, sim, step
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.hand.step import HapticInputs
+from telenano.sections.hand_section import HapticConfig
 
 DT = 1e-3
 CONFIGS = {

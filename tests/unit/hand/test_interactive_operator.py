@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from test_operator_by_command import Bench
 
-from telenano.hand.operator_config import InteractiveConfig
+from telenano.sections.operator_section import InteractiveConfig
 from telenano.wire.node_state import pack, restore
 
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 
-from telenano.hand.config import HapticConfig
-from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
+from telenano.hand.lateral_hand import LateralHandState, lateral_hand_step
 from telenano.laws.lateral import LateralFar, LateralHand, lateral_at_rest, lateral_master_step
-from telenano.laws.lateral_settings import LateralConfig
+from telenano.sections.hand_section import HapticConfig
+from telenano.sections.lateral_hand_section import LateralHandConfig
+from telenano.sections.lateral_section import LateralConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import ConfigError
 

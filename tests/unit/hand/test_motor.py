@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 from telenano.extend.hands import MODE_FORCE, MODE_OFF, MODE_POSITION
 from telenano.hand import motor
-from telenano.hand.config import DeviceConfig
 from telenano.hand.motor import MotorInputs, MotorParams, MotorState
+from telenano.sections.hand_section import DeviceConfig
 
 PRESETS = ("paper_bandwidth", "paper_gain")
 FREE = {

@@ -9,7 +9,7 @@ import pytest
 from telenano.extend.operators import OperatorInputs, OperatorOutputs
 from telenano.hand import operator
 from telenano.hand.operator import OperatorState
-from telenano.hand.operator_config import ForceProfileConfig, ImpedanceConfig, PathPoint
+from telenano.sections.operator_section import ForceProfileConfig, ImpedanceConfig, PathPoint
 
 REST = OperatorState(0.0, 0.0)
 FIG12 = ForceProfileConfig(kind="force_profile").to_params()

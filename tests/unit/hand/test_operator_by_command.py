@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from services.haptic_node.node import HapticNode
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.config import validate
 from telenano.wire.errors import RefusedError
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from telenano.extend.operators import OperatorInputs
-from telenano.hand.config import HapticConfig
 from telenano.hand.reacting import ReactingState, at_rest, step
+from telenano.sections.hand_section import HapticConfig
 from telenano.settings.config import validate
 
 DT = 1e-3

@@ -8,8 +8,8 @@ import pytest
 
 from services.haptic_node.node import HapticNode
 from telenano.extend.hands import DeviceError
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
+from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import RefusedError
 
 ZERO = (0.0, 0.0, 0.0)

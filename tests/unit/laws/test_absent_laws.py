@@ -13,7 +13,7 @@ LAWS = sorted(known_of("law"))
 
 REFUSED = """
 import json, sys
-from telenano.laws.config import LAWS, ControllerConfig, changed_config
+from telenano.sections.controller_section import LAWS, ControllerConfig, changed_config
 from telenano.settings.config import validate
 from telenano.wire.errors import TelenanoError
 ways = {

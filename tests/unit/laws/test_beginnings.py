@@ -7,7 +7,7 @@ import pytest
 
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample
 from telenano.extend.virtual_mass import ScaledConfig, at_hand, at_tip
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 
 T = 1e-3
 LIMIT_S = ScaledConfig().silence_limit_s

@@ -8,9 +8,10 @@ from telenano_lab.studies.loops.cells import Cell, trajectory_of
 from tried_laws import TRIED_LAWS
 
 from telenano.extend.laws import NO_SIGNAL, SlaveReference, TipMeasurement
-from telenano.laws.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
-from telenano.laws.config import LAWS, ControllerConfig
+from telenano.laws.clamp import NO_LIMIT_N, ClampParams, clamped
 from telenano.lockstep import lockstep
+from telenano.sections.clamp_section import ClampConfig
+from telenano.sections.controller_section import LAWS, ControllerConfig
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from telenano.extend.virtual_mass import FARTHEST_M, bounded
-from telenano.laws.config import OWN_LAWS as LAWS
-from telenano.laws.config import ControllerConfig
 from telenano.laws.energy import Port
+from telenano.sections.controller_section import OWN_LAWS as LAWS
+from telenano.sections.controller_section import ControllerConfig
 from telenano.settings.config import flatten, validate
 from telenano.wire.errors import ConfigError
 

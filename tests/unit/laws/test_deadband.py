@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from telenano.extend.laws import NO_SIGNAL, PortSignal
-from telenano.laws.deadband import DeadbandConfig, DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from telenano.sections.deadband_section import DeadbandConfig
 
 T = 1e-3
 PARAMS = DeadbandConfig(enabled=True).to_params()

@@ -5,7 +5,7 @@ import itertools
 import pytest
 from endless import Endless, endless
 
-from telenano.laws.passivity import PassivityConfig
+from telenano.sections.own_laws import PassivityConfig
 
 START_J = PassivityConfig().start_energy_j
 # in the tests of every day five minutes stand for the hour

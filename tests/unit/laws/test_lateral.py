@@ -19,7 +19,7 @@ from telenano.laws.lateral import (
     lateral_slave_at_rest,
     lateral_slave_step,
 )
-from telenano.laws.lateral_settings import LateralConfig
+from telenano.sections.lateral_section import LateralConfig
 
 DT = 1e-3
 HERE = LateralFar(0.0, 0.0, 0.0, 0.0, known=True)

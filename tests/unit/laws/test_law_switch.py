@@ -8,8 +8,8 @@ from tried_laws import TRIED_LAWS as LAWS
 
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
-from telenano.laws.config import LAWS as INSTALLED
-from telenano.laws.config import ControllerConfig
+from telenano.sections.controller_section import LAWS as INSTALLED
+from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import RefusedError
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival

@@ -22,9 +22,10 @@ from telenano.extend.laws import (
     the_hands_force,
 )
 from telenano.laws import wave
-from telenano.laws.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
 from telenano.laws.law_names import LAW_NAMES
-from telenano.laws.law_rules import RULES, broken_rules
+from telenano.lockstep.law_rules import RULES, broken_rules
+from telenano.sections.controller_section import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
+from telenano.sections.own_laws import WaveConfig
 
 T = 1e-3
 
@@ -48,7 +49,7 @@ def test_names_that_need_no_law_are_those_of_the_table() -> None:
 def test_table_is_made_of_the_steps_that_a_module_has() -> None:
     law = LAWS["wave"]
     assert law == Law(
-        name="wave", config=wave.WaveConfig, master_start=wave.master_start, master_resume=wave.master_resume,
+        name="wave", config=WaveConfig, master_start=wave.master_start, master_resume=wave.master_resume,
         master_send=wave.master_send, master_receive=wave.master_receive, slave_start=wave.slave_start,
         slave_receive=wave.slave_receive, slave_send=wave.slave_send, retune=wave.retune,
         master_energy_account=wave.master_energy_account, slave_energy_account=wave.slave_energy_account,
@@ -75,9 +76,9 @@ def test_a_law_says_whether_it_closes_a_loop_what_it_promises_and_what_it_must_k
 
 def test_law_without_a_step_is_not_made() -> None:
     with pytest.raises(AttributeError, match="master_start"):
-        Law.of(__name__, wave.WaveConfig)
+        Law.of(__name__, WaveConfig)
     with pytest.raises(AttributeError, match="slave_start"):
-        Law.of(wave.__name__, wave.WaveConfig, slave=virtual_impedance)
+        Law.of(wave.__name__, WaveConfig, slave=virtual_impedance)
 
 
 def test_no_two_laws_share_a_class_of_parameters() -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from tried_laws import TRIED_LAWS
 
-from telenano.afm.config import AfmConfig
 from telenano.extend.laws import MOST_PERIODS_A_STEP, NO_SIGNAL, PortSignal, SlaveReference, TipMeasurement
 from telenano.extend.virtual_mass import FOLLOWED_M
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.laws.law_rules import RULES
+from telenano.lockstep.law_rules import RULES
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.controller_section import LAWS, ControllerConfig
 
 T = 1e-3
 SCALE, FORCE_SCALE = 1.5e-6, 1e8

@@ -12,7 +12,6 @@ from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.extend.virtual_mass import paid_stretch
 from telenano.laws.passivity import (
     Account,
-    PassivityConfig,
     charged,
     credited,
     master_receive,
@@ -24,6 +23,7 @@ from telenano.laws.passivity import (
     slave_send,
     slave_start,
 )
+from telenano.sections.own_laws import PassivityConfig
 
 T = 1e-3
 PARAMS = PassivityConfig().to_params(T)

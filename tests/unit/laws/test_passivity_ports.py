@@ -7,10 +7,8 @@ import pytest
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.extend.virtual_mass import NOTHING_HEARD, HandPort, Mass, moved, paid_stretch
 from telenano.laws.passivity import (
-    PASSIVITY,
     Account,
     MasterState,
-    PassivityConfig,
     SlaveState,
     charged,
     credited,
@@ -30,6 +28,7 @@ from telenano.laws.passivity import (
     slave_start,
     taken,
 )
+from telenano.sections.own_laws import PASSIVITY, PassivityConfig
 
 T = 1e-3
 SHIPPED = PassivityConfig().to_params(T)

@@ -9,14 +9,8 @@ import pytest
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement, measured_tip
 from telenano.extend.pass_through import slave_receive, slave_start
 from telenano.extend.virtual_mass import tip_reference
-from telenano.laws.position_force import (
-    PositionForceConfig,
-    master_receive,
-    master_resume,
-    master_send,
-    master_start,
-    retune,
-)
+from telenano.laws.position_force import master_receive, master_resume, master_send, master_start, retune
+from telenano.sections.own_laws import PositionForceConfig
 
 PARAMS = PositionForceConfig().to_params(1e-3)
 

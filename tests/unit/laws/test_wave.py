@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from telenano.extend.laws import NO_SIGNAL, HandSample, TipMeasurement
 from telenano.laws.wave import (
     Inbox,
-    WaveConfig,
     drawn,
     emptied,
     master_receive,
@@ -24,6 +23,7 @@ from telenano.laws.wave import (
     slave_send,
     slave_start,
 )
+from telenano.sections.own_laws import WaveConfig
 
 T = 1e-3
 B = 100.0

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from telenano.afm import AfmConfig, safety, simulated_afm
-from telenano.afm.disturbances import DisturbanceConfig
+from telenano.afm import safety, simulated_afm
 from telenano.afm.disturbed import noisy_params
 from telenano.afm.step import AfmInputs, initial_afm_state, step
+from telenano.sections import AfmConfig
+from telenano.settings.afm_disturbances import DisturbanceConfig
 
 AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
 

@@ -12,9 +12,10 @@ from telenano_lab.studies.loops import push_study
 from telenano_lab.studies.loops.push_study import Trial
 
 from telenano import SimulatedSession
-from telenano.hand.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
-from telenano.laws.lateral_settings import LateralConfig
+from telenano.hand.lateral_hand import LateralHandState, lateral_hand_step
 from telenano.lockstep import across, lockstep
+from telenano.sections.lateral_hand_section import LateralHandConfig
+from telenano.sections.lateral_section import LateralConfig
 from telenano.settings import find_scenario
 from telenano.wire import ConfigError
 

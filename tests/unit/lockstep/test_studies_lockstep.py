@@ -9,11 +9,11 @@ from telenano_lab.studies.loops.links import symmetric_link
 from tried_laws import TRIED_LAWS as LAWS
 
 from telenano.afm import step as afm
-from telenano.afm.config import AfmConfig
 from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
 from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from telenano.lockstep.link import Schedule
+from telenano.sections.afm_section import AfmConfig
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))

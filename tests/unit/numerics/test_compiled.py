@@ -408,7 +408,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     "before",
     [
         "import telenano.lockstep.simulation",
-        "from telenano.laws.law_rules import broken_rules",
+        "from telenano.lockstep.law_rules import broken_rules",
         "import telenano.afm.cantilever",
     ],
 )

@@ -6,11 +6,11 @@ import pytest
 
 from services.afm_node.node import AfmNode
 from services.haptic_node.node import HapticNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.runtime.loop.node import Node
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import HapticConfig
 
 COMMANDS = {
     "afm_node@slave": ("afm/command", "controller@slave"),

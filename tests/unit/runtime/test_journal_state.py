@@ -8,11 +8,11 @@ from test_runtime_node import MS, Journalled, Rig, journalled_rig
 
 from services.afm_node.node import AfmNode
 from services.haptic_node.node import HapticNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
-from telenano.hand.config import HapticConfig
 from telenano.hand.sim import SimulatedHaptic
 from telenano.runtime.loop import journal
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.wire import encode
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionEvent

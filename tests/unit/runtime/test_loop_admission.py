@@ -7,13 +7,13 @@ import pytest
 from test_runtime_node import MS, FakeBus, Rig
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.runtime.loop.commands import STALL_NS
 from telenano.runtime.loop.log import StructuredLog
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from telenano.runtime.loop.realtime import RealtimeStatus
+from telenano.sections.afm_section import AfmConfig
 from telenano.testing import VirtualClock
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import SUPERSEDED, SessionControl, SessionEvent

@@ -7,9 +7,9 @@ import pytest
 from recorder_samples import fields_of
 
 from services.afm_node.node import AfmNode
-from telenano.afm.config import AfmConfig
 from telenano.afm.sim import simulated_afm
 from telenano.runtime.loop.device_node import Parts, StepPart
+from telenano.sections.afm_section import AfmConfig
 from telenano.wire.messages import SessionEvent
 from telenano.wire.sequence import Arrival, SequenceTracker
 

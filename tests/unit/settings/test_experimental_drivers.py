@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from telenano.afm.config import DRIVERS as INSTRUMENTS
 from telenano.cli.commands.device import package_rows
-from telenano.hand.config import DRIVERS as HANDLES
 from telenano.launcher.plan import UpRequest, make_plan
+from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
+from telenano.sections.hand_section import DRIVERS as HANDLES
 from telenano.settings import TWO_SITES_FILE
 from telenano.settings.device_drivers import Drivers
 

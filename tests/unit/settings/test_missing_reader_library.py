@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from telenano.afm import read_surface
+from telenano.sections import read_surface
 from telenano.settings import file_readers
 from telenano.wire import ConfigError
 

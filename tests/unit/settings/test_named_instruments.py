@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 import telenano
-from telenano.afm.disturbances import DisturbanceConfig, instrument_name
 from telenano.launcher.plan import UpRequest, make_plan
+from telenano.settings.afm_disturbances import DisturbanceConfig, instrument_name
 from telenano.settings.config import flatten, merge, read_yaml, validate
 from telenano.settings.named_instruments import instrument_named, instrument_names, on_instrument
 from telenano.settings.scenario import LoadedScenario

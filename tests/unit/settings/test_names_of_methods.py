@@ -63,9 +63,9 @@ ENTRIES = {
 }
 PROGRAM = """
 import json
-from telenano.afm.config import AfmConfig
-from telenano.hand.config import DRIVERS, HapticConfig
-from telenano.laws.config import ControllerConfig, changed_config
+from telenano.sections.afm_section import AfmConfig
+from telenano.sections.hand_section import DRIVERS, HapticConfig
+from telenano.sections.controller_section import ControllerConfig, changed_config
 from telenano.settings.config import validate
 from telenano.devices.afm.instrument import driver_of
 from telenano.wire.errors import ConfigError

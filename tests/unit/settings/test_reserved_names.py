@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from telenano.afm import config as afm
-from telenano.afm import made_samples as samples
 from telenano.afm.sample_models import checked_sample
 from telenano.cli.new_package import new_package
-from telenano.hand import config as haptic
-from telenano.laws import config as controller
+from telenano.sections import afm_section as afm
+from telenano.sections import controller_section as controller
+from telenano.sections import hand_section as haptic
+from telenano.sections import sample_section as samples
 from telenano.settings import plugins
 from telenano.settings.config import keys_of
 from telenano.settings.device_drivers import Drivers

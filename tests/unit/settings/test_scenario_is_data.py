@@ -27,10 +27,10 @@ TRIAL = """
 import ctypes, json, sys
 from pathlib import Path
 from telenano.wire.errors import TelenanoError
-from telenano.afm.config import AfmConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.settings.link_settings import LinkSettings
 from telenano.settings.link_files import read_files
-from telenano.hand.config import HapticConfig
+from telenano.sections.hand_section import HapticConfig
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.settings.scenario import LoadedScenario
 

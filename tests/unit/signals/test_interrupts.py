@@ -11,7 +11,7 @@ _COMPUTES = """
 import os, random, signal, sys, threading, time
 from telenano.signals import interrupts
 {prepare}
-from telenano.afm.config import AfmConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.afm.dynamic import NO_NOISE, advance, steady_state
 from telenano.numerics.compiler import compiled
 

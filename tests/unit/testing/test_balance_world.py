@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 from telenano.testing.law_balance.balance import balance
 from telenano.testing.law_balance.balance_draws import ADVERSE, EVERYTHING, LineDraw, Order, drawn
 from telenano.testing.law_balance.balance_world import Line, lines_of, sample_of

@@ -3,9 +3,10 @@
 import random
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
-from telenano.timing.clock_offset import OffsetFilter
+from telenano.timing.clock_offset import OffsetFilter, OffsetState
 
 
 def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000) -> list[int]:
@@ -144,4 +145,4 @@ def test_a_state_goes_on_with_the_same_bits() -> None:
             assert rest.estimate() == whole.estimate()
         elif turn == 237:
             rest = OffsetFilter(16)
-            rest.restore(whole.capture())
+            rest.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(whole.state), type=OffsetState))

@@ -25,8 +25,8 @@ from telenano_lab.experiments import panel as panels
 from telenano_lab.experiments.messages import CUE, Question
 from telenano_lab.experiments.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
 
+from services.viz_node import command_desk, server
 from services.viz_node import hub as hubs
-from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
@@ -128,7 +128,7 @@ def marked(value: Any, name: str = "") -> Any:
 
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
-    monkeypatch.setattr(hubs, "VALIDITY_S", 60.0)
+    monkeypatch.setattr(command_desk, "VALIDITY_S", 60.0)
     return Rig()
 
 

@@ -16,9 +16,9 @@ from starlette.websockets import WebSocketDisconnect
 from test_viz_server import ACCESS, Page, Rig, command
 from typer.testing import CliRunner
 
+from services.viz_node import age_report, command_desk, server
 from services.viz_node import command as view_command
 from services.viz_node import hub as hubs
-from services.viz_node import server
 from services.viz_node.feed import Seen
 from services.viz_node.metrics import metrics_text
 from telenano.cli.root import app
@@ -43,7 +43,7 @@ def people(tmp_path: Path) -> People:
 
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
-    monkeypatch.setattr(hubs, "VALIDITY_S", 60.0)
+    monkeypatch.setattr(command_desk, "VALIDITY_S", 60.0)
     monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
     return Rig()
 
@@ -255,7 +255,7 @@ def test_the_command_gives_an_address_at_each_page_of_the_rig(monkeypatch: pytes
 def test_the_way_to_a_page_and_the_age_of_the_loop_are_told_and_given_to_a_monitoring_system(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "_AGE_S", 0.05)
+    monkeypatch.setattr(age_report, "_AGE_S", 0.05)
     page = Page(stack, client)
     t_ns = 10**18
     delay = {"direction": "forward", "hand_t_ns": t_ns, "delay_ns": 20_000_000, "transit_ns": 0, "clock_ahead_ns": 0}
@@ -264,7 +264,7 @@ def test_the_way_to_a_page_and_the_age_of_the_loop_are_told_and_given_to_a_monit
         hand_ns = t_ns + number * 1_000_000
         afm = {"hand_t_ns": hand_ns}
         answer = {"answered_t_ns": hand_ns, "answered_at_ns": hand_ns + 23_000_000}
-        age = rig.hub._age
+        age = rig.hub.age.loop_age
         age.take("afm/state", "afm_node@slave", hand_ns + 21_000_000, afm)
         age.take("haptic/command", "controller@master", hand_ns + 22_000_000, afm)
         age.take("haptic/state", "haptic_node@master", hand_ns + 24_000_000, answer)

@@ -23,13 +23,13 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from services.viz_node import command_desk, page_hand, read_desk, server
 from services.viz_node import hub as hubs
-from services.viz_node import page_hand, server
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
-from telenano.hand.operator_config import InteractiveConfig
+from telenano.sections.operator_section import InteractiveConfig
 from telenano.serving.access import Role
 from telenano.wire.errors import RigError
 
@@ -88,7 +88,7 @@ class Rig:
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     # what a machine that is busy with other tests holds up for a second is no old command here
-    monkeypatch.setattr(hubs, "VALIDITY_S", 60.0)
+    monkeypatch.setattr(command_desk, "VALIDITY_S", 60.0)
     return Rig()
 
 
@@ -307,10 +307,10 @@ def test_an_emergency_stop_empties_the_queues_of_all_pages(rig: Rig, client: Tes
     until(lambda: rig.commander.begun)
     first.send({"id": "waits", **command(command="arm", target="afm_node")})
     second.send({"id": "other", **command(command="mark", target="recorder")})
-    until(lambda: len(rig.hub._wishes) == 3)
+    until(lambda: len(rig.hub.commands.wishes) == 3)
     stopper = Page(stack, client)
     assert stopper.ask(k="estop")["ok"] is True
-    until(lambda: not rig.hub._wishes)
+    until(lambda: not rig.hub.commands.wishes)
     rig.commander.held.set()
     for page, number in ((first, 2), (second, 1)):
         for _ in range(number):
@@ -333,7 +333,7 @@ def test_any_command_of_a_page_ends_a_tip_that_goes_back_and_no_other_command(
         if is_ended:
             assert goes.take("answer")["ok"] is False
         else:
-            until(lambda: len(rig.hub._wishes) == 2)
+            until(lambda: len(rig.hub.commands.wishes) == 2)
         rig.commander.held.set()
         if not is_ended:
             assert goes.take("answer")["ok"] is True
@@ -351,7 +351,7 @@ def test_a_page_that_leaves_takes_its_commands_with_it_and_leaves_those_of_other
         until(lambda: rig.commander.begun)
         leaves.send({"id": "waits", **command(command="arm", target="afm_node")})
         stays.send({"id": "stays", **command(command="mark")})
-        until(lambda: len(rig.hub._wishes) == 3)
+        until(lambda: len(rig.hub.commands.wishes) == 3)
     until(lambda: rig.commander.begun == ["set", "mark"])
     rig.commander.held.set()
     assert stays.take("answer")["ok"] is True
@@ -376,7 +376,7 @@ def test_a_page_queues_a_few_commands_and_is_told_when_there_are_more(
 ) -> None:
     page = Page(stack, client)
     rig.commander.held.clear()
-    for i in range(hubs.MOST_COMMANDS + 1):
+    for i in range(command_desk.MOST_COMMANDS + 1):
         page.send({"id": f"c-{i}", **command()})
     refused = page.take("answer")
     assert (refused["id"], refused["ok"]) == ("c-4", False)
@@ -398,11 +398,11 @@ def asked(rig: Rig, name: str, arrived_s: float) -> dict[str, Any]:
 def test_a_command_that_waited_for_longer_than_it_is_valid_is_refused_and_a_stop_is_not(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "VALIDITY_S", 1.0)
+    monkeypatch.setattr(command_desk, "VALIDITY_S", 1.0)
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
-    assert asked(rig, "arm", now_s - hubs.VALIDITY_S)["ok"] is True
-    answer = asked(rig, "arm", now_s - hubs.VALIDITY_S - 0.1)
+    assert asked(rig, "arm", now_s - command_desk.VALIDITY_S)["ok"] is True
+    answer = asked(rig, "arm", now_s - command_desk.VALIDITY_S - 0.1)
     assert (answer["ok"], answer["text"][:12]) == (False, "arm expired:")
     assert asked(rig, "stop", now_s - 60.0)["ok"] is True
 
@@ -410,7 +410,7 @@ def test_a_command_that_waited_for_longer_than_it_is_valid_is_refused_and_a_stop
 def test_what_may_have_waited_while_the_server_stood_still_is_refused(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "VALIDITY_S", 1.0)
+    monkeypatch.setattr(command_desk, "VALIDITY_S", 1.0)
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
     rig.hub.tick()
@@ -439,13 +439,13 @@ def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkey
 
     async def press() -> None:
         asking = [asyncio.create_task(rig.hub.handle(session, EstopRequest(str(i)), 0.0)) for i in range(50)]
-        while len(begun) < hubs._MOST_STOPS:
+        while len(begun) < command_desk._MOST_STOPS:
             await asyncio.sleep(0.002)
         answering.set()
         await asyncio.gather(*asking)
 
     asyncio.run(press())
-    assert len(begun) == hubs._MOST_STOPS + 1
+    assert len(begun) == command_desk._MOST_STOPS + 1
     assert all(msgpack.unpackb(frame)["ok"] for frame in session._answers)
     assert len(session._answers) == 50
 
@@ -711,9 +711,9 @@ def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack
     client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
     reader = Page(stack, client)
     document.held.clear()
-    for number in range(hubs._MOST_READS + 1):
+    for number in range(read_desk._MOST_READS + 1):
         reader.send({"k": "part", "id": f"a-{number}", "from_s": 0.0, "to_s": 1.0, "spans": 10})
     refused = reader.take("answer")
     assert (refused["ok"], "are already being read" in refused["text"]) == (False, True)
     document.held.set()
-    assert all(reader.take("answer")["ok"] for _ in range(hubs._MOST_READS))
+    assert all(reader.take("answer")["ok"] for _ in range(read_desk._MOST_READS))

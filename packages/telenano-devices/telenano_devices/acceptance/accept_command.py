@@ -119,7 +119,7 @@ def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide
 def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], guide: "Guide") -> "Take[Any]":
     import yaml
 
-    from telenano.hand import HapticConfig
+    from telenano.sections import HapticConfig
     from telenano.settings import validate
     from telenano_devices.acceptance.haptic_device.devices import make_take
 

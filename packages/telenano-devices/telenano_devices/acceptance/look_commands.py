@@ -7,11 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.afm import AfmConfig
 from telenano.cli import JsonOption, print_answer, report_errors
 from telenano.devices import driver_of
 from telenano.extend.hands import MODE_OFF, DriveCommand
-from telenano.hand import HapticConfig, LimitsConfig
+from telenano.sections import AfmConfig, HapticConfig, LimitsConfig
 from telenano.settings import DeviceDriver, code_of, flag_overrides, installed, validate
 from telenano.wire import ConfigError, known_names
 from telenano_devices.acceptance.instrument.instruments import config_of

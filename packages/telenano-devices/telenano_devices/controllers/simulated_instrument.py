@@ -23,8 +23,8 @@ def simulated_afm(scenario: Path | None = None) -> SimulatedAfm:
     Raises:
         ConfigError: There is no such scenario, or a key of it cannot be used.
     """
-    from telenano.afm import AfmConfig
     from telenano.devices import driver_of
+    from telenano.sections import AfmConfig
 
     config = section_of(scenario, "afm_node", AfmConfig).model_copy(update={"driver": "simulated"})
     afm, plant = driver_of(config), config.to_params().plant

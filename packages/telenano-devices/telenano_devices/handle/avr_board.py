@@ -8,7 +8,7 @@ import ctypes
 from typing import Any
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano_devices.handle.emulated_handle import drive_n_per_count, plant_of
 from telenano_devices.handle.firmware import SOURCES, FirmwareError, compiled
 

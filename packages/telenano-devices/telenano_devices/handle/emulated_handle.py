@@ -9,7 +9,8 @@ from typing import Any
 
 from telenano.devices import HandleAbility, HandleFlag
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
-from telenano.hand import HapticConfig, MotorParams
+from telenano.hand import MotorParams
+from telenano.sections import HapticConfig
 from telenano_devices.handle.firmware import BoardIdentity, BoardSample, FirmwareCore
 
 TICK_US = 1000

@@ -5,7 +5,7 @@ from typing import Any
 
 from telenano.devices import HandleCalibration, SerialHandle
 from telenano.extend.hands import DeviceError
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.settings import validate
 from telenano.testing import HandRig, NodeBench
 from telenano_devices.handle.emulated_handle import EmulatedHandle, calibration_of

@@ -36,7 +36,7 @@ def simulate_handle(
     `gauge M` puts the arm at a position [m] and `mass KG` hangs a mass at its sensor [kg].
     """
     with report_errors(as_json=False, interrupted="the emulated handle has ended"):
-        from telenano.hand import HapticConfig
+        from telenano.sections import HapticConfig
         from telenano_devices.handle import avr_board, emulated_handle
         from telenano_devices.handle.handle_on_pty import EmulatedBoard, HandleOnPty
 

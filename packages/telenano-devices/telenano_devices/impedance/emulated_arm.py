@@ -143,6 +143,6 @@ def hand_of(scenario: Path | None = None) -> Any:
         ConfigError: There is no such scenario, or a key of it cannot be read.
     """
     from telenano.cli import section_of
-    from telenano.hand import HapticConfig
+    from telenano.sections import HapticConfig
 
     return section_of(scenario, "haptic_node", HapticConfig).operator.to_params()

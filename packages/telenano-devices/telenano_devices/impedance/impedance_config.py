@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from telenano.extend.hands import MODE_OFF, MODE_POSITION, Capabilities, DeviceError
-from telenano.hand import LateralPath
+from telenano.sections import LateralPath
 from telenano.settings import Settings
 from telenano_devices.impedance.coupled import CoupledParams, LateralHand
 from telenano_devices.impedance.coupling import (

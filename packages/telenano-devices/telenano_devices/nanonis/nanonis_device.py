@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.afm import AfmControllerConfig as ControllerSettings
 from telenano.devices import AfmCapabilities
 from telenano.extend.instruments import AfmDriver, SafetyParams
+from telenano.sections import AfmControllerConfig as ControllerSettings
 from telenano.settings import DeviceDriver
 from telenano_devices.nanonis.nanonis_calibration import NanonisCalibration
 

@@ -33,7 +33,7 @@ def simulate_t7(
 ) -> None:
     """Serve the model of a LabJack T7 with stage and cantilever behind it, over Modbus TCP. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the model of the T7 has ended"):
-        from telenano.afm import AfmConfig
+        from telenano.sections import AfmConfig
         from telenano_devices.t7.t7_model import T7Model, calibration_of, instrument_of
         from telenano_devices.t7.t7_server import serve_t7
 

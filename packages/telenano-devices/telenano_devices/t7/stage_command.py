@@ -131,8 +131,8 @@ def _metres(text: str) -> float:
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return an open driver, what moves it, and the provisional calibration of both."""
-    from telenano.afm import AfmConfig
     from telenano.devices import InstrumentCalibration, ModbusAfm
+    from telenano.sections import AfmConfig
     from telenano.settings import validate
     from telenano_devices.t7.stage_calibration import Mover
 

@@ -6,8 +6,9 @@ from typing import Any
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
-from telenano.afm import AfmConfig, simulated_afm
+from telenano.afm import simulated_afm
 from telenano.devices import InstrumentCalibration, ModbusAfm, read_map
+from telenano.sections import AfmConfig
 from telenano.settings import merge, validate
 from telenano.testing import InstrumentRig, NodeBench, RequestLine
 from telenano_devices.t7.t7_model import T7Model, calibration_of

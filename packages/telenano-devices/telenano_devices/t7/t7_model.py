@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Protocol
 
-from telenano.afm import AfmConfig, simulated_afm
+from telenano.afm import simulated_afm
 from telenano.devices import FeedbackRequest, driver_of
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.samples import AfmSample
+from telenano.sections import AfmConfig
 from telenano.wire import ConfigError
 
 SERIAL = 470012345

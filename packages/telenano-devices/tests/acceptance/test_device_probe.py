@@ -15,7 +15,7 @@ from telenano_devices.doubles.served import Served
 from telenano_devices.impedance.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from telenano_devices.t7.t7_model import calibration_of
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.testing import invoke
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")

@@ -40,7 +40,7 @@ from telenano_devices.impedance.impedance_config import CouplingConfig
 from test_acceptance_wires import MASS_KG, STEPS, SWINGS, TakeBench, Wrong
 
 from telenano.cli import run_ahead
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.testing import invoke, options_of
 from telenano.wire import ConfigError
 

@@ -10,7 +10,7 @@ from telenano_devices.acceptance.haptic_device.devices import make_take
 from telenano_devices.acceptance.haptic_device.take import MASS_STEP, MOST_WITHOUT_STOP_N, STEPS, Facts, steps_of
 from telenano_devices.acceptance.take import Take, Verdict, overall, read_take
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.wire import ConfigError
 
 # a take of a fifth of the time

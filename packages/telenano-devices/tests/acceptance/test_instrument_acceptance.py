@@ -17,8 +17,9 @@ from telenano_devices.gwyscope.gwyscope_driver import GwyscopeAfm
 from telenano_devices.nanonis.nanonis_driver import NanonisAfm
 from telenano_devices.t7.stage_line import StageLine, calibration
 
-from telenano.afm import AfmConfig, simulated_afm
+from telenano.afm import simulated_afm
 from telenano.devices import ModbusAfm, read_map
+from telenano.sections import AfmConfig
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 

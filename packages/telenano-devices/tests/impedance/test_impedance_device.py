@@ -13,7 +13,7 @@ from telenano_devices.impedance.impedance_device import ImpedanceDevice
 from telenano_devices.impedance.servo import ServoCommand, ServoSample, Slot
 
 from telenano.extend.hands import MODE_FORCE, MODE_POSITION, Capabilities, DeviceError, DriveCommand
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.testing import handed_over, haptic_device_of, haptic_node
 
 MS = 1e-3

@@ -6,8 +6,9 @@ from telenano_devices.impedance.coupled import coupled_plant_step
 
 from telenano import simulate
 from telenano.extend.hands import DriveCommand, SpatialCommand
-from telenano.hand import HapticConfig, initial_plant
+from telenano.hand import initial_plant
 from telenano.numerics import compiled_form
+from telenano.sections import HapticConfig
 
 DEVICE = {"haptic_node.driver": "simulated_impedance", "haptic_node.coupling.rest_s": 0.05}
 # F_m over alpha_f F_s at rest

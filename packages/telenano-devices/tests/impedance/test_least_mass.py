@@ -11,7 +11,7 @@ from telenano_devices.impedance.coupling import least_mass_kg, stable_stiffness_
 from telenano_devices.impedance.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.testing import invoke
 
 DRAWN = 3000

@@ -9,7 +9,7 @@ from telenano_devices.impedance.servo import ServoCommand
 from telenano_devices.impedance.servo_process import SharedServo
 
 from telenano.extend.hands import DeviceError
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.settings import LoadedScenario, find_scenario
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)

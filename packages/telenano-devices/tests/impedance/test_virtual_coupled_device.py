@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from telenano_devices.impedance.impedance import coupling_of
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.virtual import ARMED_S, STARTED_S, VirtualRig, constant_timing
 from telenano.wire import HapticState, SessionEvent
 

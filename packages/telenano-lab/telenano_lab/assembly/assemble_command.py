@@ -23,7 +23,7 @@ from telenano_lab.microscopy.program_view import AfmOption, LiveOption
 from telenano_lab.microscopy.sample_options import ChannelOption
 
 if TYPE_CHECKING:
-    from telenano.afm import AfmConfig
+    from telenano.sections import AfmConfig
     from telenano_lab.assembly.find import Found
     from telenano_lab.assembly.plan import Point
     from telenano_lab.assembly.run import ProgramBench
@@ -49,8 +49,8 @@ def particles(
 ) -> None:
     """Find spheres in an image: places, radii and their standard errors."""
     with report_errors(as_json):
-        from telenano.afm import read_surface
         from telenano.files import atomic_file
+        from telenano.sections import read_surface
         from telenano_lab.assembly.find import find_particles
         from telenano_lab.assembly.particles.tip_shape import tip_shape
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano.wire import RigError, Scalar
 from telenano_lab.assembly.run import ProgramBench
 from telenano_lab.microscopy.image_files import LiveImage

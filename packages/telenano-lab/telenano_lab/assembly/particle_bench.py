@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from telenano.settings import flag_overrides, merge, validate
 
 if TYPE_CHECKING:
-    from telenano.afm import AfmConfig
+    from telenano.sections import AfmConfig
     from telenano_lab.assembly.particles.settings import ParticlesConfig
 
 # A thermal drift of 0.05 nm/s and the noise of the read-out.
@@ -53,7 +53,7 @@ def configured(
     Raises:
         ConfigError: An option is wrong; the message names it.
     """
-    from telenano.afm import AfmConfig
+    from telenano.sections import AfmConfig
 
     overrides = flag_overrides(settings)
     lie_elsewhere = overrides.get("sample", {}).get("particles", {}).keys() & set(elsewhere)

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig
 from telenano.devices import VirtualInstrument
 from telenano.extend.programs import Wanted
+from telenano.sections import AfmConfig
 from telenano.wire import Scalar
 from telenano_lab.assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_lab.assembly.find import Found, find_particles, fixed_places

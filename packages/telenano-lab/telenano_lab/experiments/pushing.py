@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.afm import AfmConfig
-from telenano.hand import HapticConfig
-from telenano.laws import ControllerConfig
+from telenano.sections import AfmConfig, ControllerConfig, HapticConfig
 from telenano.settings import LinkSettings, LoadedScenario
 from telenano_lab.assembly import Hand, new_hand, push_of
 from telenano_lab.experiments.extend import Course

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
+from telenano.afm import MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
 from telenano.numerics import compiled, compiled_form
+from telenano.sections import AfmConfig
 from telenano.wire import ConfigError
 from telenano_lab.microscopy.correlated_noise import Noise, correlated_noise
 from telenano_lab.microscopy.force_curve import Curve

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.afm import CurveSettings
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
@@ -20,7 +19,7 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.settings import DEFAULT_SITE_FILE, CurveSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import ConfigError, RigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
@@ -76,7 +75,7 @@ def curve(
     with report_errors(as_json):
         validated(CurveSettings, given)
         import telenano_lab.microscopy.force_curve as curves
-        from telenano.afm import AfmConfig
+        from telenano.sections import AfmConfig
         from telenano_lab.microscopy.adhesion_fit import fit_adhesion
         from telenano_lab.microscopy.force_curve_figure import curve_figure
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano_lab.microscopy.force_curve import Marks, force_curve, marks_of
 
 STIFFNESSES_N_PER_M = (40.0, 8.0, 1.0)

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, settled_tip, simulated_afm
+from telenano.afm import settled_tip, simulated_afm
+from telenano.sections import AfmConfig
 from telenano.settings import read_by_package
 from telenano.wire import ConfigError, RigError
 

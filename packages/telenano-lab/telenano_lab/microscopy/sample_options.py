@@ -8,7 +8,7 @@ import typer
 from telenano.settings import flag_overrides, permit_code, validate
 
 if TYPE_CHECKING:
-    from telenano.afm import SampleConfig
+    from telenano.sections import SampleConfig
 
 SampleOption = Annotated[
     str,
@@ -36,7 +36,7 @@ def sample_config(
     name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
 ) -> "SampleConfig":
     """Return the sample that the options describe; ConfigError names the option or key."""
-    from telenano.afm import SampleConfig
+    from telenano.sections import SampleConfig
 
     if ":" in name:
         # a person has named this function here, and no file of somebody else

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from telenano.afm import ScanSettings
 from telenano.cli import (
     EXIT_FAILED,
     JsonOption,
@@ -19,7 +18,7 @@ from telenano.cli import (
     validated,
     with_options,
 )
-from telenano.settings import DEFAULT_SITE_FILE, flag_overrides, validate
+from telenano.settings import DEFAULT_SITE_FILE, ScanSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import RigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
@@ -94,7 +93,7 @@ def scan(
             _scan_live(out, site_file, wanted, given, as_json=as_json)
             return
         refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
-        from telenano.afm import AfmConfig
+        from telenano.sections import AfmConfig
         from telenano_lab.microscopy.image_output import write_images
         from telenano_lab.microscopy.simulated_image import take_image
 

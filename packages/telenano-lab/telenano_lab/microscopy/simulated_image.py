@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig, height_over_middle
+from telenano.afm import height_over_middle
 from telenano.devices import VirtualInstrument
+from telenano.sections import AfmConfig
 from telenano.wire import AfmScanline, ConfigError, RefusedError, Scalar
 from telenano_lab.microscopy.image_files import LiveImage
 

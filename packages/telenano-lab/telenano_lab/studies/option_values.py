@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from telenano.laws import LAWS, OWN_LAWS, ControllerConfig
+from telenano.sections import LAWS, OWN_LAWS, ControllerConfig
 from telenano.settings import LoadedScenario, flag_overrides, flatten, nested, validate
 from telenano.wire import ConfigError, known_names
 

@@ -10,9 +10,9 @@ from telenano_lab.afm_files import recorded_map
 from telenano_lab.afm_files.recorded_map import MapState
 from telenano_lab.doubles.maker_files import STIFFNESS_N_PER_M, adhesive
 
-from telenano.afm import AfmConfig
 from telenano.devices import driver_of
 from telenano.extend.samples import PlantInputs
+from telenano.sections import AfmConfig
 from telenano.testing import afm_node
 
 Array = npt.NDArray[np.float64]

@@ -14,7 +14,7 @@ from telenano_lab.calibration.own_calibration import sensitivities_of_file
 from telenano_lab.doubles.maker_files import wave
 from telenano_lab.microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 

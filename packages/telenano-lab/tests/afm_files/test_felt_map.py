@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded_maps import Rig, config_of, frequency_shift_hz, write_npz
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 
 # the frequency shift of `recorded_maps` falls to its minimum of -8 Hz at 0.4 nm
 FEEL = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telenano_lab.microscopy.image_files import Image, write_gwy
 
-from telenano.afm import read_surface
+from telenano.sections import read_surface
 from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "spot_1-1000nm.ibw"

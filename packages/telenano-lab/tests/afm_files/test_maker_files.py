@@ -31,7 +31,7 @@ from telenano_lab.doubles.maker_files import (
 from telenano_lab.microscopy.force_curve import Curve, read_measured
 from telenano_lab.microscopy.image_files import Image, write_gwy
 
-from telenano.afm import read_surface
+from telenano.sections import read_surface
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 

@@ -8,7 +8,7 @@ from telenano_lab.assembly.assemble_command import _config
 from telenano_lab.assembly.patterns import pattern
 from telenano_lab.assembly.run import Assembler, VirtualBench
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano.settings import merge, validate
 
 # Five assemblies take three minutes of a processor, which a busy machine gives in many.

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from telenano_lab.assembly.particles.tip_shape import ride_height_m, tip_shape
 
-from telenano.afm import AfmConfig
 from telenano.devices import driver_of
+from telenano.sections import AfmConfig
 from telenano.settings import validate
 from telenano.wire import ConfigError
 

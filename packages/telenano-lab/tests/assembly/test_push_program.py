@@ -10,11 +10,11 @@ from telenano_lab.assembly.particles.settings import ParticlesConfig
 from telenano_lab.assembly.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from telenano_lab.assembly.push_program import Push, PushSettings, PushState
 
-from telenano.afm import AfmConfig
 from telenano.devices import VirtualInstrument
 from telenano.extend.programs import Inputs, Instrument
 from telenano.extend.samples import Oscillation
 from telenano.extend.stage import LateralParams, Place
+from telenano.sections import AfmConfig
 from telenano.settings import validate
 from telenano.wire import RefusedError
 

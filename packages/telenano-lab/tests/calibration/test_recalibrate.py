@@ -9,8 +9,8 @@ from telenano_devices.handle.emulated_handle import DEVICE_ID, POSITION_ZERO
 from telenano_devices.handle.emulated_handle import calibration_of as handle_file
 from telenano_devices.t7.t7_model import calibration_of as stage_file
 
-from telenano.hand import HapticConfig
 from telenano.recording import FileSettings, Recording, RecordingWriter
+from telenano.sections import HapticConfig
 from telenano.settings import merge
 from telenano.testing import EPOCH_NS, invoke, numbered
 from telenano.wire import encode

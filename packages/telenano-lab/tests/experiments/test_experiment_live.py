@@ -16,8 +16,8 @@ from telenano_lab.experiments.desk import Desk
 from telenano_lab.experiments.disturbances import disturbances
 from telenano_lab.experiments.recorded_trial import RecordedTrial
 
-from telenano.laws import ControllerConfig, changed_config
 from telenano.recording import Selection, filter_recording
+from telenano.sections import ControllerConfig, changed_config
 from telenano.settings import LinkSettings
 from telenano.wire import RecordingError, RigError
 

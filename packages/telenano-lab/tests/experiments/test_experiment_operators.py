@@ -15,7 +15,7 @@ from telenano_lab.experiments.plan import load_plan
 from telenano_lab.experiments.tasks import TASKS
 from telenano_lab.experiments.types import Trial
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.settings import nested, validate
 from telenano.wire import ConfigError
 

@@ -14,10 +14,8 @@ from telenano_lab.experiments.tasks.push_particle import PLACE_M, goal_of
 from telenano_lab.experiments.tasks.track import lag_s, sum_of_sines
 from telenano_lab.experiments.types import particle_table
 
-from telenano.afm import AfmConfig
-from telenano.hand import HapticConfig
-from telenano.laws import ControllerConfig
 from telenano.recording import ColumnTable
+from telenano.sections import AfmConfig, ControllerConfig, HapticConfig
 from telenano.settings import LoadedScenario, Scenario, find_scenario, merge, nested, read_yaml, validate
 
 SEEDS = range(2)

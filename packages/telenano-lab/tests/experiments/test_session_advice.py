@@ -9,7 +9,7 @@ from telenano_lab.experiments.benchmark.session_advice import BenchmarkAdviser, 
 from telenano_lab.experiments.benchmark.shown_range import Cell, Place, Shown
 
 from telenano.extend.advice import Advice, AdvisedSession
-from telenano.laws import ControllerConfig
+from telenano.sections import ControllerConfig
 from telenano.settings import validate
 from telenano.wire import Message, example
 

@@ -14,7 +14,7 @@ from telenano_lab.experiments.benchmark.shown_range import (
     read_shown,
 )
 
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 
 
 def cell(line: tuple[float, float], stiffness: float, drift: float = 0.0, *, held: int = 32) -> Cell:

@@ -12,7 +12,9 @@ from telenano_lab.microscopy.correlated_noise import _whitened, correlated_noise
 from telenano_lab.microscopy.curve_models import compare_models
 from telenano_lab.microscopy.force_curve import Curve, force_curve, read_measured
 
-from telenano.afm import AfmConfig, DisturbanceConfig, noise_start, noise_step
+from telenano.afm import noise_start, noise_step
+from telenano.sections import AfmConfig
+from telenano.settings import DisturbanceConfig
 from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "SiN_FD_plot.ibw"

@@ -14,7 +14,7 @@ from telenano_lab.microscopy.force_curve import (
 )
 from telenano_lab.microscopy.force_curve_figure import curve_figure
 
-from telenano.afm import AfmConfig
+from telenano.sections import AfmConfig
 from telenano.wire import ConfigError, RigError
 
 

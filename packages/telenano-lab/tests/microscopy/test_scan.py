@@ -8,8 +8,8 @@ import pytest
 from telenano_lab.microscopy.force_curve import force_curve
 from telenano_lab.microscopy.simulated_image import SimulatedImage, take_image
 
-from telenano.afm import AfmConfig
 from telenano.devices import VirtualInstrument
+from telenano.sections import AfmConfig
 from telenano.wire import ConfigError
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "spot_1-1000nm.ibw"

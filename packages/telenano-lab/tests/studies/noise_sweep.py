@@ -16,9 +16,9 @@ from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 from verdict_sweep import GAINS, LAWS, STIFFNESS_N_PER_M, Loop, wrong
 
 import telenano
-from telenano.afm import DisturbanceConfig, piezo_params
-from telenano.laws import ControllerConfig
-from telenano.settings import instrument_named
+from telenano.afm import piezo_params
+from telenano.sections import ControllerConfig
+from telenano.settings import DisturbanceConfig, instrument_named
 
 HOLD_S = (0.9, 6.9)
 # round trips [ms]: half of what the paper's gain bears on the spring, and twice as much

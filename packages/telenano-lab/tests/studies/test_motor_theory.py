@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from telenano_lab.studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 
-from telenano.hand import HapticConfig, MotorParams
+from telenano.hand import MotorParams
+from telenano.sections import HapticConfig
 
 
 def device(preset: Any = "paper_bandwidth", **changes: Any) -> MotorParams:

@@ -11,7 +11,7 @@ from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
 from telenano_lab.studies.loops.tuning import tuned
 from telenano_lab.studies.option_values import COMPARED_LAWS, Jitter
 
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 
 # the networks of the page: constant, with a little loss, and bad
 NETWORKS: tuple[dict[str, Any], ...] = ({}, {"loss": 0.03}, {"loss": 0.2, "jitter": Jitter(0.5, True)})

@@ -12,9 +12,8 @@ from telenano_lab.studies.loops.tuning import tuned
 from telenano_lab.studies.option_values import COMPARED_LAWS, Jitter
 
 from telenano.analysis import Fact
-from telenano.hand import ARMS
-from telenano.laws import LAWS
 from telenano.lockstep import Trajectory
+from telenano.sections import ARMS, LAWS
 from telenano.wire import ConfigError
 
 

@@ -11,8 +11,8 @@ from telenano_lab.studies.loops import body as model
 from telenano_lab.studies.loops.body import BodyParams, body_params
 from telenano_lab.studies.loops.cells import Cell, run_cell
 
-from telenano.afm import AfmConfig
 from telenano.extend.instruments import SafetyParams
+from telenano.sections import AfmConfig
 
 DT = 1e-3
 pushed: Any = model.pushed

@@ -11,7 +11,7 @@ from telenano_lab.studies.loops.stability import Axes, Line, theory_of
 from telenano_lab.studies.loops.theory import Arm, Device, arm_response, loop_model
 from telenano_lab.studies.option_values import Jitter
 
-from telenano.hand import ARMS, HapticConfig
+from telenano.sections import ARMS, HapticConfig
 from telenano.wire import ConfigError
 
 OMEGA = np.geomspace(0.5, 100.0, 60)

@@ -10,7 +10,7 @@ import pytest
 from telenano_lab.studies.loops.cells import Cell, run_cell
 from telenano_lab.studies.loops.theory import critical_link_delay_s, loop_model
 
-from telenano.laws import late_periods
+from telenano.sections import late_periods
 from telenano.wire import ConfigError
 
 SHARES = (0.8, 1.2)

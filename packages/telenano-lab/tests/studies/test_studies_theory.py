@@ -24,8 +24,7 @@ from telenano_lab.studies.loops.theory import (
 )
 
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
-from telenano.hand import HapticConfig
-from telenano.laws import LAWS
+from telenano.sections import LAWS, HapticConfig
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)
 PERIOD_S = 1e-3

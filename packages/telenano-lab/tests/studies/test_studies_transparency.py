@@ -8,7 +8,7 @@ import pytest
 from telenano_lab.studies.loops.cells import Cell
 from telenano_lab.studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_force_profile, measure, spectrum
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 
 
 def cell(delay_ms: float, **more: Any) -> Cell:

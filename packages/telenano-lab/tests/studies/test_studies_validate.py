@@ -20,10 +20,8 @@ from telenano_lab.studies.loops.validate import (
     scenario_of,
 )
 
-from telenano.afm import AfmConfig
-from telenano.hand import HapticConfig
-from telenano.laws import ControllerConfig
 from telenano.lockstep import Trajectory
+from telenano.sections import AfmConfig, ControllerConfig, HapticConfig
 from telenano.settings import LinkSettings, Scenario, validate
 from telenano.wire import ConfigError, RecordingError, RigError
 

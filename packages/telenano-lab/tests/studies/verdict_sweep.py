@@ -24,7 +24,7 @@ from telenano_lab.studies.loops.validate import longest_stall_s
 
 import telenano
 from telenano.cli import run_session
-from telenano.laws import ControllerConfig
+from telenano.sections import ControllerConfig
 from telenano.settings import find_scenario, merge, nested, read_yaml
 from telenano.wire import RigError
 

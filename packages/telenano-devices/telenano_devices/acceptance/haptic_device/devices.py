@@ -4,7 +4,7 @@ import gc
 from collections.abc import Mapping
 from typing import Any
 
-from telenano.hand import HapticConfig
+from telenano.sections import HapticConfig
 from telenano.settings import DeviceDriver
 from telenano.wire import ConfigError
 from telenano_devices.acceptance.haptic_device.person import person, reach_of

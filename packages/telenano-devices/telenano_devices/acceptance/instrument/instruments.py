@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from telenano.afm import AfmConfig
 from telenano.devices import AfmCapabilities, driver_of
 from telenano.extend.instruments import AfmDriver
+from telenano.sections import AfmConfig
 from telenano.settings import merge, read_yaml, validate
 from telenano.wire import ConfigError
 from telenano_devices.acceptance.instrument.take import Facts, press_of, record_take

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.cli import run_ahead
-from telenano.hand import HapticConfig, LimitsConfig
+from telenano.sections import HapticConfig, LimitsConfig
 from telenano.settings import DeviceDriver, validate
 from telenano.wire import ConfigError, known_names
 from telenano_devices.acceptance.accept_command import section_named

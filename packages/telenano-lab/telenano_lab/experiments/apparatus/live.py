@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from telenano.console import holding, recouple, send_control
-from telenano.hand import HapticConfig
-from telenano.laws import ControllerConfig
 from telenano.recording import Recording
 from telenano.runtime import AddressBook, Command, Observer
+from telenano.sections import ControllerConfig, HapticConfig
 from telenano.settings import DEFAULT_SITE_FILE, LinkSettings
 from telenano.wire import (
     LINK,

@@ -9,8 +9,8 @@ import numpy as np
 import zmq
 
 from telenano.console import RigHand
-from telenano.laws import ControllerConfig
 from telenano.runtime import AddressBook, Participant
+from telenano.sections import ControllerConfig
 from telenano.wire import LINK, HapticState, RigError, TeleopBackward
 from telenano_lab.assembly import Hand, hand_moves
 from telenano_lab.experiments.nodes import HAND

@@ -4,8 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from telenano.afm import AfmConfig
-from telenano.laws import ControllerConfig
+from telenano.sections import AfmConfig, ControllerConfig
 from telenano.settings import LinkSettings, LoadedScenario, flatten
 from telenano.wire import LinkDelay, Scalar
 from telenano_lab.experiments.plan import changes_while_running

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 from telenano.settings import LinkSettings, Settings, profile_named
 from telenano.wire import ConfigError, known_names
 from telenano_lab.studies.loops.cells import Cell, Environment, sources

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.hand import HapticConfig
 from telenano.lockstep import Rig, Schedule, Trajectory
+from telenano.sections import HapticConfig
 from telenano.settings import validate
 from telenano.wire import RigError
 from telenano_lab.experiments.benchmark.etvo import Offsets, Series, etvo

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import ClassVar
 
 from telenano.extend.advice import Advice, AdvisedSession
-from telenano.laws import LAWS, ControllerConfig
+from telenano.sections import LAWS, ControllerConfig
 from telenano.settings import section_of
 from telenano.wire import AfmState, LawStatus, Message, Scalar
 from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate

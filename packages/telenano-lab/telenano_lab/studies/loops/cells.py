@@ -17,12 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import STRUCK_FORCES as STRUCK_FORCES
-from telenano.hand import HapticConfig, LimitsConfig
-from telenano.laws import LAWS, ControllerConfig
 from telenano.lockstep import Rig, Schedule, Trajectory
 from telenano.numerics import source_digest
+from telenano.sections import LAWS, SAMPLES, AfmConfig, ControllerConfig, HapticConfig, LimitsConfig
 from telenano.settings import LinkSettings, Option, Settings, merge, nested, validate
 from telenano.wire import ConfigError, RigError, known_names
 from telenano_lab.studies import option_values

@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, Field
 
-from telenano.hand import HapticConfig
-from telenano.laws import LAWS, ControllerConfig
+from telenano.sections import LAWS, ControllerConfig, HapticConfig
 from telenano.settings import Settings, merge, nested, validate
 from telenano.wire import ConfigError, known_names
 from telenano_lab.studies.loops.theory import (

@@ -14,7 +14,7 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from telenano.laws import OWN_LAWS
+from telenano.sections import OWN_LAWS
 from telenano_lab.studies.loops.cells import Cell, CellResult, Environment, Hand
 from telenano_lab.studies.loops.links import Uneven
 from telenano_lab.studies.loops.sweep import Sweep

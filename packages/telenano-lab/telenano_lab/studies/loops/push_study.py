@@ -16,11 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.afm import AfmConfig
 from telenano.analysis import wilson
-from telenano.hand import HapticConfig
-from telenano.laws import LAWS, ControllerConfig
 from telenano.lockstep import Rig, Schedule
+from telenano.sections import LAWS, AfmConfig, ControllerConfig, HapticConfig
 from telenano.settings import Settings, validate
 from telenano.wire import ConfigError, known_names
 from telenano_lab.assembly import bench, carried_out, new_hand, push_of

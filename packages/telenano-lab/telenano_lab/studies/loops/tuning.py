@@ -10,7 +10,7 @@ import functools
 import math
 from typing import Any
 
-from telenano.laws import LAWS
+from telenano.sections import LAWS
 from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
 
 TOLERATED_DELAYS = 2.0

@@ -31,11 +31,11 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from telenano.afm import SAMPLES, AfmConfig
 from telenano.analysis import Session
 from telenano.cli import run_session
 from telenano.lockstep import Trajectory
 from telenano.recording import Recording, Timeline, last_force_profile
+from telenano.sections import SAMPLES, AfmConfig
 from telenano.wire import ConfigError, RecordingError, RigError, TelenanoError
 from telenano_lab.studies.loops.cells import (
     WALL_DISTANCE_M,

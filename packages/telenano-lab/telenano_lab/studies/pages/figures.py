@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from telenano.laws import LAWS, OWN_LAWS
+from telenano.sections import LAWS, OWN_LAWS
 from telenano_lab.studies.figure_colours import Look, looks
 from telenano_lab.studies.loops.transparency import Spectrum
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.afm import AfmConfig
 from telenano.cli import run_session
 from telenano.recording import Recording
+from telenano.sections import AfmConfig
 from telenano.settings import LoadedScenario, find_scenario
 from telenano.wire import RigError
 

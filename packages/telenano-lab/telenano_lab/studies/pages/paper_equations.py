@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from telenano import SimulatedSession, simulate
-from telenano.afm import AfmConfig, MaugisDugdale, damping_at
-from telenano.hand import HapticConfig
-from telenano.laws import LAWS, ControllerConfig
+from telenano.afm import MaugisDugdale, damping_at
+from telenano.sections import LAWS, AfmConfig, ControllerConfig, HapticConfig
 from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
 from telenano_lab.studies.pages.motor_theory import bandwidth_hz, closed_loop_poles
 

@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from telenano.afm import AfmConfig, cohesive_stress_pa, reduced_modulus_pa
+from telenano.afm import cohesive_stress_pa, reduced_modulus_pa
 from telenano.analysis import Page, cell_text, png_of
 from telenano.files import atomic_file
+from telenano.sections import AfmConfig
 from telenano.wire import RigError
 from telenano_lab.microscopy.curve_models import ModelRow, compare_models
 from telenano_lab.microscopy.force_curve import Curve, force_curve, marks_of

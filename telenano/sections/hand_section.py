@@ -9,14 +9,15 @@ from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.extend.hands import SimulatedHand
 from telenano.hand import sim, step
-from telenano.hand.disturbances import DisturbedHaptic, HandDisturbanceConfig, disturbed_plant_params
-from telenano.hand.lateral_hand import LateralHandConfig
+from telenano.hand.disturbances import DisturbedHaptic, disturbed_plant_params
 from telenano.hand.motor import SUBSTEP_S, MotorParams
-from telenano.hand.operator_config import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.hand.safety import SafetyParams
+from telenano.sections.lateral_hand_section import LateralHandConfig
+from telenano.sections.operator_section import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.settings.config import Settings, filled, validate
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.entries import Entries, checked_model
+from telenano.settings.hand_disturbances import HandDisturbanceConfig
 from telenano.settings.known_packages import SIMULATED_DRIVERS
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar

@@ -1,10 +1,11 @@
 """Settings of the parts of an AFM: cantilever, tip and sample (Table 2 of the paper), guard, friction, real devices."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from telenano.afm.contact.capillary import meniscus_radius_m
+from telenano.afm.torsion import TorsionParams
 from telenano.settings.config import Settings
 from telenano.wire.topics import deadline_of
 
@@ -161,3 +162,31 @@ class AfmControllerConfig(Settings):
     calibration: str = Field(min_length=1, description="Calibration file of this very controller")
     host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
     port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+
+
+_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."
+
+
+class TorsionConfig(Settings):
+    """How the lateral force is measured, with the errors of the channel."""
+
+    factor_n_per_v: float = Field(2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V].")
+    range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V].")
+    gain_error: float = Field(
+        0.0, ge=-0.9, le=9.0, description="Relative error of the factor: 0.2 reads a fifth too much."
+    )
+    gain_uncertainty: float = Field(
+        0.0, ge=0.0, le=1.0, description="Relative standard uncertainty that the calibration states."
+    )
+    crosstalk_x: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="x"))
+    crosstalk_y: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="y"))
+
+    @property
+    def most_n(self) -> float:
+        """The greatest lateral force along an axis that can be read [N]."""
+        return self.factor_n_per_v * self.range_v
+
+    def around(self, part: Any, stiffness_n_per_m: float) -> Any:
+        """Return the parameters of a part whose lateral force this channel measures; k of the cantilever [N/m]."""
+        cross = stiffness_n_per_m * self.crosstalk_x, stiffness_n_per_m * self.crosstalk_y
+        return TorsionParams(part, 1.0 + self.gain_error, *cross, self.most_n)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from telenano.hand.lateral_hand import Corner, Course
 from telenano.hand.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
-from telenano.hand.operator_models import OPERATOR_MODELS, unusable_config
 from telenano.hand.reacting import ReactingParams
+from telenano.sections.lateral_hand_section import Corner, Course
+from telenano.sections.operator_kinds import OPERATOR_MODELS, unusable_config
 from telenano.settings.config import Settings, filled
 
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, TipMeasurement
-from telenano.laws.config import LAWS, ControllerConfig
-from telenano.laws.law_corners import failures
+from telenano.lockstep.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
+from telenano.sections.controller_section import LAWS, ControllerConfig
 from telenano.wire.errors import described
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)

@@ -5,11 +5,9 @@ from typing import Any
 from telenano.afm.programs.curve import Curve
 from telenano.afm.programs.scan import Scan
 from telenano.afm.programs.tactile import Tactile
-from telenano.extend.programs import Program
+from telenano.extend.programs import AnyProgram, Program
 from telenano.settings.config import Settings
 from telenano.settings.plugins import load
-
-AnyProgram = Program[Any, Any, Any]
 
 OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
 # With one of these `program=...` changes the program that runs.

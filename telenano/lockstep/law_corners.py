@@ -18,8 +18,8 @@ from telenano.extend.laws import (
     port_signal,
 )
 from telenano.laws.clamp import clamped
-from telenano.laws.config import LAWS, OWN_LAWS, ControllerConfig
 from telenano.laws.deadband import deadband, initial_deadband_state
+from telenano.sections.controller_section import LAWS, OWN_LAWS, ControllerConfig
 from telenano.wire.errors import described
 from telenano.wire.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 

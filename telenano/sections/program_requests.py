@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
 
-from telenano.afm.programs.table import CHANGES, OWN_PROGRAMS, PACKAGE_PROGRAMS, PROGRAMS
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.programs import Position
+from telenano.sections.program_table import CHANGES, OWN_PROGRAMS, PACKAGE_PROGRAMS, PROGRAMS
 from telenano.settings.config import (
     Settings,
     changed_disturbances,

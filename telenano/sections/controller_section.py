@@ -8,15 +8,22 @@ from pydantic import ConfigDict, Field, create_model, field_validator, model_val
 
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
-from telenano.laws.clamp import ClampConfig, ClampParams
-from telenano.laws.deadband import DeadbandConfig
+from telenano.laws.clamp import ClampParams
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
-from telenano.laws.lateral_settings import LateralConfig
-from telenano.laws.passivity import PASSIVITY, PassivityConfig
-from telenano.laws.position_force import POSITION_FORCE, PositionForceConfig
-from telenano.laws.tactile import TACTILE, TactileConfig
-from telenano.laws.wave import WAVE, WaveConfig
+from telenano.sections.clamp_section import ClampConfig
+from telenano.sections.deadband_section import DeadbandConfig
+from telenano.sections.lateral_section import LateralConfig
+from telenano.sections.own_laws import (
+    PASSIVITY,
+    POSITION_FORCE,
+    TACTILE,
+    WAVE,
+    PassivityConfig,
+    PositionForceConfig,
+    TactileConfig,
+    WaveConfig,
+)
 from telenano.settings.config import Settings, keys_of, merge, nested, package_fields, section_of, validate
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import load, refuse

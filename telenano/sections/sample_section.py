@@ -10,9 +10,9 @@ from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.afm.layers import Layer, checked_layer
 from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
-from telenano.afm.sample.surface_files import SHAPES, read_surface
-from telenano.afm.sample_maps import span_of
 from telenano.extend.maps import Span
+from telenano.sections.sample_maps import span_of
+from telenano.sections.surface_files import SHAPES, read_surface
 from telenano.settings.config import Settings, keys_of, refused_code, section_of
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is

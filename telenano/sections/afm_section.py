@@ -14,17 +14,16 @@ from telenano.afm.cantilever import Plant, build_plant, volts_per_m
 from telenano.afm.contact.friction import FrictionParams, adhesion_n
 from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
 from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
-from telenano.afm.disturbances import DisturbanceConfig
-from telenano.afm.felt import FeelConfig
 from telenano.afm.layers import Ground, Height
-from telenano.afm.made_samples import SampleConfig, layers_on
-from telenano.afm.programs.settings import InstrumentRequest
-from telenano.afm.programs.table import PROGRAMS
 from telenano.afm.safety import way_s
 from telenano.afm.sample.surface import PLANE, Surface
-from telenano.afm.sample_maps import over_map
 from telenano.afm.sample_models import checked_sample
-from telenano.afm.section_config import (
+from telenano.afm.spring import spring_params
+from telenano.afm.step import AfmParams
+from telenano.extend.instruments import SafetyParams
+from telenano.extend.maps import OverMap, Span
+from telenano.extend.stage import LateralParams
+from telenano.sections.afm_parts import (
     MOST_CONTRADICTION,
     CantileverConfig,
     FrictionConfig,
@@ -33,13 +32,14 @@ from telenano.afm.section_config import (
     SafetyConfig,
     SpringConfig,
     TipSampleConfig,
+    TorsionConfig,
 )
-from telenano.afm.spring import spring_params
-from telenano.afm.step import AfmParams
-from telenano.afm.torsion import TorsionConfig
-from telenano.extend.instruments import SafetyParams
-from telenano.extend.maps import OverMap, Span
-from telenano.extend.stage import LateralParams
+from telenano.sections.feel_section import FeelConfig
+from telenano.sections.program_requests import InstrumentRequest
+from telenano.sections.program_table import PROGRAMS
+from telenano.sections.sample_maps import over_map
+from telenano.sections.sample_section import SampleConfig, layers_on
+from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.settings.config import Settings, filled, package_fields, section_of
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.plugins import load, refuse

@@ -1,0 +1,33 @@
+"""The age of the loop by its parts, as the pages and the metrics report it."""
+
+import time
+
+from services.viz_node.feed import Seen
+from telenano.timing.loop_age import LoopAge, Part
+
+# It is taken at this interval.
+_AGE_S = 1.0
+
+
+class AgeReport:
+    """The age of the loop of the last second; `parts` is empty while no page is open."""
+
+    def __init__(self) -> None:
+        self.loop_age, self._taken_s = LoopAge(), time.monotonic()
+        self.parts: list[Part] = []
+
+    def record(self, seen: Seen) -> None:
+        """Record a message of `AGE_TOPICS`."""
+        self.loop_age.take(*seen)
+
+    def take(self, now_s: float, *, is_watched: bool) -> bool:
+        """Take the parts once a second; return whether they were taken now.
+
+        Args:
+            now_s: The monotonic time [s].
+            is_watched: Whether a page is open.
+        """
+        if now_s - self._taken_s < _AGE_S:
+            return False
+        self._taken_s, self.parts = now_s, self.loop_age.parts() if is_watched else []
+        return True

@@ -1,0 +1,178 @@
+"""The commands of pages: each in its turn, fresh or refused, and void after an emergency stop, which goes at once."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
+from functools import partial
+from typing import Protocol
+
+from services.viz_node.page_hand import TICK_S
+from services.viz_node.page_session import Session
+from services.viz_node.page_threads import in_thread
+from services.viz_node.requests import CommandRequest
+from telenano.console.lease import FREE_COMMANDS
+from telenano.wire.errors import RefusedError
+from telenano.wire.messages import Scalar
+
+# Of one page, with the one that is being carried out.
+MOST_COMMANDS = 4
+# As of a session/control (ADR 0014); a page that means it sends it again.
+VALIDITY_S = 1.0
+# At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
+_MOST_STOPS = 4
+# The end of the page waits this long for the stops under way, each of which is given up after 5 s.
+_STOPS_END_S = 6.0
+# Obeyed at any age, and whoever has left: it only ends a motion.
+_STOP = "stop"
+_ARM = "arm"
+
+Answers = Mapping[str, tuple[str, str]]
+
+
+class Commander(Protocol):
+    """How the commands of a page reach the rig. The methods block, and are called in threads."""
+
+    def send(
+        self,
+        command: str,
+        target: str,
+        parameters: Mapping[str, Scalar],
+        is_wanted: Callable[[], bool],
+        issued_ns: int,
+        by: str,
+    ) -> Answers:
+        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not.
+
+        It is not sent again once `is_wanted` is false, and an emergency stop after `issued_ns`, on the monotonic clock
+        [ns], makes it void. `by` is the name of who gave it, or empty.
+        """
+
+    def estop(self, by: str) -> Answers:
+        """Stop the devices at once; return by node the answer. TelenanoError says why not."""
+
+
+class Wish:
+    """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
+
+    def __init__(self, session: Session, request: CommandRequest, arrived_s: float) -> None:
+        self.session, self.request, self.arrived_s = session, request, arrived_s
+        self.reason = ""
+        self.needs_lease = request.command not in FREE_COMMANDS
+        # Whether it lets the tip go somewhere, which any other command ends.
+        self.goes = request.command == _ARM and bool(request.parameters)
+        self._is_void = threading.Event()
+
+    def make_void(self, reason: str) -> None:
+        """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
+        if self.request.command != _STOP:
+            self.reason = f"{self.request.command} was cancelled: {reason}"
+            self._is_void.set()
+
+    def is_wanted(self) -> bool:
+        return not self._is_void.is_set()
+
+    def check(self, now_s: float) -> None:
+        """Raise RefusedError for a command that is void, or older than it is valid."""
+        if not self.is_wanted():
+            raise RefusedError(self.reason)
+        waited_s = now_s - self.arrived_s
+        if self.request.command != _STOP and waited_s > VALIDITY_S:
+            text = f"it waited for {waited_s:.1f} s behind other commands and was valid for {VALIDITY_S:.1f} s"
+            raise RefusedError(f"{self.request.command} expired: {text}")
+
+
+class CommandDesk:
+    """Sends what pages command, one command at a time, and the emergency stops beside them."""
+
+    def __init__(self, commander: Commander | None) -> None:
+        """Send by a commander; None where there is nothing to command."""
+        self.commander = commander
+        self.wishes: list[Wish] = []
+        self._turn = asyncio.Lock()
+        self._stops: set[Future[Answers]] = set()
+        self._next_stop: asyncio.Task[Answers] | None = None
+        # when this process was last seen to run [s], for how long it stood still then, and until when that counts
+        self._alive_s: float | None = None
+        self._held_up_s = self._distrust_until_s = 0.0
+
+    def waiting(self, session: Session) -> int:
+        """Return how many commands of a page wait or are being sent."""
+        return sum(wish.session is session for wish in self.wishes)
+
+    def make_void(self, reason: str, is_meant: Callable[[Wish], bool] = lambda wish: True) -> None:
+        """Give up the commands that are meant, all of them if nothing is said."""
+        for wish in self.wishes:
+            if is_meant(wish):
+                wish.make_void(reason)
+
+    def check_arrival(self, session: Session, command: str) -> None:
+        """Raise RefusedError for a command that may not even wait for its turn."""
+        if (waiting := self.waiting(session)) >= MOST_COMMANDS:
+            raise RefusedError(
+                f"{command} was not sent: {waiting} commands of this page wait already, as many as may be"
+            )
+        if command == _STOP:
+            return
+        if self._stops:
+            raise RefusedError(f"{command} was not sent: an emergency stop is being sent, wait for its answer")
+        now_s = time.monotonic()
+        self.note_alive(now_s)
+        if now_s < self._distrust_until_s:
+            raise RefusedError(
+                f"{command} cannot be shown to be fresh: the view was held up for {self._held_up_s:.1f} s, "
+                "during which it may have waited: send it again"
+            )
+
+    async def send(self, wish: Wish) -> Answers:
+        """Send a command in its turn, unless it is void or too old by then.
+
+        Raises:
+            TelenanoError: It was not sent, or not obeyed; the message says why.
+        """
+        assert self.commander is not None
+        self.make_void("another command came after it", lambda other: other.goes)
+        self.wishes.append(wish)
+        try:
+            async with self._turn:
+                wish.check(time.monotonic())
+                request, arrived_ns = wish.request, round(wish.arrived_s * 1e9)
+                names = request.command, request.target, request.parameters
+                send = partial(self.commander.send, *names, wish.is_wanted, arrived_ns, wish.session.party.name)
+                return await asyncio.wrap_future(in_thread(send))
+        finally:
+            self.wishes.remove(wish)
+
+    async def stop(self, by: str) -> Answers:
+        """Stop the devices beside whatever else is being sent, and give up every command of every page."""
+        self.make_void("an emergency stop came after it")
+        if len(self._stops) < _MOST_STOPS:
+            return await self._stop_now(by)
+        if self._next_stop is None:
+            self._next_stop = asyncio.create_task(self._stop_next(by))
+        # Requests that come meanwhile share it, because it has not begun.
+        return await asyncio.shield(self._next_stop)
+
+    async def _stop_next(self, by: str) -> Answers:
+        while len(self._stops) >= _MOST_STOPS:
+            await asyncio.sleep(TICK_S)
+        self._next_stop = None
+        return await self._stop_now(by)
+
+    async def _stop_now(self, by: str) -> Answers:
+        assert self.commander is not None
+        stop = in_thread(partial(self.commander.estop, by))
+        self._stops.add(stop)
+        stop.add_done_callback(self._stops.discard)
+        return await asyncio.wrap_future(stop)
+
+    def note_alive(self, now_s: float) -> None:
+        """Notice that this process stood still: what waited for it meanwhile seems to arrive only now."""
+        if self._alive_s is not None and now_s - self._alive_s > VALIDITY_S:
+            self._held_up_s, self._distrust_until_s = now_s - self._alive_s, now_s + VALIDITY_S
+        self._alive_s = now_s
+
+    def close(self) -> None:
+        """Let the emergency stops under way be sent."""
+        wait(self._stops.copy(), _STOPS_END_S)

@@ -1,0 +1,26 @@
+"""The sections of a scenario for AFM, hand and controller, and what a name in them leads to: files, code of packages.
+
+The models beside which they stand are pure steps; a section makes the parameters of these steps.
+"""
+
+from typing import TYPE_CHECKING
+
+from telenano.faces import face
+
+if TYPE_CHECKING:
+    from telenano.sections.afm_parts import AfmControllerConfig as AfmControllerConfig
+    from telenano.sections.afm_section import SAMPLES as SAMPLES
+    from telenano.sections.afm_section import AfmConfig as AfmConfig
+    from telenano.sections.controller_section import LAWS as LAWS
+    from telenano.sections.controller_section import OWN_LAWS as OWN_LAWS
+    from telenano.sections.controller_section import ControllerConfig as ControllerConfig
+    from telenano.sections.controller_section import changed_config as changed_config
+    from telenano.sections.controller_section import late_periods as late_periods
+    from telenano.sections.hand_section import HapticConfig as HapticConfig
+    from telenano.sections.hand_section import LimitsConfig as LimitsConfig
+    from telenano.sections.lateral_hand_section import LateralPath as LateralPath
+    from telenano.sections.operator_section import ARMS as ARMS
+    from telenano.sections.sample_section import SampleConfig as SampleConfig
+    from telenano.sections.surface_files import read_surface as read_surface
+else:
+    __getattr__, __dir__ = face(__name__)

@@ -1,0 +1,137 @@
+"""Section `afm_node.disturbances`: what disturbs a simulated AFM; `telenano.afm.disturbances` says how."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field
+
+from telenano.settings.config import Settings, validate
+from telenano.settings.named_instruments import IDEAL, instrument_named
+from telenano.wire.errors import ConfigError
+
+
+class VibrationConfig(Settings):
+    """Vibration of the base."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    rms_m: float = Field(0.1e-9, ge=0.0, le=1e-6, description="Root mean square [m].")
+    low_hz: float = Field(1.0, gt=0.0, le=1e5, description="Lowest frequency [Hz].")
+    high_hz: float = Field(400.0, gt=0.0, le=1e5, description="Highest frequency [Hz]; the paper has 1 Hz to 10 kHz.")
+
+
+class HysteresisConfig(Settings):
+    """Hysteresis of the piezo."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    share: float = Field(0.1, ge=0.0, le=0.2, description="Width of a loop over the whole range, as a share of it.")
+    range_m: float = Field(100e-9, gt=0.0, le=1e-3, description="Range over which the plays are spread [m].")
+
+
+class CreepConfig(Settings):
+    """Creep of the piezo."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    share_per_decade: float = Field(
+        0.02, ge=0.0, le=0.5, description="Share of a step that follows in a decade of time."
+    )
+
+
+class StageConfig(Settings):
+    """First resonance of the stage, or the bandwidth of its drive."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    resonance_hz: float = Field(200.0, ge=1.0, le=1e5, description="Undamped resonance w / 2 pi [Hz].")
+    damping: float = Field(
+        0.7071,
+        gt=0.0,
+        lt=1.0,
+        description="Damping ratio d, below 1; 0.7071 is -3 dB at the resonance, an open-loop scanner has some 0.01.",
+    )
+
+
+class DriftConfig(Settings):
+    """Thermal drift of the distance, and of the sample under the stage."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    speed_m_per_s: float = Field(0.05e-9, ge=-1e-6, le=1e-6, description="Speed of the base towards the sample [m/s].")
+    x_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along x [m/s].")
+    y_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along y [m/s].")
+    walk_m2_per_s3: float = Field(
+        0.0, ge=0.0, le=1e-18, description="Density of the white acceleration by which these speeds wander [m^2/s^3]."
+    )
+
+
+class ThermalConfig(Settings):
+    """Thermal noise of the cantilever."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    temperature_k: float = Field(300.0, ge=0.0, le=2000.0, description="Temperature [K].")
+
+
+class ReadoutConfig(Settings):
+    """Noise of the bridge (Eq. 3) and its converter."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    white_v: float = Field(0.5e-3, ge=0.0, le=1.0, description="White noise, root mean square of a sample [V].")
+    flicker_v: float = Field(0.5e-3, ge=0.0, le=1.0, description="1/f noise, root mean square over its octaves [V].")
+    converter_bits: int = Field(16, ge=4, le=32, description="Bits of the converter.")
+    converter_range_v: float = Field(10.0, gt=0.0, le=1e3, description="It reads from minus this to this [V].")
+
+
+class ElectrostaticConfig(Settings):
+    """Voltage between tip and sample: contact potential, charges, or a bias; the force is that of `electrostatic`."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    voltage_v: float = Field(1.0, ge=-100.0, le=100.0, description="Mean voltage [V].")
+    noise_v: float = Field(0.0, ge=0.0, le=100.0, description="Root mean square of what it wanders by [V].")
+    correlation_s: float = Field(1.0, gt=0.0, le=1e4, description="Time over which it wanders [s].")
+
+
+class DisturbanceConfig(Settings):
+    """Section `afm_node.disturbances`."""
+
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of everything that is random.")
+    vibration: VibrationConfig = Field(VibrationConfig(), description="Vibration of the base.")
+    hysteresis: HysteresisConfig = Field(HysteresisConfig(), description="Hysteresis of the piezo.")
+    creep: CreepConfig = Field(CreepConfig(), description="Creep of the piezo.")
+    stage: StageConfig = Field(StageConfig(), description="Lag of the stage.")
+    drift: DriftConfig = Field(DriftConfig(), description="Thermal drift.")
+    thermal: ThermalConfig = Field(ThermalConfig(), description="Thermal noise of the cantilever.")
+    readout: ReadoutConfig = Field(ReadoutConfig(), description="Noise of the read-out.")
+    electrostatic: ElectrostaticConfig = Field(ElectrostaticConfig(), description="Force of a voltage at the tip.")
+
+    @property
+    def any_enabled(self) -> bool:
+        base = self.vibration.enabled or self.hysteresis.enabled or self.creep.enabled or self.stage.enabled
+        return base or self.drift.enabled or self.thermal.enabled or self.readout.enabled or self.electrostatic.enabled
+
+
+def instrument_name(name: str, section: Mapping[str, Any]) -> str:
+    """Return what a session states of its instrument.
+
+    Args:
+        name: The instrument that the scenario names.
+        section: Section `afm_node` of the scenario, over the keys of its instrument.
+
+    Returns:
+        The name; with "changed" where the disturbances are others than its own, whatever their seed; "disturbed" for
+        others than those of the ideal one; the driver's name for an instrument that is not simulated.
+
+    Raises:
+        ConfigError: The section cannot be read; the message names the key.
+    """
+    driver = str(section.get("driver", "simulated"))
+    if driver != "simulated":
+        return driver
+    try:
+        own = instrument_named(name).scenario.get("afm_node", {}).get("disturbances", {})
+    except ConfigError:
+        # A recording from elsewhere names what is not known here.
+        return name
+    there, here = (
+        validate(DisturbanceConfig, {**section_of_part, "seed": 0}, "scenario", "afm_node.disturbances")
+        for section_of_part in (own, section.get("disturbances", {}))
+    )
+    if here == there or not (here.any_enabled or there.any_enabled):
+        return name
+    return "disturbed" if name == IDEAL else f"{name}, changed"
