@@ -209,14 +209,14 @@ export class TimelinePanel implements Panel {
     const bottom = height - BAND - 3;
     const whole = document.whole;
     if (whole) {
-      this.curve(pen, whole.rings.get("hand"), store.column("hand", "force"), "c1", toX, bottom);
-      this.curve(pen, whole.rings.get("command"), store.column("command", "tip_force"), "c2", toX, bottom);
+      this.curve(pen, whole.rings.get("hand"), store.column("hand", "force"), "hand", toX, bottom);
+      this.curve(pen, whole.rings.get("command"), store.column("command", "tip_force"), "tip", toX, bottom);
     }
     for (const phase of document.about?.phases ?? []) this.band(pen, phase, toX, height);
     for (const moment of document.about?.moments ?? []) {
       if (moment.kind === "node" && moment.level === "info") continue;
       const x = toX(moment.t_s);
-      pen.fillStyle = colour(moment.level === "error" ? "bad" : moment.level === "warning" ? "warn" : moment.kind === "mark" ? "accent" : "edge");
+      pen.fillStyle = colour(moment.level === "error" ? "bad" : moment.level === "warning" ? "warn" : moment.kind === "mark" ? "text" : "edge");
       pen.beginPath();
       pen.moveTo(x - 4, 0);
       pen.lineTo(x + 4, 0);
