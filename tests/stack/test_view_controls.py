@@ -122,6 +122,7 @@ def test_what_is_next_leads_from_control_to_letting_go_by_keys_alone(
 ) -> None:
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    rig.tip = {"in_contact": False, "meniscus": False}
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
 
     def step(name: str) -> None:
@@ -174,7 +175,7 @@ def test_the_stop_the_numbers_and_both_pictures_are_in_one_window_of_a_phone(
 _SMALL = """[...document.querySelectorAll("button, select, input, summary")].filter((found) => {
   const { width, height } = found.getBoundingClientRect();
   return width > 0 && (height < 44 || width < 44) && found.type !== "checkbox";
-}).map((found) => `${found.id} ${found.textContent} ${found.getBoundingClientRect().width} x ${found.getBoundingClientRect().height}`)"""
+}).map((found) => `${found.id} ${found.textContent} ${found.getBoundingClientRect().width}`)"""
 
 
 @pytest.mark.parametrize("size", [PHONE, TABLET])
@@ -238,7 +239,8 @@ _LINES = "[...document.querySelectorAll('.plot .words')].map((words) => words.ge
 # The boxes of what is shown, by their ids; who holds control is said in other words during an act.
 _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
   const { x, y, width, height } = element.getBoundingClientRect();
-  return width === 0 || element.closest("#answers, #events, #watch, #control") ? [] : [[element.id, [x, y, width, height]]];
+  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control");
+  return isFree ? [] : [[element.id, [x, y, width, height]]];
 }))"""
 
 

@@ -26,7 +26,7 @@ export const BUILT_IN: Record<string, ScopeSpec[]> = {
   Loop: [FORCE, HAND, TIP, DISTANCE, DELAY, ENERGY],
   Touch: [FORCE, HAND, DISTANCE],
   Tip: [TIP, scope("Tip to sample", "tip.separation"), scope("Deflection", "tip.deflection"), DISTANCE],
-  Stability: [FORCE, { ...FORCE, title: "Spectrum of the forces", kind: "spectrum" }, ENERGY, DELAY, LOSS],
+  Stability: [FORCE, { ...FORCE, title: "Spectrum", kind: "spectrum" }, ENERGY, DELAY, LOSS],
 };
 
 const KEY = "telenano-layouts";
