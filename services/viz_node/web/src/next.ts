@@ -77,7 +77,7 @@ export function nextOf(now: Situation): Next {
   const isUrgent = now.isControlFree && (now.isStopped || now.isHeld || now.going !== "" || now.wayBack !== "");
   if (!now.holdsControl && !isUrgent) {
     const isFree = now.isControlFree;
-    const says = isFree ? `${now.lease}: take it, and no other window can act meanwhile.` : `${now.lease}.`;
+    const says = isFree ? "Nobody holds control: take it, and no other window can act meanwhile." : `${now.lease}.`;
     return { step: "control", says, offer: now.leaseAction ? offer("take", isFree ? "Take control" : `${now.leaseAction} for control`, "h") : undefined, other: undefined };
   }
   if (now.going) return { step: "approach", says: `${now.going}. Any key or press ends it, and the tip stays where it is.`, offer: offer("end way", "End it here"), other: undefined };

@@ -109,6 +109,7 @@ export class NextPanel implements Panel {
   private situation(now: number): Situation {
     const { store, commands, hand, tip } = this.cockpit;
     const { text, actions } = leaseOffer(store.lease, store.me, store.role);
+    const isMine = store.lease.holder !== "" && store.lease.holder === store.me;
     const found = (name: string): unknown => store.fact(AFM, name);
     return {
       link: commands.link,
@@ -116,8 +117,9 @@ export class NextPanel implements Panel {
       kind: store.source.kind,
       role: store.role,
       hasRig: store.nodes.size > 0,
-      holdsControl: store.lease.holder !== "" && store.lease.holder === store.me,
-      isControlFree: store.lease.holder === "",
+      // Control for a single act is over before anybody reads of it.
+      holdsControl: isMine && store.lease.kept,
+      isControlFree: store.lease.holder === "" || (isMine && !store.lease.kept),
       lease: text,
       leaseAction: actions[0]?.text ?? "",
       isStopped: commands.isStopped,

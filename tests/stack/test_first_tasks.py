@@ -1,0 +1,129 @@
+"""The five tasks of the help on the page, done on a real rig by what its buttons and numbers say, without a document.
+
+Each step uses what is written there: the filled button, the hand, a field or a number by its name.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_page import BESIDE_A_BROWSER, FILLED, Page, View, needs_browser, open_page, until
+from page_walks import step
+from stack_rig import Rig
+
+pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
+
+STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
+TOUCH_NN = 10.0
+PLACES_NM = ((-20, 0), (0, 0), (20, 0))
+
+
+@pytest.fixture
+def page(chromium: Any, tmp_path: Path) -> Iterator[Page]:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "600", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
+        rig.wait_until(rig.running, "a running session")
+        view = View(rig.environment)
+        try:
+            yield open_page(chromium, view.operator, viewport={"width": 1366, "height": 768})
+        finally:
+            view.close()
+    finally:
+        rig.close()
+
+
+def shown(page: Page, name: str) -> float:
+    """Return a number by the name that stands beside it on the page; NaN for none."""
+    text = page.page.locator(f"#hand dt:text-is('{name}') + dd").inner_text()
+    return float(text.split()[0]) if text != "–" else float("nan")
+
+
+def lead(page: Page, label: str) -> None:
+    """Press what is filled until the filled button has a label."""
+    found = page.page.locator("button.go")
+
+    def arrived() -> bool:
+        if not found.count():
+            return False
+        text = found.inner_text()
+        if text == label:
+            return True
+        if found.is_enabled():
+            found.dispatch_event("click")
+            page.page.wait_for_timeout(1000.0)
+        return False
+
+    until(arrived, f"the filled button {label}")
+
+
+def hold(page: Page) -> None:
+    lead(page, "Hold the hand")
+    page.page.locator("button.go").dispatch_event("click")
+    page.until("telenano.cockpit.hand.isHeld", "a hand that is held")
+
+
+def press_until(page: Page, what: str, least: float) -> None:
+    """Press the arrow on the hand, again and again, until a number on the page is at least so large."""
+    for _ in range(60):
+        if shown(page, what) >= least:
+            return
+        page.page.locator("#hand-pad").focus()
+        page.value("telenano.cockpit.hand.lower(0.0005); 0")
+        page.page.wait_for_timeout(700.0)
+    raise AssertionError(f"{what} is {shown(page, what)}, and {page.page.inner_text('#next-says')!r}")
+
+
+def let_go(page: Page) -> None:
+    page.page.locator("#let-go").dispatch_event("click")
+    page.until("!telenano.cockpit.hand.isHeld", "a hand that is let go")
+
+
+def test_a_first_operator_does_five_tasks_by_what_the_page_says(page: Page) -> None:
+    page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
+    with step("touch with 10 nN"):
+        hold(page)
+        press_until(page, "Force on the tip", TOUCH_NN)
+        assert "You press" in page.page.inner_text("#next-says")
+    with step("hold for 5 s"):
+        forces = []
+        for _ in range(10):
+            page.page.wait_for_timeout(500.0)
+            forces.append(shown(page, "Force on the tip"))
+        assert min(forces) > 0.5 * TOUCH_NN
+        assert "OSCILLATES" not in page.banners()
+        let_go(page)
+    with step("find the softest of three places"):
+        # the sample is the same everywhere: what is found is how far the hand goes for the same force, at each place
+        ways = []
+        for x, y in PLACES_NM:
+            page.fill("#tip-x", str(x))
+            page.fill("#tip-y", str(y))
+            assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
+            hold(page)
+            press_until(page, "Force on the tip", TOUCH_NN)
+            first = shown(page, "Hand")
+            press_until(page, "Force on the tip", 2.0 * TOUCH_NN)
+            ways.append(shown(page, "Hand") - first)
+            let_go(page)
+            page.page.wait_for_timeout(1500.0)
+        assert all(way > 0.0 for way in ways), ways
+    with step("take an image and go to a particle"):
+        for key, value in {"pixels": "24", "lines": "12", "dwell_s": "12"}.items():
+            page.fill(f"#program-scan-{key}", value)
+        assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
+        page.until(f"{FILLED} === 12", "the whole image")
+        page.until("telenano.store.fact('afm/state/slave', 'mode') === 'retracted'", "a tip that is away")
+        page.follow()
+        page.click("#place-tip")
+        before = (page.last("tip", "x"), page.last("tip", "y"))
+        box = page.page.locator("#scene .solid canvas").bounding_box()
+        page.page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.6 * box["height"])
+        until(lambda: (page.last("tip", "x"), page.last("tip", "y")) != before, "a tip that went there")
+    with step("say why it feels late"):
+        page.fill("#delay", "60")
+        assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
+        until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
+        until(lambda: "Largest part of the latency" in page.page.inner_text("#age"), "what takes most of the time")
+    assert page.faults == []
