@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from browser_page import Page, needs_browser, open_page, until
+from page_walks import check_rules
 from page_without_rig import TOKEN, SaidRig, served
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
@@ -188,6 +189,25 @@ def test_what_a_finger_presses_is_large_enough(
     for place in ("touch", "scene", "scopes", "controls", "more"):
         page.value(f"document.querySelector('#place-{place}').click()")
         assert page.value(_SMALL) == [], place
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP], ids=["phone", "tablet", "laptop"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_in_any_part_of_the_page(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int], scheme: str
+) -> None:
+    rig, address = rig_page
+    rig.way = {"offset_m": 1.105e-7, "return_place_m": 0.0, "return_speed_m_per_s": 5e-8, "return_s": 2.0}
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size, color_scheme=scheme)
+    page.page.locator("#go-back").wait_for()
+    for place in ("touch", "scene", "scopes", "controls", "more"):
+        page.value(f"document.querySelector('#place-{place}').click()")
+        check_rules(page, f"{place}, with both choices")
+        if size is not PHONE:
+            break
+    rig.is_stopped = True
+    until(lambda: "EMERGENCY STOP" in page.banners(), "the stop")
+    check_rules(page, "stopped")
 
 
 # The width of a text in the font of an element [px].

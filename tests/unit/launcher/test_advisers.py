@@ -46,7 +46,7 @@ class EveryMessage:
 
     def look(self, messages: Iterable[Message], *, runs: bool) -> Advice | None:
         self.looks.append(runs)
-        return Advice("Mind the law.", {"seen": 1.0, "advice": True}) if runs and list(messages) else None
+        return Advice("Mind the law.", {"seen": 1.0}) if runs and list(messages) else None
 
 
 class Failing(EveryMessage):

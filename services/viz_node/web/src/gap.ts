@@ -13,7 +13,7 @@ const BELOW_PX = 8;
 /** The height of a number beside the scale [px]. */
 const LABEL_PX = 14;
 /** Half of the opening of the tip, and of the longest arrow [px]. */
-const TIP_PX = 24;
+const TIP_PX = 22;
 const ARROW_PX = 56;
 
 /** Tip and sample from the side, and their distance on a scale that shows 0.1 nm as well as 100 nm. */
@@ -57,7 +57,7 @@ export class GapPicture {
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.font = "12px system-ui";
-    const x = SCALE_PX + Math.max(TIP_PX + 8, (width - SCALE_PX) * 0.25);
+    const x = SCALE_PX + Math.max(TIP_PX + 6, (width - SCALE_PX) * 0.25);
     this.drawSample(pen, width, height, toY(0), x, touches ? apex : toY(0));
     this.drawScale(pen, width, toY, apex);
     // in contact the water stands around the tip
@@ -130,7 +130,7 @@ function drawTip(pen: CanvasRenderingContext2D, x: number, apex: number, width: 
   pen.quadraticCurveTo(x + 5, apex - 4, x + TIP_PX, base);
   pen.fill();
   // the cantilever, which comes from the left
-  pen.fillRect(SCALE_PX, base - 8, Math.min(width, x + TIP_PX + 6) - SCALE_PX, 9);
+  pen.fillRect(SCALE_PX, base - 8, Math.min(width, x + TIP_PX + 2) - SCALE_PX, 9);
 }
 
 /** A water bridge between the apex and the surface. */
