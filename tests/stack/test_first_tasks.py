@@ -1,4 +1,4 @@
-"""The five tasks of the help on the page, done on a real rig by what its buttons and numbers say, without a document.
+"""The first two tasks of the help on the page, on a real rig, by what its buttons and numbers say and no document.
 
 Each step uses what is written there: the filled button, the hand, a field or a number by its name.
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import BESIDE_A_BROWSER, FILLED, Page, View, needs_browser, open_page, until
+from browser_page import BESIDE_A_BROWSER, Page, View, needs_browser, open_page, until
 from page_walks import step
 from stack_rig import Rig
 
@@ -16,7 +16,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 
 STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
 TOUCH_NN = 10.0
-PLACES_NM = ((-20, 0), (0, 0), (20, 0))
 
 
 @pytest.fixture
@@ -83,7 +82,7 @@ def let_go(page: Page) -> None:
     page.until("!telenano.cockpit.hand.isHeld", "a hand that is let go")
 
 
-def test_a_first_operator_does_five_tasks_by_what_the_page_says(page: Page) -> None:
+def test_a_first_operator_touches_and_holds_by_what_the_page_says(page: Page) -> None:
     page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
     with step("touch with 10 nN"):
         hold(page)
@@ -102,36 +101,4 @@ def test_a_first_operator_does_five_tasks_by_what_the_page_says(page: Page) -> N
                 break
         assert min(forces) > 0.5 * max(forces) > 0.0, forces
         let_go(page)
-    with step("find the softest of three places"):
-        # the sample is the same everywhere: what is found is how far the hand goes for the same force, at each place
-        ways = []
-        for x, y in PLACES_NM:
-            page.fill("#tip-x", str(x))
-            page.fill("#tip-y", str(y))
-            assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
-            hold(page)
-            press_until(page, "Force on the tip", TOUCH_NN)
-            first = shown(page, "Hand")
-            press_until(page, "Force on the tip", 2.0 * TOUCH_NN)
-            ways.append(shown(page, "Hand") - first)
-            let_go(page)
-            page.page.wait_for_timeout(1500.0)
-        assert all(way > 0.0 for way in ways), ways
-    with step("take an image and go to a particle"):
-        for key, value in {"pixels": "24", "lines": "12", "dwell_s": "12"}.items():
-            page.fill(f"#program-scan-{key}", value)
-        assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
-        page.until(f"{FILLED} === 12", "the whole image")
-        page.until("telenano.store.fact('afm/state/slave', 'mode') === 'retracted'", "a tip that is away")
-        page.follow()
-        page.click("#place-tip")
-        before = (page.last("tip", "x"), page.last("tip", "y"))
-        box = page.page.locator("#scene .solid canvas").bounding_box()
-        page.page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.6 * box["height"])
-        until(lambda: (page.last("tip", "x"), page.last("tip", "y")) != before, "a tip that went there")
-    with step("say why it feels late"):
-        page.fill("#delay", "60")
-        assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
-        until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
-        until(lambda: "Largest part of the latency" in page.page.inner_text("#age"), "what takes most of the time")
     assert page.faults == []
