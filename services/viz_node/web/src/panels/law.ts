@@ -47,9 +47,9 @@ export class LawPanel implements Panel {
     const passive = store.fact("law/status/master", "passive");
     const age = store.last("hand", "loop_age");
     const words = [
-      Number.isNaN(age) ? "" : `answer after ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
+      Number.isNaN(age) ? "" : `answers in ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
       energyText(passive, swingOf(store) !== undefined),
-      `pressed ${this.cycles.count} ${this.cycles.count === 1 ? "time" : "times"}`,
+      `${this.cycles.count} ${this.cycles.count === 1 ? "press" : "presses"}`,
     ];
     const text = words.filter(Boolean).join(" · ");
     if (this.facts.textContent !== text) this.facts.textContent = text;
