@@ -175,7 +175,16 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
 
         return judged_recording(open_recordings(files, same_session=same_session))
 
-    document = RecordingDocument(recordings, judged, LevelCache(files))
+    def judged_before() -> Mapping[str, Any] | None:
+        from telenano.analysis.recording_document import summary_facts
+        from telenano.api import RecordedSession
+
+        session = RecordedSession(files, same_session=same_session)
+        if not session.is_judged or session.start_ns is None:
+            return None
+        return summary_facts(session.summary, (session.start_ns - recordings.span_ns[0]) * 1e-9)
+
+    document = RecordingDocument(recordings, judged, LevelCache(files), judged_before)
     with (
         contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic), document=document)) as hub,
         contextlib.closing(PageServer(hub, page.access, page.bound, page.tls, page.signals.descriptor)) as server,

@@ -73,6 +73,7 @@ class RecordingDocument:
         recording: RecordingSource,
         judge: Callable[[], Facts] | None = None,
         kept: Kept | None = None,
+        judged_before: Callable[[], Facts | None] = lambda: None,
     ) -> None:
         """Prepare to read.
 
@@ -80,9 +81,10 @@ class RecordingDocument:
             recording: The recording.
             judge: Returns what happened in it: phases, holds, moments, the numbers of its summary.
             kept: Where what was read of a long recording is kept; None to keep nothing.
+            judged_before: Returns what is kept of an earlier verdict beside the file; None where nothing is.
         """
         self._recording = recording
-        self._judge = judge
+        self._judge, self._judged_before = judge, judged_before
         self._start_ns, end_ns = recording.span_ns
         self._length_s = (end_ns - self._start_ns) * 1e-9
         self._levels = Levels(self._length_s)
@@ -157,6 +159,8 @@ class RecordingDocument:
             self._left.clear()
         else:
             try:
+                # A verdict that was kept is there at once; what it has no room for follows when all is read.
+                self._facts = self._judged_before() or {}
                 self._fill()
                 if self._judge is not None:
                     self._facts = self._judge()

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import msgpack
 
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
+from telenano.extend.advice import ADVICE
 from telenano.recording.messages import LeftOut
 from telenano.serving.panels import installed_panels
 from telenano.wire import Message
@@ -166,6 +167,10 @@ class Feed:
             "t": seen.t_ns,
             "seq": seen.fields["seq"],
         }
+        data = seen.fields.get("data", {})
+        if data.get(ADVICE) is True:
+            # The law that it is of, where the adviser says so.
+            event["advises"] = str(data.get("law", ""))
         if read_end(seen.fields) is not None and seen.src in self._nodes:
             self._set_node(seen.src, {**self._nodes[seen.src], "state": "ended", "beat": seen.t_ns})
         _check(event, _MOST_BYTES)

@@ -54,6 +54,11 @@ def _where_known(key: str) -> Callable[[Fields], float]:
     return lambda fields: _NONE if fields.get(key) is None else float(fields[key])
 
 
+def _follows(fields: Fields) -> float:
+    """Return 1 while the tip is where hand or program want it, and 0 while it is placed, withdrawn, or away."""
+    return float(fields["mode"] in ("follow", "hold") and fields.get("placed") is not False)
+
+
 def _loop_age_s(fields: Fields) -> float:
     """Return how old the hand's sample is that the newest command answers, when the command arrives [s]."""
     sampled_ns = fields["answered_t_ns"]
@@ -118,6 +123,7 @@ STREAMS = (
             Column("x", "m", "position of the base, x", _axis("base_position_m", 0)),
             Column("y", "m", "position of the base, y", _axis("base_position_m", 1)),
             Column("separation", "m", "distance of tip and sample", _if("separation_valid", "separation_m")),
+            Column("follows", "1", "1 while the tip is where it is wanted, 0 while placed or withdrawn", _follows),
         ),
     ),
     Stream("law_master", "law/status", "master", _LAW),

@@ -21,12 +21,14 @@ _LONG = ("rate_hz", "completeness", "seq_gaps", "holds", "parameters", "plugins"
 def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     """Return by key what a page shows of a recording beside its curves; times are since its first message [s].
 
-    `phases`, `holds` and `swings` have `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`,
+    `phases`, `holds`, `swings`, `interruptions` and `losses` (in which messages are missing from the recording) have
+    `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`,
     `summary` is that of `telenano report`, and `fault` says in words why there is none. The swings are those of the
     force that the hand is shown, of which the banner of a live rig is made.
     """
     start_ns = recording.span_ns[0]
-    document: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
+    nothing: tuple[str, ...] = ("phases", "holds", "swings", "interruptions", "losses")
+    document: dict[str, Any] = {**{key: [] for key in nothing}, "summary": None}
     try:
         session = Session.of(recording)
         summary = summary_of(session, recording)
@@ -34,6 +36,19 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
         return {**document, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
     moments = _events(recording, start_ns, session.timeline)
     return {**document, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, moments)}
+
+
+def summary_facts(summary: dict[str, Any], shift_s: float) -> dict[str, Any]:
+    """Return what a page shows of a summary alone, whose session begins so long after the recording [s]."""
+    spans = {
+        name: [{**one, "from_s": one["start_s"] + shift_s, "to_s": one["end_s"] + shift_s} for one in summary[name]]
+        for name in ("holds", "interruptions")
+    }
+    return {
+        "session_s": [shift_s, shift_s + summary["duration_s"]],
+        **spans,
+        "summary": {key: value for key, value in summary.items() if key not in _LONG},
+    }
 
 
 def _session_facts(
@@ -57,12 +72,11 @@ def _session_facts(
         for one in summary["interruptions"]
         if one["kind"] == "source_silent"
     ]  # fmt: skip
+    gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
     return {
-        "session_s": [shift_s, shift_s + session.duration_s],
+        **summary_facts(summary, shift_s),
+        "losses": [{"from_s": begin + shift_s, "to_s": end + shift_s} for begin, end in gaps_s],
         "phases": [{"kind": p.kind, "from_s": p.from_s + shift_s, "to_s": p.to_s + shift_s} for p in phases],
-        "holds": [
-            {**hold, "from_s": hold["start_s"] + shift_s, "to_s": hold["end_s"] + shift_s} for hold in summary["holds"]
-        ],
         "swings": [
             {
                 "from_s": s.start_s + shift_s,
@@ -73,7 +87,6 @@ def _session_facts(
             for s in swings_of(series.reference_time_s, session.command["force_n.2"])
         ],
         "moments": sorted([*events, *moments], key=lambda moment: float(moment["t_s"])),
-        "summary": {key: value for key, value in summary.items() if key not in _LONG},
     }
 
 

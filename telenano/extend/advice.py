@@ -12,9 +12,12 @@ from typing import Any, NamedTuple, Protocol
 
 from telenano.wire.messages import Message, Scalar
 
+# In the facts of its event the launcher marks with this key what an adviser said; a page shows it beside the link.
+ADVICE = "advice"
+
 
 class Advice(NamedTuple):
-    """A warning in sentences, and its facts for a program."""
+    """A warning in sentences, and its facts for a program: `law` is the law that it is of, if it is of one."""
 
     text: str
     facts: Mapping[str, Scalar]

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from telenano.extend.advice import ADVICE
 from telenano.launcher.advisers import Advisers
 from telenano.launcher.liveness import Change, LivenessMonitor
 from telenano.launcher.processes import StopObserver
@@ -153,7 +154,7 @@ class RigNode(Node):
         self.advance()
         if self.advisers is not None:
             for warning in self.advisers.look(runs=self.phase == "running"):
-                self.report("warning", warning.text, **warning.facts)
+                self.report("warning", warning.text, **{**warning.facts, ADVICE: True})
         self.observe(self)
 
     def on_place(self, notice: PlaceNotice) -> None:

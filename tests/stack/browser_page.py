@@ -146,6 +146,11 @@ class Page:
             assert time.monotonic() < end, f"the tip does not follow: {self.page.inner_text('#answers')!r}"
             self.answered(lambda: self.click("#mode-bilateral"))
             self.page.wait_for_timeout(1500.0)
+        # arming moves nothing: a tip that is withdrawn goes back by a choice of its own
+        if self.value("telenano.cockpit.commands.wayBack !== undefined"):
+            self.until("document.querySelector('#go-back') !== null", "the choice to go back")
+            self.click("#go-back")
+            self.until("telenano.cockpit.commands.wayBack === undefined", "a tip that is back")
 
     def fact(self, state: str, key: str) -> Any:
         return self.value(f"telenano.store.fact('{state}', '{key}')")

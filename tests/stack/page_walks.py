@@ -106,7 +106,7 @@ _BOXES = """(names) => names.map((name) => {
   return [name, box.left, box.top, box.right, box.bottom];
 })"""
 _OVERFLOW = "[document.documentElement.scrollWidth - innerWidth, document.documentElement.scrollHeight - innerHeight]"
-_FIRST = ("#status", "#estop", "#hand-force", "#felt-force")
+_FIRST = ("#status", "#estop", "#hand-force", "#felt-force", "#gap")
 _RULES = "axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'] })"
 
 

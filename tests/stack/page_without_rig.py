@@ -27,7 +27,7 @@ class SaidRig:
     `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
     neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes;
     `way_s`: how long a way back takes, which is `way` in afm/state, where it stays wanted; `words`: the
-    parameters of each arm.
+    parameters of each arm; `hand` and `tip`: what their states say otherwise; `program`: what afm/program says.
     """
 
     def __init__(self) -> None:
@@ -35,6 +35,9 @@ class SaidRig:
         self.asked: list[str] = []
         self.delay_s = self.way_s = 0.0
         self.way: dict[str, float] = {}
+        self.hand: dict[str, Any] = {}
+        self.tip: dict[str, Any] = {}
+        self.program: dict[str, Any] = {}
         self.words: list[Mapping[str, Any]] = []
         self._force_n = 0.0
 
@@ -66,6 +69,13 @@ class SaidRig:
             ("node/health", TIP, health),
         ]
         said[0][2]["operator_force_n"] = (0.0, 0.0, -pushed_n)
+        said[0][2].update(self.hand)
+        said[1][2].update(self.tip)
+        if self.program:
+            said.append(("afm/program", TIP, self.program))
+        # what comes back at the hand's scale
+        felt_n = said[1][2]["tip_force_n"][2] * 1e8
+        said.append(("haptic/command", "controller@master", {"force_n": (0.0, 0.0, felt_n)}))
         found = []
         for topic, src, changes in said:
             now_ns = time.time_ns()

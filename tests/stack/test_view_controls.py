@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from browser_page import Page, needs_browser, open_page, until
+from page_walks import check_rules
 from page_without_rig import TOKEN, SaidRig, served
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
@@ -26,78 +27,187 @@ def box(page: Page, selector: str) -> dict[str, float]:
     return found
 
 
-@pytest.mark.parametrize("size", [PHONE, TABLET])
-def test_after_a_stop_the_rig_is_armed_within_reach_of_the_thumb_and_no_second_tap_on_stop_arms(
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP])
+def test_after_a_stop_arm_is_the_one_filled_button_and_no_second_tap_on_stop_arms(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=size, has_touch=True)
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
-    assert not page.page.is_visible("#rearm")
+    assert page.page.locator("#arm").count() == 0
     stop = box(page, "#estop")
     middle = (stop["x"] + stop["width"] / 2, stop["y"] + stop["height"] / 2)
     for _ in range(5):
         page.page.touchscreen.tap(*middle)
         page.page.wait_for_timeout(150.0)
-    page.page.locator("#rearm").wait_for()
+    page.page.locator("#arm").wait_for()
     assert box(page, "#estop") == stop
-    # A press on the bar right after one of the stop does nothing, whatever is drawn by then.
-    page.value("for (const name of ['estop', 'rearm']) document.getElementById(name).click()")
-    until(lambda: page.page.is_enabled("#rearm"), "a bar that can be pressed")
+    # A press on the button right after one of the stop does nothing, whatever is drawn by then.
+    page.value("for (const name of ['estop', 'arm']) document.getElementById(name).click()")
+    until(lambda: page.page.is_enabled("#arm"), "a button that can be pressed")
     assert set(rig.asked) == {"estop"}
-    bar = box(page, "#rearm")
+    assert page.page.locator("button.go:visible").all_inner_texts() == ["Arm"]
+    bar = box(page, "#arm")
     if size is PHONE:
         page.picture("stopped-phone")
         # It is above the stop, and both are in the lower quarter of the window.
         assert 0.75 * size["height"] < bar["y"] < bar["y"] + bar["height"] < stop["y"]
     assert bar["height"] >= 44.0
     page.page.touchscreen.tap(bar["x"] + 60.0, bar["y"] + 20.0)
-    page.page.locator("#rearm").wait_for(state="hidden")
+    page.page.locator("#arm").wait_for(state="detached")
     assert rig.asked[-1] == "arm" and rig.asked.count("arm") == 1
     assert box(page, "#estop") == stop
     assert page.faults == []
 
 
-def test_going_back_is_a_choice_of_its_own_with_its_numbers_and_a_key_ends_it(
+def choose(page: Page, how: str, selector: str, key: str) -> None:
+    """Make a choice by pointer, by touch, or by its key."""
+    page.page.locator(selector).wait_for()
+    if how == "pointer":
+        page.page.click(selector)
+    elif how == "touch":
+        page.page.tap(selector)
+    else:
+        page.page.keyboard.press(key)
+
+
+@pytest.mark.parametrize("how", ["pointer", "touch", "key"])
+def test_arming_shows_its_two_choices_with_their_numbers_and_any_input_ends_the_way_back(
+    chromium: Any, rig_page: tuple[SaidRig, str], how: str
+) -> None:
+    rig, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP, has_touch=how == "touch")
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    assert page.page.locator("#go-back").count() == 0
+    rig.is_stopped = True
+    rig.way = {"offset_m": 1.105e-7, "return_place_m": 0.0, "return_speed_m_per_s": 5e-8, "return_s": 2.0}
+    until(lambda: page.page.locator("#arm:enabled").count(), "a button that arms")
+    assert page.page.locator("#go-back").count() == 0
+    choose(page, how, "#arm", "n")
+    until(lambda: rig.words == [{}], "an arm that starts nothing")
+    page.page.locator("#go-back").wait_for()
+    assert page.page.inner_text("#go-back") == "Go back to 0.0 nm (50 nm/s, 2.0 s)"
+    assert page.page.inner_text("#stay") == "Stay withdrawn"
+    # what moves nothing stays as it was chosen, and the way back is still there, unfilled
+    choose(page, how, "#stay", "w")
+    page.page.locator("#stay").wait_for(state="detached")
+    assert "go" not in page.page.get_attribute("#go-back", "class").split()
+    assert rig.words == [{}]
+    word = {"place_m": 0.0, "speed_m_per_s": 5e-8}
+    rig.way_s = 30.0
+    for ends in ("key", "press", "touch", "wheel"):
+        rig.words.clear()
+        choose(page, how, "#go-back", "g")
+        until(lambda: rig.words == [word], "a tip that goes back")
+        page.page.locator("#end-way").wait_for()
+        assert page.page.locator("button.go").count() == 1
+        until(lambda: " s left" in page.page.inner_text("#next-says"), "a countdown")
+        if ends == "press":
+            page.page.mouse.click(5.0, 5.0)
+        elif ends == "touch" and how == "touch":
+            page.page.touchscreen.tap(5.0, 5.0)
+        elif ends == "wheel":
+            page.page.mouse.wheel(0.0, 10.0)
+        else:
+            page.page.keyboard.press("x")
+        until(lambda: rig.words == [word, {}], "an arm that ends it")
+        until(lambda: "going back was ended" in page.page.inner_text("#answers"), "the answer")
+        until(lambda: page.page.locator("#end-way").count() == 0, "the end of the countdown")
+    rig.is_stopped = True
+    page.page.locator("#go-back").wait_for(state="detached")
+    assert page.faults == []
+
+
+def test_what_is_next_leads_from_control_to_letting_go_by_keys_alone(
     chromium: Any, rig_page: tuple[SaidRig, str]
 ) -> None:
     rig, address = rig_page
     page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    rig.tip = {"in_contact": False, "meniscus": False}
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
-    assert not page.page.is_visible("#go-back")
-    rig.way = {"offset_m": 1.105e-7, "return_place_m": 0.0, "return_speed_m_per_s": 5e-8, "return_s": 2.0}
-    page.page.locator("#go-back").wait_for()
-    assert page.page.inner_text("#go-back") == "Go back to 0.0 nm (50 nm/s, 2.0 s)"
-    page.page.click("#arm")
-    until(lambda: rig.words == [{}], "an arm that starts nothing")
-    word = {"place_m": 0.0, "speed_m_per_s": 5e-8}
-    rig.way_s = 30.0
-    for begins, ends in (("button", "x"), ("key", "press")):
-        rig.words.clear()
-        if begins == "button":
-            page.page.click("#go-back")
-        else:
-            page.page.keyboard.press("g")
-        until(lambda: rig.words == [word], "a tip that goes back")
-        if ends == "press":
-            page.page.mouse.click(5.0, 5.0)
-        else:
-            page.page.keyboard.press(ends)
-        until(lambda: rig.words == [word, {}], "an arm that ends it")
-        until(lambda: "going back was ended" in page.page.inner_text("#answers"), "the answer")
-    rig.is_stopped = True
-    page.page.locator("#go-back").wait_for(state="hidden")
+
+    def step(name: str) -> None:
+        current = page.page.locator("#next [aria-current=step]")
+        until(lambda: current.inner_text() == name, name)
+
+    step("Take control")
+    page.page.keyboard.press("h")
+    step("Approach")
+    until(page.page.locator("#hold").count, "a hand to hold")
+    page.page.keyboard.press("n")
+    until(page.page.locator("#lower").count, "a hand that is held")
+    assert page.value("document.activeElement.id") == "hand-pad"
+    for _ in range(3):
+        page.page.keyboard.press("n")
+    until(
+        lambda: page.last("hand", "force") == pytest.approx(0.3, abs=0.01), "0.5 mm of a spring of 200 N/m, three times"
+    )
+    rig.tip = {"in_contact": True, "separation_m": -1e-9, "tip_force_n": (0.0, 0.0, 3e-9)}
+    step("Let go")
+    page.page.keyboard.press("u")
+    step("Touch")
+    until(lambda: page.last("hand", "force") == 0.0, "a hand that has let go")
     assert page.faults == []
 
 
-def test_the_bar_is_shown_where_the_other_button_is_far(chromium: Any, rig_page: tuple[SaidRig, str]) -> None:
+def test_the_stop_the_numbers_and_both_pictures_are_in_one_window_of_a_phone(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    _, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=PHONE, has_touch=True)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    seen = [box(page, name) for name in ("#hand-force", "#felt-force", "#hand-pad", "#gap", "#take", "#estop")]
+    for found in seen:
+        assert found["x"] >= 0.0 and found["x"] + found["width"] <= PHONE["width"]
+        assert found["y"] >= 0.0 and found["y"] + found["height"] <= PHONE["height"]
+    pad, gap = seen[2], seen[3]
+    assert pad["height"] > 150.0 and gap["height"] > 150.0 and pad["x"] + pad["width"] <= gap["x"]
+    assert page.value("document.documentElement.scrollHeight") <= PHONE["height"]
+    # the rest is behind tabs, of which each shows its part and nothing else
+    for place, shown in {"scene": "#scene", "scopes": "#scopes", "controls": "#controls", "more": "#dock"}.items():
+        page.page.tap(f"#place-{place}")
+        assert page.page.is_visible(shown), place
+        assert not page.page.is_visible("#hand"), place
+        assert page.page.is_visible("#estop"), place
+    assert page.faults == []
+
+
+# What a finger presses that is smaller than 44 px.
+_SMALL = """[...document.querySelectorAll("button, select, input, summary")].filter((found) => {
+  const { width, height } = found.getBoundingClientRect();
+  return width > 0 && (height < 44 || width < 44) && found.type !== "checkbox";
+}).map((found) => `${found.id} ${found.textContent} ${found.getBoundingClientRect().width}`)"""
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET])
+def test_what_a_finger_presses_is_large_enough(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
+) -> None:
+    _, address = rig_page
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size, has_touch=True, is_mobile=True)
+    until(lambda: "follows the hand" in page.banners(), "a rig that runs")
+    for place in ("touch", "scene", "scopes", "controls", "more"):
+        page.value(f"document.querySelector('#place-{place}').click()")
+        assert page.value(_SMALL) == [], place
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP], ids=["phone", "tablet", "laptop"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_in_any_part_of_the_page(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int], scheme: str
+) -> None:
     rig, address = rig_page
-    page = open_page(chromium, f"{address}#{TOKEN}", viewport=PHONE)
+    rig.way = {"offset_m": 1.105e-7, "return_place_m": 0.0, "return_speed_m_per_s": 5e-8, "return_s": 2.0}
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size, color_scheme=scheme)
+    page.page.locator("#go-back").wait_for()
+    for place in ("touch", "scene", "scopes", "controls", "more"):
+        page.value(f"document.querySelector('#place-{place}').click()")
+        check_rules(page, f"{place}, with both choices")
+        if size is not PHONE:
+            break
     rig.is_stopped = True
-    page.page.locator("#rearm").wait_for()
-    page.page.set_viewport_size(LAPTOP)
-    page.page.locator("#rearm").wait_for(state="hidden")
-    assert page.page.is_visible("#arm")
+    until(lambda: "EMERGENCY STOP" in page.banners(), "the stop")
+    check_rules(page, "stopped")
 
 
 # The width of a text in the font of an element [px].
@@ -118,11 +228,13 @@ _CUT = """[...document.querySelectorAll(".plot")].flatMap((plot) => {
 
 
 @pytest.mark.drawn(0.0, "services/viz_node/web/")
-def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
-    chromium: Any, rig_page: tuple[SaidRig, str]
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP], ids=["phone", "tablet", "laptop"])
+def test_titles_of_scopes_are_one_line_and_the_name_of_the_profile_is_whole(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
     _, address = rig_page
-    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size)
+    page.value("document.querySelector('#place-controls').click()")
     page.until("document.querySelectorAll('#profile option').length > 5", "the profiles")
     profile = page.page.locator("#profile")
     for name in page.value("[...document.querySelectorAll('#profile option')].map((option) => option.value)"):
@@ -133,50 +245,52 @@ def test_titles_of_scopes_and_the_name_of_the_profile_are_whole_at_1366_px(
         for part in ("#profile", "#delay", "#delay-set"):
             found = box(page, part)
             assert row["x"] <= found["x"] and found["x"] + found["width"] <= row["x"] + row["width"] + 1.0, part
+    page.value("document.querySelector('#place-scopes').click()")
     for layout in page.value("[...document.querySelectorAll('#layout option')].map((option) => option.value)"):
         page.choose("#layout", layout)
         page.page.wait_for_timeout(300.0)
         assert page.value(_CUT) == [], layout
+        assert max(page.value(_LINES)) < 20.0, layout
         heights = page.value("[...document.querySelectorAll('.plot .area')].map((area) => area.clientHeight)")
         assert min(heights) > 60.0, layout
 
 
+_LINES = "[...document.querySelectorAll('.plot .words')].map((words) => words.getBoundingClientRect().height)"
 # The boxes of what is shown, by their ids; who holds control is said in other words during an act.
 _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
   const { x, y, width, height } = element.getBoundingClientRect();
-  return width === 0 || element.closest("#answers, #events, #lease") ? [] : [[element.id, [x, y, width, height]]];
+  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control");
+  return isFree ? [] : [[element.id, [x, y, width, height]]];
 }))"""
 
 
-def test_what_came_of_a_press_is_beside_it_and_among_the_events_and_moves_nothing(
-    chromium: Any, rig_page: tuple[SaidRig, str]
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP])
+def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_nothing(
+    chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
     rig, address = rig_page
-    page = open_page(chromium, f"{address}#{TOKEN}", viewport=LAPTOP)
+    page = open_page(chromium, f"{address}#{TOKEN}", viewport=size)
     until(lambda: "follows the hand" in page.banners(), "a rig that runs")
     # the panel of a package comes when its module has been loaded
     page.page.wait_for_selector("#tab-particles", state="attached")
+    page.page.wait_for_timeout(500.0)
     before = page.value(_BOXES)
     rig.delay_s = 0.5
-    page.page.locator("#couple").click()
+    page.page.keyboard.press("o")
     note = page.page.locator(".answer.pending")
     until(note.count, "an answer that is awaited")
     assert page.value(_BOXES) == before
     until(page.page.locator(".answer.done").count, "the answer")
     assert page.value(_BOXES) == before
-    control, shown = box(page, "#couple"), box(page, ".answer")
-    assert 0.0 < shown["y"] - (control["y"] + control["height"]) < 20.0
-    assert shown["x"] < control["x"] + control["width"] and control["x"] < shown["x"] + shown["width"]
-    assert shown["x"] + shown["width"] <= LAPTOP["width"]
-    # It is whole, and the button that arms is seen beside it.
-    assert page.value(
-        "(({ scrollHeight, clientHeight }) => scrollHeight <= clientHeight)(document.querySelector('.answer'))"
-    )
-    arm = box(page, "#arm")
-    assert shown["y"] >= arm["y"] + arm["height"]
-    # What lies below the answer is pressed as if it were not there.
+    place, shown = box(page, "#answers"), box(page, ".answer")
+    assert shown["y"] >= place["y"] and shown["x"] + shown["width"] <= place["x"] + place["width"]
+    # it is whole, and covers nothing
+    assert shown["y"] + shown["height"] <= place["y"] + place["height"] + 1.0
     middle = f"{shown['x'] + shown['width'] / 2.0}, {shown['y'] + shown['height'] / 2.0}"
-    assert page.value(f"document.elementFromPoint({middle}).closest('#answers')") is None
+    assert page.value(f"document.elementFromPoint({middle}).closest('#answers')") is not None
+    for number in ("#hand-force", "#felt-force"):
+        found = box(page, number)
+        assert found["y"] >= place["y"] + place["height"] or found["x"] >= place["x"] + place["width"], number
     page.until("/couple hand and tip: acknowledged/.test(document.querySelector('#events').textContent)", "the event")
 
 
@@ -217,7 +331,7 @@ def test_control_goes_from_one_window_to_another_by_what_they_read_on_the_page(
     reads(second, "You hold control")
     # Without a press on Hand over it comes when the other one lets go, or its window is closed.
     press(first, "Ask")
-    press(second, "Let go")
+    press(second, "Give up control")
     reads(first, "You hold control")
     press(second, "Ask")
     reads(first, "window B asks for it")

@@ -186,7 +186,8 @@ def by_pointer(page: Page) -> None:
     click_at(page, jump_s(page))
     pointed = page.page.locator(".plot").nth(TIP_SCOPE).locator(".at-cursor").inner_text().split()
     time_s, force_nn = page.measured("time")[1], page.measured("normal, nN")[1]
-    assert (pointed[0], pointed[2]) == (time_s.removesuffix(" s"), force_nn)
+    # the time, and then each curve by its name
+    assert (pointed[0], pointed[pointed.index("normal") + 1]) == (time_s.removesuffix(" s"), force_nn)
     page.value(f"telenano.cockpit.document.seek({jump_s(page) + 1.0})")
     page.page.wait_for_timeout(500.0)
     assert (page.measured("time")[1], page.measured("normal, nN")[1]) == (time_s, force_nn)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from made_sessions import Made
 
+import telenano
 from telenano.analysis.phases import contacts_of, moments_of, phases_of
-from telenano.analysis.recording_document import judged_recording
+from telenano.analysis.recording_document import judged_recording, summary_facts
+from telenano.api import RecordedSession
 from telenano.recording.multi_file import open_recordings
 
 TIME_S = np.arange(0.0, 8.0, 0.001)
@@ -53,6 +55,21 @@ def test_a_recording_is_judged_as_its_report_is(tmp_path: Path) -> None:
     assert found["phases"][0]["from_s"] == pytest.approx(found["session_s"][0])
     times = [moment["t_s"] for moment in found["moments"]]
     assert times == sorted(times)
+
+
+@pytest.mark.check("takes 1 s")
+def test_a_summary_that_was_kept_beside_a_recording_says_what_the_judge_says(tmp_path: Path) -> None:
+    path = Made().write(tmp_path)
+    assert telenano.open(path).summary["verdict"]
+    kept = RecordedSession([path])
+    assert kept.is_judged and kept.start_ns is not None
+    recording = open_recordings([path])
+    found = summary_facts(kept.summary, (kept.start_ns - recording.span_ns[0]) * 1e-9)
+    judged = judged_recording(recording)
+    assert found["holds"] == judged["holds"]
+    assert found["interruptions"] == judged["interruptions"]
+    assert found["session_s"] == pytest.approx(judged["session_s"])
+    assert found["summary"]["verdict"] == judged["summary"]["verdict"]
 
 
 def test_a_recording_without_a_programme_says_why_it_has_no_verdict(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_advice_is_an_event_of_the_launcher_and_a_line_for_the_person() -> None:
     rig.reader.waiting = [STATUS]
     rig.tick_alive(3)
     (event,) = rig.warnings()
-    assert (event.src, event.text, event.data) == ("launcher@master", "Mind the law.", {"seen": 1.0})
+    assert (event.src, event.text, event.data) == ("launcher@master", "Mind the law.", {"seen": 1.0, "advice": True})
     assert rig.reports.count("Mind the law.") == 1
 
 

@@ -216,3 +216,24 @@ def test_the_loss_of_the_link_does_not_depend_on_the_pieces(whole: Recording, mo
         monkeypatch.setattr(document_module, "_PIECE_S", piece_s)
         parts.append(filled(recording=whole).part(-1.0, 20.0, 500)["streams"])
     assert parts[0] == parts[1]
+
+
+def test_a_verdict_that_was_kept_is_there_before_all_is_read_and_judged(whole: Recording) -> None:
+    may_judge = threading.Event()
+
+    def judge() -> dict[str, Any]:
+        assert may_judge.wait(60.0)
+        return {"summary": {"verdict": "stable"}, "phases": [{"kind": "apart", "from_s": 0.0, "to_s": 1.0}]}
+
+    found = RecordingDocument(whole, judge, judged_before=lambda: {"summary": {"verdict": "stable"}})
+    try:
+        while "summary" not in (about := found.about()):
+            pass
+        assert about["summary"] == {"verdict": "stable"}
+        assert about["read"] < 1.0
+        assert "phases" not in about
+    finally:
+        may_judge.set()
+    found.wait()
+    assert found.about()["read"] == 1.0
+    assert found.about()["phases"]

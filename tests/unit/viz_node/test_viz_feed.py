@@ -250,3 +250,43 @@ def test_the_queue_of_a_line_is_a_fact_of_its_direction_and_an_earlier_end_has_n
         "line/backward": {"queue_s": None, "capacity_bit_per_s": None, "sends": None, "blocked_since_ns": None},
     }
     assert feed.left_out.rejected == {}
+
+
+@pytest.mark.parametrize(
+    ("data", "advises"),
+    [
+        ({"advice": True, "law": "wave", "outside": "line"}, "wave"),
+        ({"advice": True}, ""),
+        ({"law": "wave"}, None),
+        # a word of another node that only looks like it
+        ({"advice": 1, "law": "wave"}, None),
+    ],
+)
+def test_what_an_adviser_said_is_told_with_its_law_and_no_other_event_is(
+    data: dict[str, Any], advises: str | None
+) -> None:
+    feed = Feed()
+    feed.record(
+        seen("session/event", "launcher@master", kind="node", level="warning", text="the line is long", data=data)
+    )
+    (event,) = feed.take()["events"]
+    assert event.get("advises") == advises
+
+
+@pytest.mark.parametrize(
+    ("mode", "placed", "follows"),
+    [
+        ("follow", True, 1.0),
+        ("hold", True, 1.0),
+        # a recording of before does not say whether the tip is placed
+        ("follow", None, 1.0),
+        ("follow", False, 0.0),
+        ("retracting", True, 0.0),
+        ("retracted", True, 0.0),
+        ("estop", True, 0.0),
+    ],
+)
+def test_a_tip_that_is_placed_or_withdrawn_does_not_follow(mode: str, placed: bool | None, follows: float) -> None:
+    feed = Feed()
+    feed.record(seen("afm/state", "afm_node@slave", mode=mode, placed=placed))
+    assert columns(feed.take(), "tip")["follows"].tolist() == [follows]

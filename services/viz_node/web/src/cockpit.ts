@@ -17,8 +17,8 @@ export interface Cockpit {
   document: Document;
 }
 
-/** The regions of the page, which docs/view.md draws. Panels of `dock` and `watch` are tabs where the window is narrow. */
-export type Region = "status" | "timeline" | "stage" | "scopes" | "controls" | "dock" | "watch";
+/** The regions of the page, which docs/view.md draws. Panels of `dock` and `watch` are tabs where the window is narrow; on a phone one region is shown at a time. */
+export type Region = "timeline" | "stage" | "scopes" | "controls" | "dock" | "watch";
 
 /** What a panel does after it was built; each of these may be left out. */
 export interface Panel {

@@ -3,12 +3,13 @@ import type { Connection, LinkState } from "./connection";
 import type { Values } from "./form";
 import type { Facts } from "./protocol";
 import type { Store } from "./store";
+import { countdown } from "./countdown";
 
 /** A slow base may take minutes until the tip is placed; the server itself gives up when it takes twice what the instrument says. */
 const PLACED_MS = 600_000;
 /** Hand and tip: the server arms both, and answers when the tip is placed. */
 const DEVICES = "*";
-/** After the last press of the stop, and after it is first shown, the bar that arms cannot be pressed: a second tap never arms [ms]. */
+/** After the last press of the stop, and after it is first shown, *Arm* cannot be pressed: a second tap never arms [ms]. */
 const REARM_MS = 1500;
 /** What ends a tip's way back. */
 const INPUTS = ["keydown", "pointerdown", "wheel"] as const;
@@ -16,8 +17,10 @@ const INPUTS = ["keydown", "pointerdown", "wheel"] as const;
 /** Commands of the operator; each shows what became of it. */
 export class Commands {
   private stops = 0;
-  /** Whether the tip goes back at a word of this page. */
-  private isGoing = false;
+  /** What goes back at a word of this page: when it began [ms], how long it takes [s], and its words. */
+  private way: { begun: number; length_s: number; text: string } | undefined;
+  /** The place of which the person has said that the tip stays away from it [m]. */
+  private stayed: number | undefined;
   /** When the rig was stopped, as this page saw it, or when its stop was pressed last [ms]. */
   private stoppedAt = -Infinity;
   private wasStopped = false;
@@ -26,11 +29,13 @@ export class Commands {
   /** Called before devices are armed: the tip must not press at once with a force that was held before. */
   onArm: () => void = () => {};
   link: LinkState = "connecting";
+  /** Why there is no connection, in words. */
+  linkText = "";
 
   constructor(
     private readonly connection: Connection,
     private readonly store: Store,
-    private readonly answers: Pick<Answers, "use" | "pending" | "settle" | "tell">,
+    private readonly answers: Pick<Answers, "pending" | "settle" | "tell">,
   ) {}
 
   /** Whether this page commands anything: it is connected, to a rig, and its person may have the hand. */
@@ -52,7 +57,6 @@ export class Commands {
     this.stops++;
     this.stoppedAt = performance.now();
     this.onEstop();
-    this.answers.use("estop");
     if (dead) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
     else await this.ask("emergency stop", { k: "estop" });
   }
@@ -61,12 +65,12 @@ export class Commands {
     return this.ask(about, { k: "command", command, target, parameters, lease: this.store.ownLease });
   }
 
-  /** Whether the bar that arms is shown at a time [ms], and whether it can be pressed yet. */
-  rearm(now: number): "hidden" | "waits" | "ready" {
+  /** Whether *Arm* may be pressed at a time [ms]: not right after a press of the stop, nor after a stop is first seen. */
+  mayArm(now: number): boolean {
     const isStopped = this.may && this.isStopped;
     if (isStopped && !this.wasStopped) this.stoppedAt = now;
     this.wasStopped = isStopped;
-    return !isStopped ? "hidden" : now - this.stoppedAt < REARM_MS ? "waits" : "ready";
+    return this.may && now - this.stoppedAt >= REARM_MS;
   }
 
   /** Whether a device is in emergency stop, as far as the page knows. */
@@ -77,35 +81,56 @@ export class Commands {
   /** Arm hand and tip in one request: both stay where they are. The answer says whether both are armed. */
   async arm(): Promise<boolean> {
     this.onArm();
+    this.stayed = undefined;
     const fields = { k: "command", command: "arm", target: DEVICES, parameters: {}, lease: this.store.ownLease };
     return this.ask("arm hand and tip", fields, PLACED_MS);
   }
 
   /** Where an armed tip would go back to, in words with place, speed and time; undefined where it has no way back. */
-  get wayBack(): { text: string; place_m: number; speed_m_per_s: number } | undefined {
+  get wayBack(): { text: string; place_m: number; speed_m_per_s: number; time_s: number } | undefined {
     const [place, speed, time] = ["return_place_m", "return_speed_m_per_s", "return_s"].map((key) => this.store.fact("afm/state/slave", key));
     if (typeof place !== "number" || typeof speed !== "number" || typeof time !== "number") return undefined;
-    return { text: `Go back to ${(place * 1e9).toFixed(1)} nm (${(speed * 1e9).toFixed(0)} nm/s, ${time.toFixed(1)} s)`, place_m: place, speed_m_per_s: speed };
+    // the base lies towards the sample > 0, and what is nearly 0 is 0
+    const nm = (+(place * 1e9).toFixed(1) + 0).toFixed(1);
+    return { text: `Go back to ${nm} nm (${(speed * 1e9).toFixed(0)} nm/s, ${time.toFixed(1)} s)`, place_m: place, speed_m_per_s: speed, time_s: time };
+  }
+
+  /** Leave the tip where it is: its way back is no longer offered first, until there is another one. */
+  stay(): void {
+    this.stayed = this.wayBack?.place_m;
+  }
+
+  /** Whether the person has chosen that the tip stays, of the way back that there is now. */
+  get stays(): boolean {
+    return this.stayed !== undefined && this.stayed === this.wayBack?.place_m;
+  }
+
+  /** How far the tip is on its way back at a time [ms]; undefined where it does not go. */
+  goingAt(now: number): { text: string; share: number } | undefined {
+    if (!this.way) return undefined;
+    const { text, share } = countdown(this.way.begun, this.way.length_s, now);
+    return { text: `${this.way.text.replace("Go", "The tip goes")}: ${text}`, share };
   }
 
   /** Let the tip go back, as its button says; any key and any press of the pointer ends it, and the tip stays where it is. */
   async goBack(): Promise<boolean> {
     const way = this.wayBack;
-    if (!way || this.isGoing) return false;
+    if (!way || this.way) return false;
     this.onArm();
-    this.isGoing = true;
+    this.stayed = undefined;
     const { place_m, speed_m_per_s } = way;
+    this.way = { begun: performance.now(), length_s: way.time_s, text: way.text };
     const fields = { k: "command", command: "arm", target: DEVICES, parameters: { place_m, speed_m_per_s }, lease: this.store.ownLease };
     // The server gives the way up for whatever command comes after it; arming starts nothing. The stop needs no more.
     const end = (event: Event): void => {
-      if ((event as KeyboardEvent).key !== "Escape" && this.isGoing) void this.arm();
-      this.isGoing = false;
+      if ((event as KeyboardEvent).key !== "Escape" && this.way) void this.arm();
+      this.way = undefined;
     };
     for (const name of INPUTS) addEventListener(name, end, { capture: true });
     try {
       return await this.ask(way.text.replace("Go", "go"), fields, PLACED_MS);
     } finally {
-      this.isGoing = false;
+      this.way = undefined;
       for (const name of INPUTS) removeEventListener(name, end, { capture: true });
     }
   }
@@ -140,7 +165,7 @@ export class Commands {
     this.answers.tell(text);
   }
 
-  /** Show what became of an action beside its control, and keep it in the list of events. */
+  /** Show what became of an action, and keep it in the list of events. */
   private settle(note: HTMLElement, about: string, outcome: Outcome, text: string, waitedS = 0): void {
     const words = outcomeText(about, outcome, text, waitedS);
     this.answers.settle(note, outcome, words);

@@ -24,6 +24,11 @@ export interface Hold {
   /** Share in which hand and tip were both in it, 0 to 1. */
   coupled_share?: number;
 }
+/** A time in which the loop was open, or a process was away. */
+export interface Interruption extends Omit<Span, "kind"> {
+  kind: string;
+  reason: string;
+}
 export interface Swing {
   from_s: number;
   to_s: number;
@@ -45,6 +50,9 @@ export interface About {
   phases?: Span[];
   holds?: Hold[];
   swings?: Swing[];
+  interruptions?: Interruption[];
+  /** From when to when messages are missing from the recording. */
+  losses?: Omit<Span, "kind">[];
   moments?: Moment[];
   summary?: Record<string, unknown> | null;
   fault?: string;
@@ -228,9 +236,10 @@ export class Document {
       if (!answer.ok) continue;
       const about = answer.found as About;
       const { length_s } = about;
+      this.about = about.holds ? { ...about, holds: withoutReleased(about.holds) } : about;
+      this.changed();
       const part = await this.connection.ask({ k: "part", from_s: 0, to_s: Math.max(length_s, 1e-3), spans: WHOLE_SPANS });
       if (reading !== this.readings) return;
-      this.about = about.holds ? { ...about, holds: withoutReleased(about.holds) } : about;
       if (part.ok) this.whole = this.taken(part.found as PartAnswer);
       this.part = undefined;
       this.asked = "";

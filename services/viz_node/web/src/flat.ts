@@ -76,7 +76,7 @@ export class Flat {
     this.overlay(pen, (atX, atY) => this.toCanvas(extent, atX, atY), scale);
     const [x, y] = this.toCanvas(extent, tip[0], tip[1]);
     if (Number.isFinite(x) && Number.isFinite(y)) {
-      pen.strokeStyle = colour("stop");
+      pen.strokeStyle = colour("tip");
       pen.lineWidth = 2;
       pen.beginPath();
       pen.moveTo(x - 7, y);

@@ -1,4 +1,5 @@
 import type { Connection } from "./connection";
+import { creepText } from "./creep";
 import { colour, make } from "./dom";
 import { Pressing } from "./pressing";
 import type { HandNotice } from "./protocol";
@@ -23,6 +24,12 @@ export const ACROSS_M = 0.02;
 /** What a key moves it by [m]. */
 const KEY_ACROSS_M = 2e-3;
 const DEAD = 0.12;
+/** Above and below the bars of the forces, and how wide each is with the room beside it [px]. */
+const GAUGE_PX = 18;
+const GAUGE_BAR_PX = 10;
+/** Over this time it is looked whether a free hand moves [s], so often [ms]. */
+const CREEP_S = 4;
+const CREEP_LOOK_MS = 500;
 
 /** How strongly a gamepad rumbles for a force that comes back [N]: from 0 to 1, and not for what a hand would not feel. */
 export function rumbleStrength(back_n: number): number {
@@ -141,6 +148,29 @@ export class Hand {
     }
   }
 
+  /** Take hold of the hand where it is, and keep it there without a pointer or a key, for somebody who presses a button. */
+  holdHere(): void {
+    if (!this.isOffered) return;
+    if (this.meant === undefined) this.hold(this.arm);
+    this.keepButton.setAttribute("aria-pressed", "true");
+    this.say();
+  }
+
+  /** Mean a hand that is held to be lower by so much [m]. */
+  lower(by_m: number): void {
+    if (this.meant !== undefined) this.hold(this.meant + by_m);
+  }
+
+  /** Why a hand that nobody holds moves all the same, in words; empty where it does not. */
+  get creep(): string {
+    const ring = this.store.rings.get("hand");
+    const column = this.store.column("hand", "position");
+    if (this.isHeld || !ring?.length || column < 0) return "";
+    const first = ring.indexAt(ring.newest - CREEP_S);
+    const moved = ring.value(column, ring.length - 1) - ring.value(column, first);
+    return creepText(moved, ring.newest - ring.time(first), this.store.last("hand", "force"), this.store.last("command", "tip_force"));
+  }
+
   /** Steer by an arrow key; whether the key was one. */
   steerByKey(key: string): boolean {
     const step = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
@@ -221,19 +251,19 @@ export class Hand {
     const pen = this.canvas.getContext("2d")!;
     const toY = (m: number): number => ((m - TOP_M) / TRAVEL_M) * height;
     pen.clearRect(0, 0, width, height);
-    pen.font = "11px system-ui";
-    for (let mm = height < 70 ? 10 : 0; mm <= 20; mm += height < 70 ? 10 : 5) {
+    pen.font = "12px system-ui";
+    for (let mm = 0; mm <= 20; mm += height < 130 ? 10 : 5) {
       pen.fillStyle = colour("line");
       pen.fillRect(0, toY(mm / 1e3), width, 1);
       pen.fillStyle = colour("quiet");
       // the lowest label stands above its line, where the pad ends
       pen.fillText(`${mm} mm`, 4, toY(mm / 1e3) - 3);
     }
-    const x = width * 0.55;
+    const x = width * 0.5;
     const arm = toY(this.arm);
     const force = this.meant === undefined ? 0 : springForce(this.meant, this.arm);
     if (this.meant !== undefined) {
-      pen.strokeStyle = colour("accent");
+      pen.strokeStyle = colour("hand");
       pen.lineWidth = 1 + 3 * Math.abs(force / LIMIT_N);
       pen.setLineDash([4, 3]);
       pen.beginPath();
@@ -241,24 +271,19 @@ export class Hand {
       pen.lineTo(x, toY(this.meant));
       pen.stroke();
       pen.setLineDash([]);
-      disc(pen, x, toY(this.meant), 8, colour("accent"), false);
+      disc(pen, x, toY(this.meant), 8, colour("hand"), false);
     }
-    disc(pen, x, arm, 12, colour("c1"), true);
-    // the force that comes back, away from the sample, as an arrow beside the arm
+    disc(pen, x, arm, 12, colour("hand"), true);
     const back = this.store.last("command", "tip_force");
-    if (Math.abs(back) > 0.02) {
-      pen.fillStyle = colour("c2");
-      pen.fillRect(x + 18, arm, 5, -(back / LIMIT_N) * height * 0.4);
-    }
+    this.drawForces(pen, width, height, this.store.last("hand", "force"), back);
     const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
-    const own = this.meant === undefined ? "Drag down, here or in the scene" : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
+    const own = this.meant === undefined ? this.freeText() : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
     const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
     const apart = this.meant === undefined || !this.store.apart ? "" : `Not as held: ${this.store.apart}`;
     const mark = slow ? "too slow" : apart ? "not as held" : "";
     if (mark) {
-      pen.fillStyle = colour("stop");
-      // at the right edge, because the marks of the way are at the left one
-      pen.fillText(mark, width - pen.measureText(mark).width - 4, height - 6);
+      pen.fillStyle = colour("bad");
+      pen.fillText(mark, x - pen.measureText(mark).width / 2, height - 6);
     }
     this.pad.dataset["slow"] = String(slow !== "");
     this.pad.dataset["apart"] = String(apart !== "");
@@ -269,6 +294,36 @@ export class Hand {
     this.pad.setAttribute("aria-valuetext", `${force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);
     this.rumble(back);
   }
+
+  /** Both forces beside each other up to the limit of the hand: what presses down, and what comes back up. */
+  private drawForces(pen: CanvasRenderingContext2D, width: number, height: number, own_n: number, back_n: number): void {
+    const room = height - 2 * GAUGE_PX;
+    const left = width - 2 * GAUGE_BAR_PX - GAUGE_PX;
+    const bar = (at: number, value: number, name: string): void => {
+      pen.fillStyle = colour("line");
+      pen.fillRect(at, GAUGE_PX, GAUGE_BAR_PX - 2, room);
+      const size = Math.min(1, Math.abs(value) / LIMIT_N) * room;
+      pen.fillStyle = colour(name);
+      if (size >= 1) pen.fillRect(at, GAUGE_PX + room - size, GAUGE_BAR_PX - 2, size);
+    };
+    bar(left, Number.isNaN(own_n) ? 0 : own_n, "hand");
+    bar(left + GAUGE_BAR_PX, Number.isNaN(back_n) ? 0 : back_n, "tip");
+    pen.fillStyle = colour("text");
+    pen.fillRect(left - 3, GAUGE_PX - 1, 2 * GAUGE_BAR_PX + 4, 2);
+    pen.fillStyle = colour("quiet");
+    pen.textAlign = "right";
+    pen.fillText(`${LIMIT_N} N`, width - 4, GAUGE_PX - 5);
+    pen.textAlign = "left";
+  }
+
+  private freeText(): string {
+    const now = performance.now();
+    if (now - this.creepAt > CREEP_LOOK_MS) [this.creepAt, this.creepShown] = [now, this.creep];
+    return this.creepShown || (this.isOffered ? "Drag down, here or in the scene" : "");
+  }
+
+  private creepAt = -Infinity;
+  private creepShown = "";
 
   private get arm(): number {
     const found = this.store.last("hand", "position");

@@ -20,7 +20,7 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   const actions: LeaseAction[] = [];
   if (role === "observer" || role === "participant") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];
-  if (isMine && lease.kept) return { text: text + asks, actions: [...handOver, { text: "Let go", action: "let_go" }] };
+  if (isMine && lease.kept) return { text: text + asks, actions: [...handOver, { text: "Give up control", action: "let_go" }] };
   if (isMine && role !== "teacher") {
     const take: LeaseAction[] = role === "operator" ? [{ text: "Take", action: "take" }] : [];
     return { text: text + asks, actions: [...take, ...handOver] };

@@ -10,7 +10,7 @@ import { Hand } from "./hand";
 import { Image } from "./image";
 import { PackagePanels } from "./packages";
 import { PANELS } from "./panels";
-import type { HandPanel } from "./panels/hand";
+import { NextPanel } from "./panels/next";
 import type { ScenePanel } from "./panels/scene";
 import type { ScopesPanel } from "./panels/scopes";
 import { StatusPanel } from "./panels/status";
@@ -48,11 +48,11 @@ commands.onEstop = commands.onArm = () => cockpit.hand.letGo();
 store.recorded = (stream, column) => cockpit.document.value(stream, column, performance.now());
 store.recordedSwing = () => cockpit.document.swingAt(cockpit.document.at(performance.now()));
 const status = new StatusPanel(part("status"), cockpit);
+const next = new NextPanel(part("next"), cockpit);
 const regions = new Regions(PANELS, cockpit);
 const packages = new PackagePanels(regions, cockpit);
 const view = (regions.panel("scene") as ScenePanel).view;
 const scopes = regions.panel("curves") as ScopesPanel;
-const handPanel = regions.panel("hand") as HandPanel;
 const timeline = regions.panel("recording") as TimelinePanel;
 
 /** Between frames, and what the page itself took of each, drawing and taking in what came [ms]. */
@@ -70,7 +70,7 @@ let pictureAt = 0;
 connection.onState = (state, text) => {
   const was = commands.link;
   commands.link = state;
-  status.text = text;
+  commands.linkText = text;
   document.body.dataset["link"] = state;
   // what cannot be commanded any more looks it
   if (was === "open" && state !== "open") {
@@ -113,6 +113,7 @@ connection.onFrame = (frame: ServerFrame) => {
 
 function begin(): void {
   status.begin();
+  next.begin();
   regions.begin();
 }
 
@@ -146,7 +147,7 @@ setInterval(() => {
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   cockpit.hand.compare();
   status.draw();
-  handPanel.lease.write();
+  next.draw();
 }, BANNERS_MS);
 
 function setTheme(name: string): void {
@@ -168,8 +169,8 @@ addEventListener("keydown", (event) => {
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
   if (event.key === "o" && commands.may) part("couple").click();
-  if (event.key === "g" && commands.may && !event.repeat) void commands.goBack();
-  if (event.key === "h") handPanel.lease.first();
+  if (!event.repeat && next.key(event.key)) event.preventDefault();
+  else if (event.key === "h") next.lease.first();
   // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
   if (event.key === "k" && commands.may) nextOption("lateral-mode");

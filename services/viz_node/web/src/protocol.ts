@@ -42,6 +42,8 @@ export interface EventFacts {
   kind: string;
   level: "info" | "warning" | "error";
   text: string;
+  /** The law of which it is the warning of an adviser (`telenano.advisers`); absent for every other event. */
+  advises?: string;
 }
 
 export interface WireArray {

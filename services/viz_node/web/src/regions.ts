@@ -13,7 +13,16 @@ interface Placed {
   panel: Panel;
 }
 
-/** Puts panels into the regions of the page; those of the dock share a place as tabs. */
+/** What a phone shows one at a time, with the panels or the region that each consists of. */
+const PLACES: readonly (readonly [id: string, title: string, elements: readonly string[]])[] = [
+  ["touch", "Touch", ["hand"]],
+  ["scene", "Image", ["scene"]],
+  ["scopes", "Scopes", ["scopes"]],
+  ["controls", "Controls", ["controls"]],
+  ["more", "More", ["dock", "watch"]],
+];
+
+/** Puts panels into the regions of the page; those of the dock share a place as tabs, and on a phone all regions do. */
 export class Regions {
   readonly placed: Placed[] = [];
   private readonly tabs = make("div", { class: "tabs", role: "tablist", "aria-label": "Panels" });
@@ -26,6 +35,8 @@ export class Regions {
     private readonly cockpit: Cockpit,
   ) {
     part("dock").append(this.tabs);
+    document.body.dataset["place"] = PLACES[0]![0];
+    part("places").append(...PLACES.map(([id, title]) => make("button", { type: "button", id: `place-${id}`, "aria-pressed": String(id === PLACES[0]![0]), onclick: () => this.goTo(id) }, title)));
     for (const row of rows) this.place(row);
     for (const width of [this.wide, this.pane]) width.addEventListener("change", () => this.arrange());
     this.tabs.addEventListener("keydown", (event) => this.moveByKey(event));
@@ -71,6 +82,12 @@ export class Regions {
     for (const { panel } of this.placed) panel.begin?.();
   }
 
+  /** Show a place of the phone; on a wider window all are there. */
+  private goTo(id: string): void {
+    document.body.dataset["place"] = id;
+    for (const button of part("places").children) button.setAttribute("aria-pressed", String(button.id === `place-${id}`));
+  }
+
   private arrange(): void {
     const shown = this.placed.filter(({ row }) => row.shows?.(this.cockpit) ?? true);
     for (const { root } of this.placed) root.hidden = true;
@@ -88,6 +105,7 @@ export class Regions {
     part("timeline").hidden = !shown.some(({ row }) => row.region === "timeline");
     part("watch").hidden = !this.wide.matches && !this.pane.matches;
     part("dock").hidden = !tabs.length;
+    for (const [id, , elements] of PLACES) part(`place-${id}`).hidden = elements.every((name) => part(name).hidden);
     this.tabs.replaceChildren(
       ...tabs.map(({ row }) => make("button", { type: "button", role: "tab", id: `tab-${row.id}`, "aria-controls": row.id, onclick: () => this.choose(row.id) }, row.title)),
     );

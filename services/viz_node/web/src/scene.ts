@@ -88,8 +88,8 @@ export class View {
   private isTurned = false;
   private readonly world = new Group();
   private readonly tip = new Probe();
-  private readonly normal = arrow(0xd2322d);
-  private readonly lateral = arrow(0x7c3aed);
+  private readonly normal = arrow(colour("tip"));
+  private readonly lateral = arrow(colour("lateral"));
   private readonly contact: Mesh;
   private readonly plane: Mesh<PlaneGeometry, MeshStandardMaterial>;
   private grid: GridHelper;
@@ -146,7 +146,7 @@ export class View {
     this.world.rotation.x = -Math.PI / 2;
     this.plane = new Mesh(new PlaneGeometry(PLANE_NM, PLANE_NM), new MeshStandardMaterial({ roughness: 0.9, transparent: true, opacity: 0.92 }));
     this.grid = new GridHelper();
-    this.contact = new Mesh(new RingGeometry(3.5, 5.5, 40), new MeshStandardMaterial({ color: 0xd2322d, emissive: 0xd2322d, emissiveIntensity: 0.5 }));
+    this.contact = new Mesh(new RingGeometry(3.5, 5.5, 40), new MeshStandardMaterial({ emissiveIntensity: 0.5 }));
     this.mark = new Mesh(new SphereGeometry(0.9), new MeshStandardMaterial({ color: 0xffb000, emissive: 0xffb000 }));
     this.mark.visible = false;
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
@@ -289,6 +289,7 @@ export class View {
     this.buildBars();
     this.scene.background = new Color(colour("scene"));
     this.plane.material.color.set(colour("line"));
+    for (const [helper, token] of [[this.normal, "tip"], [this.lateral, "lateral"]] as const) helper.setColor(colour(token));
     this.world.remove(this.grid);
     this.grid = new GridHelper(PLANE_NM, 12, colour("quiet"), colour("quiet"));
     (this.grid.material as { opacity: number; transparent: boolean }).opacity = 0.35;
@@ -368,8 +369,9 @@ export class View {
     const meniscus = this.store.fact(AFM, "meniscus") === true;
     this.contact.visible = inContact || meniscus;
     this.contact.position.set(x, y, height + 0.15 * side);
-    (this.contact.material as MeshStandardMaterial).color.set(inContact ? 0xd2322d : 0x1f7fd0);
-    (this.contact.material as MeshStandardMaterial).emissive.set(inContact ? 0xd2322d : 0x1f7fd0);
+    const ring = colour(inContact ? "tip" : "water");
+    (this.contact.material as MeshStandardMaterial).color.set(ring);
+    (this.contact.material as MeshStandardMaterial).emissive.set(ring);
     this.greatestForce = Math.max(this.greatestForce, Math.abs(or(force)), Math.hypot(forceX, forceY));
     point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce, side);
     point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce, side);

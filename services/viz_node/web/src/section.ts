@@ -108,7 +108,7 @@ export class Section {
           { ...axis, size: 34, label: "along the section, nm", labelSize: 14, labelFont: "11px system-ui", values: labels },
           { ...axis, size: 44, space: 18, label: "height, nm", labelSize: 14, labelFont: "11px system-ui", values: labels },
         ],
-        series: [{}, { stroke: colour("c2"), width: 1.5, points: { show: false } }],
+        series: [{}, { stroke: colour("sample"), width: 1.5, points: { show: false } }],
       },
       data,
       this.area,

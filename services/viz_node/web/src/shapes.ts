@@ -26,7 +26,7 @@ export interface Extent {
 }
 
 /** An arrow that the tip does not hide. */
-export function arrow(rgb: number): ArrowHelper {
+export function arrow(rgb: string): ArrowHelper {
   const helper = new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
   for (const part of [helper.line, helper.cone]) {
     (part.material as Material).depthTest = false;

@@ -21,9 +21,9 @@ export function tickText(value: number, digits = 3): string {
   return text.length > MOST_SIGNS ? rounded.toExponential() : text;
 }
 
-/** Places and texts of ticks between two numbers, about four of them, at 1, 2 or 5 times a power of ten. */
-export function ticks(min: number, max: number): [number, string][] {
-  const rough = (max - min) / 4;
+/** Places and texts of ticks between two numbers, about so many of them, at 1, 2 or 5 times a power of ten. */
+export function ticks(min: number, max: number, about = 4): [number, string][] {
+  const rough = (max - min) / about;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough) ?? rough;
   const places: number[] = [];

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, expect, test, vi } from "vitest";
-import { outcomeText, placeBeside, type Box } from "../src/answers";
+import { outcomeText } from "../src/answers";
 import { Connection, type Reply } from "../src/connection";
 import { pack, read } from "../src/protocol";
 import { Store } from "../src/store";
@@ -75,30 +75,4 @@ test("what this page noted stays among the events over a lost connection, at its
   store.begin(snapshot("recording", 1));
   store.note("info", "no event of it");
   expect(store.events.map(({ text }) => text)).toEqual(["node"]);
-});
-
-const VIEW = { width: 390, height: 844 };
-const NOTE = { width: 200, height: 40 };
-const box = (left: number, top: number, width: number, height: number): Box => ({ left, top, right: left + width, bottom: top + height });
-const overlap = (at: { left: number; top: number }, other: Box): boolean => at.left < other.right && other.left < at.left + NOTE.width && at.top < other.bottom && other.top < at.top + NOTE.height;
-
-test("an answer is below its control, or above it where there is no room, and never over the stop", () => {
-  const button = box(20, 100, 80, 40);
-  expect(placeBeside(button, NOTE, VIEW, [])).toEqual({ left: 20, top: 146 });
-  // at the right edge it begins further to the left
-  expect(placeBeside(box(300, 100, 80, 40), NOTE, VIEW, []).left).toBe(184);
-  const stop = box(8, 782, 374, 54);
-  const arm = box(8, 720, 374, 50);
-  for (const control of [stop, arm, box(20, 690, 80, 40), box(20, 640, 80, 40)]) {
-    const at = placeBeside(control, NOTE, VIEW, [stop, arm]);
-    for (const kept of [control, stop, arm]) expect(overlap(at, kept)).toBe(false);
-    expect(at.top).toBeGreaterThanOrEqual(0);
-  }
-  // a control that was scrolled away, up or down, has its answer at that edge, and not over the stop there
-  expect(placeBeside(box(20, -300, 80, 40), NOTE, VIEW, [stop]).top).toBe(6);
-  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop]).top).toBe(736);
-  expect(placeBeside(box(20, 1500, 80, 40), NOTE, VIEW, [stop, arm]).top).toBe(674);
-  // two answers at one control are one below the other
-  const first = placeBeside(button, NOTE, VIEW, []);
-  expect(placeBeside(button, NOTE, VIEW, [box(first.left, first.top, NOTE.width, NOTE.height)]).top).toBe(192);
 });

@@ -13,7 +13,6 @@ function page(): { commands: Commands; store: Store; asked: object[]; notes: str
   };
   const notes: string[] = [];
   const answers = {
-    use: () => {},
     tell: () => {},
     pending: (about: string) => notes.push(`${about} …`) as never as HTMLElement,
     settle: (_: HTMLElement, outcome: string, words: string) => void notes.push(`${outcome}: ${words}`),
@@ -51,34 +50,34 @@ test("what takes a while arms at its end only where no stop came meanwhile, from
   expect(knows()).toBe(false);
 });
 
-test("the bar that arms is there while the rig is stopped, and cannot be pressed for 1.5 s after a press of the stop", () => {
+test("nothing arms for 1.5 s after a press of the stop, or after a stop is first seen", () => {
   vi.useFakeTimers();
   const { commands, store } = page();
   commands.link = "open";
   store.role = "operator";
   store.commands = true;
   const state = (hand: boolean): void => store.take({ k: "tick", state: { "haptic/state/master": { estop: hand } } });
-  const after = (ms: number): string => {
+  const after = (ms: number): boolean => {
     vi.advanceTimersByTime(ms);
-    return commands.rearm(performance.now());
+    return commands.mayArm(performance.now());
   };
-  expect(after(0)).toBe("hidden");
+  expect(after(0)).toBe(true);
   void commands.estop();
   state(true);
-  expect([after(0), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  expect([after(0), after(1400), after(200)]).toEqual([false, false, true]);
   // each further press counts, and so does a stop that came from elsewhere
   void commands.estop();
-  expect([after(1400), after(200)]).toEqual(["waits", "ready"]);
+  expect([after(1400), after(200)]).toEqual([false, true]);
   state(false);
-  expect(after(50)).toBe("hidden");
+  expect(after(50)).toBe(true);
   state(true);
-  expect([after(50), after(1400), after(200)]).toEqual(["waits", "waits", "ready"]);
+  expect([after(50), after(1400), after(200)]).toEqual([false, false, true]);
   // not on a page that may not arm, or whose connection is lost
   store.role = "observer";
-  expect(after(50)).toBe("hidden");
+  expect(after(50)).toBe(false);
   store.role = "operator";
   commands.link = "lost";
-  expect(after(50)).toBe("hidden");
+  expect(after(50)).toBe(false);
   vi.useRealTimers();
 });
 
@@ -102,6 +101,7 @@ test("the way back has its numbers, goes by a word of its own, and is ended by a
   for (const [name, event, ends] of [["keydown", { key: "x" }, 1], ["pointerdown", {}, 1], ["keydown", { key: "Escape" }, 0]] as const) {
     const before = asked.length;
     const done = commands.goBack();
+    expect(commands.goingAt(performance.now())?.text).toMatch(/^The tip goes back to 10.5 nm \(50 nm\/s, 2.2 s\): [12]\.\d s left$/);
     expect(asked.slice(before)).toMatchObject([{ command: "arm", target: "*", parameters: { place_m: 1.05e-8, speed_m_per_s: 5e-8 } }]);
     listeners.get(name)!(event);
     listeners.get(name)!(event);
@@ -110,7 +110,28 @@ test("the way back has its numbers, goes by a word of its own, and is ended by a
     answer(false, "another command came after it");
     if (ends) answer(true, "armed already");
     expect(await done).toBe(false);
+    expect(commands.goingAt(performance.now())).toBeUndefined();
     expect(listeners.size).toBe(0);
   }
   vi.unstubAllGlobals();
+});
+
+test("a tip that is to stay withdrawn is not offered its way back first, until it has another one or is armed anew", async () => {
+  const { commands, store, answer } = page();
+  commands.link = "open";
+  const back = (return_place_m: number): void => store.take({ k: "tick", state: { "afm/state/slave": { mode: "follow", return_place_m, return_speed_m_per_s: 5e-8, return_s: 2.2 } } });
+  back(1.05e-8);
+  expect(commands.stays).toBe(false);
+  commands.stay();
+  expect(commands.stays).toBe(true);
+  back(2e-8);
+  expect(commands.stays).toBe(false);
+  commands.stay();
+  const done = commands.arm();
+  expect(commands.stays).toBe(false);
+  answer(true, "armed");
+  await done;
+  // what is nearly 0 is 0
+  back(-1.393e-14);
+  expect(commands.wayBack?.text).toBe("Go back to 0.0 nm (50 nm/s, 2.2 s)");
 });

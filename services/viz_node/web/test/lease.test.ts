@@ -32,7 +32,7 @@ describe("the lease of control on the page", () => {
     expect(said(lease({ asking }), "operator")).toEqual(["Control is free; Petra asks for it", "Take"]);
     // a second page of the same address is another page
     const second: [string, string][] = [["me2", "window B"]];
-    expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You hold control; window B asks for it", "Hand over to window B", "Let go"]);
+    expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You hold control; window B asks for it", "Hand over to window B", "Give up control"]);
   });
   test("a window without a name sees by their letters who holds control and who asks", () => {
     const other = { holder: "a", label: "window A", what: "page", kept: true };
@@ -68,12 +68,12 @@ describe("the lease of control on the page", () => {
   });
   test("who has it hands it over to the first who asks, or lets go", () => {
     const mine = { holder: ME, label: "Otto", what: "page", kept: true };
-    expect(said(lease(mine), "pupil")).toEqual(["You hold control", "Let go"]);
+    expect(said(lease(mine), "pupil")).toEqual(["You hold control", "Give up control"]);
     expect(leaseOffer(lease({ ...mine, asking: [["q", "Petra"]] }), ME, "pupil")).toEqual({
       text: "You hold control; Petra asks for it",
       actions: [
         { text: "Hand over to Petra", action: "hand_over", to: "q" },
-        { text: "Let go", action: "let_go" },
+        { text: "Give up control", action: "let_go" },
       ],
     });
   });

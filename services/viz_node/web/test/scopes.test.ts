@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { BUILT_IN, Layouts, moved, overlaid } from "../src/scopes/layout";
-import { axisRange, noiseOf } from "../src/scopes/range";
+import { axisRange, extentOf, heldAxis, noiseOf, roundRange, type HeldAxis } from "../src/scopes/range";
 import { resampled, spectrumOf } from "../src/scopes/spectrum";
 
 describe("a range", () => {
@@ -20,6 +20,60 @@ describe("a range", () => {
     expect(noiseOf(noisy)).toBeGreaterThan(0.15);
     expect(noiseOf(noisy)).toBeLessThan(0.6);
     expect(noiseOf(noisy.map((_, i) => Math.sin(i / 500)))).toBeLessThan(1e-4);
+  });
+});
+
+describe("an axis that holds still", () => {
+  it("has round ends that are not much further apart than what it shows", () => {
+    let seed = 3;
+    const random = (): number => (seed = (seed * 16807) % 2147483647) / 2147483647;
+    for (let i = 0; i < 2000; i++) {
+      const low = (random() - 0.5) * 10 ** (6 * random() - 3);
+      const high = low + 10 ** (6 * random() - 3);
+      const [from, to] = roundRange([low, high]);
+      expect(from).toBeLessThanOrEqual(low + 1e-9 * (high - low));
+      expect(to).toBeGreaterThanOrEqual(high - 1e-9 * (high - low));
+      expect(to - from).toBeLessThan(1.7 * (high - low));
+    }
+  });
+
+  it("grows at once and on one side, and shrinks only when it was much too large for a while", () => {
+    let axis: HeldAxis | undefined = heldAxis(undefined, [0, 1], 0);
+    const range = (wanted: [number, number], now: number): [number, number] => (axis = heldAxis(axis, wanted, now)).range;
+    expect(axis!.range).toEqual([0, 1]);
+    expect(range([0.1, 0.9], 10)).toEqual([0, 1]);
+    // a little more than it shows moves one end, by no more than is needed
+    const grown = range([0, 1.1], 20);
+    expect(grown[0]).toBe(0);
+    expect(grown[1]).toBeGreaterThanOrEqual(1.1);
+    expect(grown[1]).toBeLessThan(1.4);
+    expect(range([0, 0.2], 30)).toEqual(grown);
+    expect(range([0, 0.2], 3000)).toEqual(grown);
+    expect(range([0, 0.2], 4100)[1]).toBeLessThan(0.4);
+    // a short return to what it showed begins the wait anew
+    axis = { range: [0, 1], smallerSince: undefined };
+    range([0, 0.2], 0);
+    range([0, 0.9], 2000);
+    expect(range([0, 0.2], 4500)).toEqual([0, 1]);
+  });
+
+  it("does not breathe with a course that swings", () => {
+    let axis: HeldAxis | undefined;
+    const ranges = new Set<string>();
+    for (let now = 0; now < 60_000; now += 50) {
+      const top = 2 + 0.1 * Math.sin(now / 300);
+      axis = heldAxis(axis, [0, top], now);
+      ranges.add(axis.range.join());
+    }
+    expect(ranges.size).toBeLessThanOrEqual(2);
+  });
+
+  it("leaves out how the tip is placed and withdrawn, and shows it where there is nothing else", () => {
+    const points = [110, 100, 60, 20, 10, 9, 9, 8];
+    expect(extentOf(points, [0, 0, 0, 1, 1, 1, 1, 1])).toEqual([8, 10]);
+    expect(extentOf(points, [0, 0, 0, 0, 0, 0, 0, 0])).toEqual([8, 110]);
+    expect(extentOf(points)).toEqual([8, 110]);
+    expect(extentOf([null, undefined], [1, 1])).toBeUndefined();
   });
 });
 

@@ -35,8 +35,8 @@ describe("the banner", () => {
     store.recordedSwing = () => document.swingAt(5);
     store.take({ k: "tick", state: { "law/status/master": { passive: false } } });
     expect(texts(store)).toContain("NOT PASSIVE: the loop has made energy");
-    expect(energyText(true)).toBe("no energy made");
-    expect(energyText(false)).toBe("has made energy");
+    expect(energyText(true)).toBe("adds no energy");
+    expect(energyText(false)).toBe("has added energy");
     expect(energyText(undefined)).toBe("");
   });
 });

@@ -1,5 +1,6 @@
 import { expect, it } from "vitest";
-import { adviceFor, delayText, lineText, otherDelay } from "../src/advice";
+import { adviceIn, delayText, lineText, measuredText, otherDelay } from "../src/link";
+import type { EventFacts } from "../src/protocol";
 import { noMoment, withoutReleased, type Hold } from "../src/document";
 import { energyText } from "../src/panels/law";
 import { judged } from "../src/panels/nodes";
@@ -7,14 +8,23 @@ import { judged } from "../src/panels/nodes";
 const way = (delay_mean_s: number, delay_max_s = delay_mean_s): object => ({ delay_mean_s, delay_max_s, delay_valid: true });
 
 it.each([
-  [[way(0.0001), way(0.0001)], [0, 0], "virtual_impedance", /0\.2 ms there and back: any law suits it/],
-  [[way(0.1), way(0.1)], [0, 0], "virtual_impedance", /200 ms .* take the law wave or passivity/],
-  [[way(0.1), way(0.1)], [0, 0], "wave", /wave suits it/],
-  [[way(0.01, 0.06), way(0.01)], [0, 0], "virtual_impedance", /rough touch/],
-  [[way(0.01), way(0.01)], [0.05, 0], "virtual_impedance", /5\.0 % lost: expect gaps/],
-  [[undefined, undefined], [], "wave", /not measured/],
-])("says in a sentence what to do on a network", (ways, losses, law, sentence) => {
-  expect(adviceFor(ways, losses, law)).toMatch(sentence);
+  [[way(0.0001), way(0.0001)], [0, 0], "Measured: 0.2 ms there and back"],
+  [[way(0.1), way(0.1)], [0, 0], "Measured: 200 ms there and back"],
+  [[way(0.01, 0.06), way(0.01)], [0, 0], "Measured: 20 ms there and back, at times 50 ms more"],
+  [[way(0.01), way(0.01)], [0.05, 0], "Measured: 20 ms there and back, 5.0 % lost"],
+  [[undefined, undefined], [], "The network is not measured yet."],
+])("says what a network was measured to do, and judges nothing", (ways, losses, sentence) => {
+  expect(measuredText(ways, losses)).toBe(sentence);
+});
+
+it("shows the newest warning of an adviser, of the law that is in force", () => {
+  const event = (text: string, advises?: string): EventFacts => ({ src: "launcher@master", seq: 0, t: 0, kind: "node", level: "warning", text, ...(advises !== undefined && { advises }) });
+  const events = [event("older", "wave"), event("The line is outside", "virtual_impedance"), event("a node is late")];
+  expect(adviceIn(events, "virtual_impedance")).toBe("The line is outside");
+  // after a change of the law the warning is of another one
+  expect(adviceIn(events, "wave")).toBe("");
+  expect(adviceIn([event("a node is late")], "wave")).toBe("");
+  expect(adviceIn([event("for any law", "")], "wave")).toBe("for any law");
 });
 
 it("shows the delay that the link is set to, where it is the same both ways", () => {
@@ -40,7 +50,7 @@ it("says in a row what the line between two sites does", () => {
 
 it("judges the numbers of a node in words", () => {
   const node = { state: "running", overruns: 15, lost: 0, rejected: 26, lateness_p99_s: 1e-4, uptime_s: 60, rate_hz: 1000 };
-  expect(judged(node)).toEqual(["", "good (15 late, 26 refused)"]);
+  expect(judged(node)).toEqual(["", "good (15 late, 26 old ones refused)"]);
   expect(judged({ ...node, overruns: 5000 })[0]).toBe("warn");
   expect(judged({ ...node, lateness_p99_s: 0.02 })).toEqual(["warn", "late"]);
   // half of a period is late for a node of twenty messages a second
@@ -71,5 +81,5 @@ it("names pictures of another delay than the one in force", () => {
 });
 
 it("says where a motion gets its energy that swings although the loop makes none", () => {
-  expect([energyText(true), energyText(true, true), energyText(false, true), energyText(undefined, true)]).toEqual(["no energy made", "passive; the hand's energy keeps it swinging", "has made energy", ""]);
+  expect([energyText(true), energyText(true, true), energyText(false, true), energyText(undefined, true)]).toEqual(["adds no energy", "adds none: the hand's energy keeps it swinging", "has added energy", ""]);
 });

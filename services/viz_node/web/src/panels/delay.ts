@@ -1,7 +1,7 @@
 import "../../gallery/gallery.css";
 import { Gallery, type GalleryData } from "../../gallery/gallery.js";
 import address from "../../gallery/gallery.json?url";
-import { otherDelay } from "../advice";
+import { otherDelay } from "../link";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 

@@ -1,5 +1,6 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
+import { eventText } from "../sentences";
 
 const SHOWN = 80;
 
@@ -29,7 +30,7 @@ export class EventsPanel implements Panel {
       ...events.slice(-SHOWN).reverse().map((event) => {
         const at = new Date(event.t / 1e6);
         const time = make("time", { datetime: at.toISOString(), title: at.toISOString() }, clock(at));
-        return make("li", { class: event.level }, time, `${event.src}: ${event.text}`);
+        return make("li", { class: event.level, title: event.src }, time, eventText(event.src, event.text));
       }),
     );
   }

@@ -6,9 +6,9 @@ import { INSTRUMENT, place } from "../tip";
 
 /** What the guard's modes mean to an operator. */
 const MODES: Record<string, string> = {
-  follow: "The tip follows the hand.",
+  follow: "The tip follows the hand, and the hand feels the tip.",
   hold: "The tip holds its place: no fresh command comes.",
-  retracted: "The tip is away. Arm it, and then let it go back.",
+  retracted: "The tip is withdrawn. Arm it, and then let it go back.",
   retracting: "The tip moves away from the sample.",
   estop: "Emergency stop: the tip is away. Arm releases it; it stays until it is to go back.",
 };
@@ -18,6 +18,13 @@ const REASONS: Record<string, string> = {
   force_limit: "The force on the tip was above its limit: the tip is away. Arm it, and then let it go back.",
   force_invalid: "The force on the tip is not known: the tip is away.",
   device_lost: "The instrument does not answer: the tip is away.",
+};
+/** What the programs of the instrument are called, and what each does. */
+const PROGRAMS: Record<string, readonly [string, string]> = {
+  scan: ["Image", "The instrument takes an image of the sample by itself, line by line"],
+  curve: ["Curve", "The tip goes to the sample and back once, and the force is drawn over the distance"],
+  tactile: ["Feel along", "The tip goes along a line by itself, and the hand feels its height"],
+  push: ["Push", "The tip pushes what lies on the sample along a line by itself"],
 };
 const FARTHEST_NM = 1e5;
 
@@ -50,10 +57,11 @@ export class InstrumentPanel implements Panel {
     const button = (id: string, text: string, action: () => unknown): HTMLButtonElement => make("button", { type: "button", id, disabled: !may, "aria-pressed": "false", onclick: () => void action() }, text);
     const programs = programsOf(store.forms[INSTRUMENT] as Record<string, unknown>);
     this.modes.replaceChildren(
-      button("mode-bilateral", "Bilateral", () => tip.followHand()),
-      ...programs.map(({ name, title }) => button(`program-${name}`, short(title), () => image.begin(name))),
+      button("mode-bilateral", "By hand", () => tip.followHand()),
+      ...programs.map(({ name, title }) => explained(button(`program-${name}`, PROGRAMS[name]?.[0] ?? short(title), () => image.begin(name)), PROGRAMS[name]?.[1] ?? title)),
     );
     const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => commands.command(name, "set", INSTRUMENT, { program: name }));
+    this.modes.firstElementChild!.setAttribute("title", "The tip follows the hand, which feels it");
     this.run.replaceChildren(...["pause", "resume", "abort"].map((name) => simple(name, name[0]!.toUpperCase() + name.slice(1))));
     for (const input of [...this.places, this.go]) input.disabled = !may;
   }
@@ -71,6 +79,7 @@ export class InstrumentPanel implements Panel {
       const isFit = button.id === "program-resume" ? program?.state === "paused" : button.id === "program-pause" ? program?.state === "running" : running !== "";
       button.disabled = !commands.may || !(running && isFit);
     }
+    this.run.parentElement!.hidden = !running;
     let shown = MODES[mode] ?? "";
     if (mode === "follow" && commands.wayBack) shown = "The tip stays where it was armed, and the hand moves it from there.";
     if (program && running) shown = `${program.program}: ${program.state}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
@@ -91,6 +100,11 @@ export class InstrumentPanel implements Panel {
     if (wrong) judge(wrong, this.fault, faultOf(wrong.value, -FARTHEST_NM, FARTHEST_NM, "nm") || `${wrong === x ? "x" : "y"} is missing`);
     else void this.cockpit.commands.command(`move the tip to ${x.value}, ${y.value} nm`, "set", INSTRUMENT, place(Number(x.value), Number(y.value)));
   }
+}
+
+function explained(button: HTMLButtonElement, words: string): HTMLButtonElement {
+  button.title = words;
+  return button;
 }
 
 /** A title that has room in a row of buttons. */

@@ -15,6 +15,7 @@ export class LawPanel implements Panel {
     private readonly cockpit: Cockpit,
   ) {
     this.facts.title = ENERGY_ABOUT;
+    this.select.title = "How hand and tip are joined over the delay";
     root.querySelector("h2")?.append(this.facts);
     root.append(make("div", { class: "row tight" }, this.select));
     this.select.addEventListener("change", () => {
@@ -46,9 +47,9 @@ export class LawPanel implements Panel {
     const passive = store.fact("law/status/master", "passive");
     const age = store.last("hand", "loop_age");
     const words = [
-      Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
+      Number.isNaN(age) ? "" : `answers in ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
       energyText(passive, swingOf(store) !== undefined),
-      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"}`,
+      `${this.cycles.count} ${this.cycles.count === 1 ? "press" : "presses"}`,
     ];
     const text = words.filter(Boolean).join(" · ");
     if (this.facts.textContent !== text) this.facts.textContent = text;
@@ -57,8 +58,8 @@ export class LawPanel implements Panel {
 
 /** What the account of the energy says, and of a motion that swings all the same where its energy comes from. */
 export function energyText(passive: unknown, swings = false): string {
-  if (passive !== true) return passive === false ? "has made energy" : "";
-  return swings ? "passive; the hand's energy keeps it swinging" : "no energy made";
+  if (passive !== true) return passive === false ? "has added energy" : "";
+  return swings ? "adds none: the hand's energy keeps it swinging" : "adds no energy";
 }
 
 const ENERGY_ABOUT =

@@ -1,5 +1,5 @@
 import address from "../../gallery/networks.json?url";
-import { adviceFor, delayText, lineText, type Way } from "../advice";
+import { adviceIn, delayText, lineText, measuredText, type Way } from "../link";
 import { ageText, agesOf } from "../age";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
@@ -15,7 +15,9 @@ export class LinkPanel implements Panel {
   private readonly delay = make("input", { id: "delay", type: "text", inputmode: "decimal", placeholder: "one way", "aria-label": "Delay one way, both directions, in ms" });
   private readonly set = make("button", { type: "button", id: "delay-set", onclick: () => this.setDelay() }, "Set");
   private readonly fault = faultLine(this.delay);
-  private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
+  private readonly measured = make("div", { class: "quiet linkline", id: "measured" });
+  /** What an adviser of an installed package warns of, such as the table of the benchmark. */
+  private readonly advice = make("div", { class: "warning linkline", id: "advice", role: "status", hidden: true });
   private readonly age = make("div", { class: "quiet linkline", id: "age" });
   private readonly line = make("div", { class: "quiet linkline", id: "line" });
   private readonly pictures = new LinePictures(make("div", { class: "linecurves", id: "line-curves", hidden: true }), () => fetch(address).then((answer) => answer.json() as Promise<LineData>));
@@ -31,13 +33,13 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age, this.pictures.root);
+    root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.measured, this.advice, this.line, this.age, this.pictures.root);
   }
 
   begin(): void {
     const { store, commands } = this.cockpit;
     const profiles = (store.forms["profiles"] ?? []) as string[];
-    this.profile.replaceChildren(...profiles.map((name) => make("option", { value: name }, name)));
+    this.profile.replaceChildren(...profiles.map((name) => make("option", { value: name }, profileName(name))));
     for (const input of [this.profile, this.delay, this.set]) input.disabled = !commands.may;
     this.shown = this.delayShown = "";
     this.write();
@@ -51,15 +53,19 @@ export class LinkPanel implements Panel {
       this.shown = profile;
       this.other.remove();
       if (![...this.profile.options].some((option) => option.value === profile)) {
-        this.other.value = this.other.textContent = profile;
+        this.other.value = profile;
+        this.other.textContent = profileName(profile);
         this.profile.prepend(this.other);
       }
       this.profile.value = profile;
       void this.pictures.show(profile);
     }
     const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
-    const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
-    if (this.advice.textContent !== text) this.advice.textContent = text;
+    const measured = measuredText(ways, losses);
+    if (this.measured.textContent !== measured) this.measured.textContent = measured;
+    const advice = adviceIn(store.events, String(store.fact("law/status/master", "law") ?? ""));
+    if (this.advice.textContent !== advice) this.advice.textContent = advice;
+    this.advice.hidden = !advice;
     const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends", "blocked_since_ns"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
     const { short, long } = ageText(agesOf(store.age, store.wayS, store.pictureS, store.frameS));
@@ -86,4 +92,9 @@ export class LinkPanel implements Panel {
     const delay_s = Number(this.delay.value) / 1e3;
     void this.cockpit.commands.command(`delay ${this.delay.value} ms one way`, "set", "delay_node", { "forward.delay_s": delay_s, "backward.delay_s": delay_s });
   }
+}
+
+/** A profile by its name, and that of the plain link with what it means. */
+function profileName(name: string): string {
+  return name === "clean" ? "clean: no delay" : name.replaceAll("_", " ");
 }

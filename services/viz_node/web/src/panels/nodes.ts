@@ -5,8 +5,8 @@ import type { Node } from "../store";
 const COLUMNS: readonly (readonly [string, string])[] = [
   ["node", "Name and site"],
   ["state", "State that it reports"],
-  ["Hz", "Messages that it published in a second"],
-  ["late", "99th percentile of how late its steps begin [ms]"],
+  ["messages a second", "Messages that it published in a second"],
+  ["late, ms", "How late its steps begin, of a hundred the latest [ms]"],
   ["judged", "Whether deadlines, losses and refusals are as they should be"],
 ];
 /** Later than this a step of the loop is felt [s], and one of a slow node where it is late by this share of its period. */
@@ -26,7 +26,7 @@ export function judged(node: Pick<Node, "state" | "overruns" | "lost" | "rejecte
   if (node.state === "safe" && rests) return ["", "rests while the instrument runs a program"];
   if (node.state === "safe") return ["warn", "keeps still: nothing drives it"];
   // refused are messages from before a start or of an older session: that is what a guard is for
-  const notes = [node.overruns ? `${node.overruns} late` : "", node.lost ? `${node.lost} lost` : "", node.rejected ? `${node.rejected} refused` : ""].filter(Boolean);
+  const notes = [node.overruns ? `${node.overruns} late` : "", node.lost ? `${node.lost} lost` : "", node.rejected ? `${node.rejected} old ones refused` : ""].filter(Boolean);
   return ["", notes.length ? `good (${notes.join(", ")})` : "good"];
 }
 

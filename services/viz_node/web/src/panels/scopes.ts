@@ -3,7 +3,7 @@ import { colour, make, save } from "../dom";
 import { Pace } from "../pace";
 import { Playhead } from "../playhead";
 import type { Ring } from "../ring";
-import { drawnAs, SHORT } from "../scopes/catalog";
+import { drawnAs } from "../scopes/catalog";
 import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
 import { columnsOf, Plot, type Window } from "../scopes/plot";
 import { measure, neighbour, readAt, type Reading, type Samples, type Stretch } from "../scopes/reading";
@@ -79,6 +79,7 @@ export class ScopesPanel implements Panel {
     root.append(toolbar, this.grid, this.measures);
     new ResizeObserver(() => {
       this.plots.forEach((plot) => plot.resize());
+      this.fitNames();
       this.invalidate();
     }).observe(this.grid);
     this.seen = new IntersectionObserver((entries) => {
@@ -238,25 +239,38 @@ export class ScopesPanel implements Panel {
       this.seen.observe(child);
     }
     this.plots.forEach((plot) => plot.resize());
+    this.fitNames();
     this.layouts.keep(this.layout, this.specs);
     this.invalidate();
   }
 
   private frameOf(plot: Plot, i: number): HTMLElement {
-    const keys = plot.keys.map(([label, name]) => {
-      const key = make("span", { class: "key" }, SHORT[label] ?? label);
-      key.style.setProperty("--key", `var(--${name})`);
+    const keys = plot.keys.map(({ label, short, colour: token, isDashed }) => {
+      const key = make("span", { class: "key", title: label }, make("span", { class: "long" }, label), make("span", { class: "short" }, short));
+      key.style.setProperty("--key", `var(--${token})`);
+      key.toggleAttribute("data-dashed", isDashed);
       return key;
     });
     const { title } = plot.spec;
     const enlarge = make("button", { type: "button", class: "enlarge", title: "Enlarge, or all of them", "aria-label": `Enlarge ${title}`, "aria-pressed": String(this.enlarged === i), onclick: () => this.enlarge(i) }, "⤢");
     const more = make("button", { type: "button", class: "more", title: "Curves, range, spectrum, place", "aria-label": `Change ${title}`, onclick: () => this.openSheet(i) }, "⋯");
-    const name = make("div", { class: "name", draggable: "true" }, make("div", { class: "words" }, make("b", {}, plot.title), make("span", { class: "keys" }, ...keys)), enlarge, more);
+    const name = make("div", { class: "name", draggable: "true" }, make("div", { class: "words" }, make("b", {}, title), make("span", { class: "keys" }, ...keys)), enlarge, more);
     const element = make("div", { class: "plot", role: "group", "aria-label": plot.title }, name, plot.area);
+    plot.onHover = (time) => this.plots.forEach((other) => other.hover(time));
     plot.onTime = (time, begins) => this.place(time, begins, plot.stream);
     plot.area.addEventListener("keydown", (event) => this.moveByKey(event, plot.stream));
     this.makeDraggable(element, name, i);
     return element;
+  }
+
+  /** Give each scope its title and its keys in one line: the longest words that there is room for, or swatches alone. */
+  private fitNames(): void {
+    for (const words of this.grid.querySelectorAll<HTMLElement>(".words")) {
+      for (const form of ["long", "short", "none"]) {
+        words.dataset["form"] = form;
+        if (words.scrollWidth <= words.clientWidth) break;
+      }
+    }
   }
 
   /** Dropped on the left third of a scope it goes before it, elsewhere both are drawn in one. */
@@ -502,8 +516,8 @@ export class ScopesPanel implements Panel {
       pen.fillText(shown[i]!.title, x + 8 * ratio, y + 16 * ratio);
       let left = x + 20 * ratio + pen.measureText(shown[i]!.title).width;
       pen.font = `${11 * ratio}px system-ui`;
-      for (const [label, name] of shown[i]!.keys) {
-        pen.fillStyle = colour(name);
+      for (const { label, colour: token } of shown[i]!.keys) {
+        pen.fillStyle = colour(token);
         pen.fillText(label, left, y + 16 * ratio);
         left += pen.measureText(label).width + 10 * ratio;
       }

@@ -1,11 +1,9 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 
-/** The operator's force profile and the devices: start, stop, couple again, arm; marks and files of the recording. */
+/** The operator's force profile: start, stop, bring hand and tip together again; marks and files of the recording. */
 export class SessionPanel implements Panel {
   private readonly start: HTMLButtonElement;
-  private readonly armed: HTMLButtonElement;
-  private readonly back: HTMLButtonElement;
   private readonly mark: HTMLInputElement;
   private readonly buttons: HTMLButtonElement[];
 
@@ -18,20 +16,17 @@ export class SessionPanel implements Panel {
       make("button", { type: "button", id, onclick: () => void action() }, text);
     this.start = button("start", "Start", () => commands.command("start", "start", "haptic_node"));
     const stop = button("stop", "Stop", () => commands.command("stop", "stop", "haptic_node"));
-    this.armed = button("arm", "Arm", () => commands.arm());
-    this.armed.title = "Arm hand and tip: both stay where they are";
-    this.back = button("go-back", "Go back", () => commands.goBack());
-    this.back.title = "Let the tip go back (g): any key, any press and any command ends it";
-    this.back.hidden = true;
-    const couple = button("couple", "Couple", () => commands.couple());
-    couple.title = "Couple hand and tip again (o): the tip is withdrawn, and comes back to where the hand is";
+    this.start.title = "The session begins: the tip follows, and what the operator is set to do begins";
+    stop.title = "The session ends: the hand is let go; the recording goes on";
+    const couple = button("couple", "Meet again", () => commands.couple());
+    couple.title = "Hand and tip meet again (o): the tip is withdrawn, and comes back to where the hand is";
     this.mark = make("input", { id: "mark-text", type: "text", placeholder: "Text of a mark", "aria-label": "Text of the mark", maxlength: 200 });
     this.mark.addEventListener("keydown", (event) => event.key === "Enter" && void this.setMark());
     const mark = button("mark", "Mark", () => this.setMark());
     const split = button("split", "New file", () => commands.command("begin a new file", "set", "recorder", { "record.split": true }));
-    this.buttons = [this.start, stop, couple, this.armed, this.back, mark, split];
+    this.buttons = [this.start, stop, couple, mark, split];
     const programme = make("div", { class: "segments", role: "group", "aria-label": "Force profile of the operator" }, this.start, stop);
-    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple, this.armed), this.back, make("div", { class: "row tight" }, this.mark, mark, split));
+    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple), make("div", { class: "row tight" }, this.mark, mark, split));
   }
 
   begin(): void {
@@ -49,15 +44,6 @@ export class SessionPanel implements Panel {
     // the force profile of the operator continues behind an emergency stop, and nothing follows it
     this.start.setAttribute("aria-pressed", String(runs && !isStopped));
     this.start.nextElementSibling!.setAttribute("aria-pressed", String(isKnown && !runs));
-    this.armed.setAttribute("aria-pressed", String(isKnown && !isStopped && store.fact("haptic/state/master", "mode") !== "safe"));
-    this.writeWayBack();
-  }
-
-  /** The second choice after an arming, with its numbers; it is there only while the instrument states them. */
-  private writeWayBack(): void {
-    const { wayBack, isStopped } = this.cockpit.commands;
-    this.back.hidden = !wayBack || isStopped;
-    if (wayBack && this.back.textContent !== wayBack.text) this.back.textContent = wayBack.text;
   }
 
   private setMark(): Promise<boolean> {

@@ -4,13 +4,10 @@ import { bannersOf } from "../state";
 
 /** Above every panel: what is shown, its state across the whole width, and the emergency stop at its end. */
 export class StatusPanel implements Panel {
-  text = "";
   private readonly banners = make("div", { id: "banners", role: "status", "aria-live": "polite" });
   private readonly source = make("span", { id: "source" });
   private readonly role = make("span", { id: "role" });
   private readonly stop = make("button", { type: "button", id: "estop", "aria-keyshortcuts": "Escape", onclick: () => void this.cockpit.commands.estop() });
-  /** On a narrow window *Arm* is far below: this one stays within reach of the thumb while the rig is stopped. */
-  private readonly rearm = make("button", { type: "button", id: "rearm", hidden: true, onclick: () => this.arm() }, "Arm hand and tip");
   private shown = "";
   private shownStop = "";
 
@@ -19,8 +16,7 @@ export class StatusPanel implements Panel {
     private readonly cockpit: Cockpit,
   ) {
     const theme = make("button", { type: "button", id: "theme", class: "plain", "aria-label": "Light or dark" }, "Dark");
-    const answers = make("div", { id: "answers", role: "log", "aria-live": "polite", "aria-label": "Answers to your actions" });
-    root.append(make("h1", {}, "telenano"), make("div", { class: "about" }, this.source, this.role), make("div", { class: "said" }, this.banners, answers), theme, this.stop, this.rearm);
+    root.append(make("h1", {}, "telenano"), make("div", { class: "about" }, this.source, this.role), make("div", { class: "said" }, this.banners), make("div", { id: "control" }), theme, this.stop);
     addEventListener("keydown", (event) => {
       if (event.key === "Escape" && !event.repeat) void this.cockpit.commands.estop();
     });
@@ -44,27 +40,13 @@ export class StatusPanel implements Panel {
   /** Show what an operator must not overlook, at its time and not with the frames, of which a slow machine draws few. */
   draw(): void {
     const { commands, store } = this.cockpit;
-    const banners = bannersOf(store, commands.link, this.text);
+    const banners = bannersOf(store, commands.link, commands.linkText);
     const text = JSON.stringify(banners);
     this.drawStop();
-    this.drawRearm();
     if (text === this.shown) return;
     this.shown = text;
     this.root.dataset["state"] = banners[0]![0];
     this.banners.replaceChildren(...banners.map(([kind, words]) => make("span", { class: `banner ${kind}` }, words)));
-  }
-
-  /** Arm if the bar may be pressed now, which on a slow machine is drawn later than it is so. */
-  private arm(): void {
-    const { commands } = this.cockpit;
-    if (commands.rearm(performance.now()) === "ready") void commands.arm();
-  }
-
-  private drawRearm(): void {
-    const state = this.cockpit.commands.rearm(performance.now());
-    this.rearm.hidden = state === "hidden";
-    this.rearm.disabled = state !== "ready";
-    document.body.toggleAttribute("data-rearm", state !== "hidden");
   }
 
   /** A stop that would stop nothing looks it, says so in its place, and says what does stop. */

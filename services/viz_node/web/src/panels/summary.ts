@@ -33,7 +33,7 @@ export function accountText({ complete, missing }: RecordingAccount): string {
   return complete ? "whole" : `not whole: ${missing.join("; ")}`;
 }
 
-const INTERRUPTIONS: Record<string, string> = { process_ended: "a process ended", source_silent: "hand or AFM sent nothing", tip_held: "the tip was held", hand_let_go: "the hand was let go" };
+export const INTERRUPTIONS: Record<string, string> = { process_ended: "a process ended", source_silent: "hand or AFM sent nothing", tip_held: "the tip was held", hand_let_go: "the hand was let go" };
 
 /** What interrupted a session, each kind with how often. */
 export function interruptionsText(all: readonly { kind: string }[]): string {

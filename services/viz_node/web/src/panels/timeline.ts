@@ -2,7 +2,8 @@ import type { Cockpit, Panel } from "../cockpit";
 import { noMoment, type Span } from "../document";
 import { colour, make } from "../dom";
 import type { Ring } from "../ring";
-import { kindOf } from "./summary";
+import { rounded } from "../sentences";
+import { INTERRUPTIONS, kindOf } from "./summary";
 
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10, 50];
 const RATE_STEP = Math.SQRT2;
@@ -10,6 +11,8 @@ const RATE_STEP = Math.SQRT2;
 const STEPPED = "tip";
 const BAND = 16;
 const EDGE = 6;
+/** An interruption of no length is said for this long [s]. */
+const MARK_S = 0.05;
 /** What each phase is called, and the colour of its band. */
 const PHASES: Record<string, readonly [string, string]> = {
   apart: ["apart", "inset"],
@@ -53,6 +56,7 @@ export class TimelinePanel implements Panel {
         make("button", { type: "button", class: "icon plain", title: KEYS, "aria-label": KEYS, onclick: () => this.cockpit.commands.tell(KEYS) }, "?"),
       ),
       this.track,
+      make("p", { class: "quiet marks" }, make("span", { class: "mark-hold" }, "holds, by their verdict"), make("span", { class: "mark-interrupted" }, "interrupted"), make("span", { class: "mark-lost" }, "messages missing"), make("span", { class: "mark-event" }, "events")),
     );
     this.listen();
     new ResizeObserver(() => (this.drawnFor = "")).observe(this.track);
@@ -91,11 +95,15 @@ export class TimelinePanel implements Panel {
     this.track.setAttribute("aria-valuenow", at.toFixed(3));
     const phase = (document.about?.phases ?? []).find((found) => found.from_s <= at && at < found.to_s);
     const hold = phase?.kind === "hold" ? document.holdAt(at) : undefined;
+    const interruption = (document.about?.interruptions ?? []).find((found) => found.from_s <= at && at < Math.max(found.to_s, found.from_s + MARK_S));
+    const isLost = (document.about?.losses ?? []).some((found) => found.from_s <= at && at < found.to_s);
     const moment = (document.about?.moments ?? []).find((found) => Math.abs(found.t_s - at) < Math.max(0.002, length / 2000));
     const words = [
       phase ? PHASES[phase.kind]?.[0] : "",
       hold ? `${hold.verdict.replaceAll("_", " ")} at ${+hold.hand_force_n.toPrecision(3)} N${hold.frequency_hz ? `, ${hold.peak_to_peak_n.toPrecision(2)} N peak to peak at ${hold.frequency_hz.toPrecision(2)} Hz` : ""}` : "",
-      moment ? moment.text : "",
+      isLost ? "messages are missing here" : "",
+      interruption ? `interrupted: ${INTERRUPTIONS[interruption.kind] ?? rounded(interruption.reason)}` : "",
+      moment ? rounded(moment.text) : "",
       document.progress,
     ].filter(Boolean).join(" · ");
     if (this.event.textContent !== words) this.event.textContent = words;
@@ -209,14 +217,24 @@ export class TimelinePanel implements Panel {
     const bottom = height - BAND - 3;
     const whole = document.whole;
     if (whole) {
-      this.curve(pen, whole.rings.get("hand"), store.column("hand", "force"), "c1", toX, bottom);
-      this.curve(pen, whole.rings.get("command"), store.column("command", "tip_force"), "c2", toX, bottom);
+      this.curve(pen, whole.rings.get("hand"), store.column("hand", "force"), "hand", toX, bottom);
+      this.curve(pen, whole.rings.get("command"), store.column("command", "tip_force"), "tip", toX, bottom);
     }
-    for (const phase of document.about?.phases ?? []) this.band(pen, phase, toX, height);
+    for (const { from_s, to_s } of document.about?.losses ?? []) {
+      pen.fillStyle = colour("bad-back");
+      this.block(pen, toX(from_s), toX(to_s), bottom, "bad");
+    }
+    for (const { from_s, to_s } of document.about?.interruptions ?? []) {
+      pen.fillStyle = colour("warn-back");
+      this.block(pen, toX(from_s), toX(to_s), bottom, "warn");
+    }
+    // a verdict that was kept has its holds before all phases are known
+    const spans = document.about?.phases ?? (document.about?.holds ?? []).map(({ from_s, to_s }) => ({ kind: "hold", from_s, to_s }));
+    for (const phase of spans) this.band(pen, phase, toX, height);
     for (const moment of document.about?.moments ?? []) {
       if (moment.kind === "node" && moment.level === "info") continue;
       const x = toX(moment.t_s);
-      pen.fillStyle = colour(moment.level === "error" ? "bad" : moment.level === "warning" ? "warn" : moment.kind === "mark" ? "accent" : "edge");
+      pen.fillStyle = colour(moment.level === "error" ? "bad" : moment.level === "warning" ? "warn" : moment.kind === "mark" ? "text" : "edge");
       pen.beginPath();
       pen.moveTo(x - 4, 0);
       pen.lineTo(x + 4, 0);
@@ -226,6 +244,18 @@ export class TimelinePanel implements Panel {
     }
     pen.fillStyle = colour("text");
     pen.fillRect(toX(at) - 1, 0, 2, height);
+  }
+
+  /** A time that is marked over the curves: its back is filled, and its ends and upper edge are drawn. */
+  private block(pen: CanvasRenderingContext2D, from: number, to: number, bottom: number, name: string): void {
+    const width = Math.max(3, to - from);
+    pen.globalAlpha = 0.75;
+    pen.fillRect(from, 0, width, bottom);
+    pen.globalAlpha = 1;
+    pen.fillStyle = colour(name);
+    pen.fillRect(from, 0, width, 3);
+    pen.fillRect(from, 0, 1, bottom);
+    pen.fillRect(from + width - 1, 0, 1, bottom);
   }
 
   private band(pen: CanvasRenderingContext2D, phase: Span, toX: (time: number) => number, height: number): void {

@@ -13,11 +13,12 @@ export interface ScopeSpec {
 const curves = (...names: string[]): CurveRef[] => names.map((name) => ({ stream: name.split(".")[0]!, column: name.split(".")[1]! }));
 const scope = (title: string, ...names: string[]): ScopeSpec => ({ title, kind: "time", curves: curves(...names), range: null });
 
-const FORCE = scope("Force at the hand", "hand.force", "command.tip_force");
-const HAND = scope("Hand", "hand.position", "hand.reference");
-const TIP = scope("Force on the tip", "tip.force", "tip.force_x", "tip.force_y");
-const DISTANCE: ScopeSpec = { title: "Force", kind: "distance", curves: curves("tip.force", "tip.separation"), range: null };
-const DELAY = scope("Delay", "hand.loop_age", "link.forward_delay", "link.backward_delay", "link.forward_loss", "link.backward_loss");
+const FORCE = scope("Hand force", "hand.force", "command.tip_force");
+const HAND = scope("Hand way", "hand.position", "hand.reference");
+const TIP = scope("Tip force", "tip.force", "tip.force_x", "tip.force_y");
+const DISTANCE: ScopeSpec = { title: "Force curve", kind: "distance", curves: curves("tip.force", "tip.separation"), range: null };
+const DELAY = scope("Delay", "hand.loop_age", "link.forward_delay", "link.backward_delay");
+const LOSS = scope("Lost", "link.forward_loss", "link.backward_loss");
 const ENERGY = scope("Energy", "law_master.port_energy", "law_slave.port_energy", "law_master.net_energy");
 
 /** Layouts that every page has. */
@@ -25,7 +26,7 @@ export const BUILT_IN: Record<string, ScopeSpec[]> = {
   Loop: [FORCE, HAND, TIP, DISTANCE, DELAY, ENERGY],
   Touch: [FORCE, HAND, DISTANCE],
   Tip: [TIP, scope("Tip to sample", "tip.separation"), scope("Deflection", "tip.deflection"), DISTANCE],
-  Stability: [FORCE, { ...FORCE, title: "Spectrum of the forces", kind: "spectrum" }, ENERGY, DELAY],
+  Stability: [FORCE, { ...FORCE, title: "Spectrum", kind: "spectrum" }, ENERGY, DELAY, LOSS],
 };
 
 const KEY = "telenano-layouts";

@@ -4,17 +4,18 @@ import { colour, make } from "../dom";
 import { grid, minMax, type Point } from "../ring";
 import type { Store } from "../store";
 import { tickTexts } from "../ticks";
-import { drawnAs, type Drawn } from "./catalog";
+import { drawnTogether, SHORT, type Drawn } from "./catalog";
 import { ForceDistance } from "./force_distance";
 import type { ScopeSpec } from "./layout";
-import { axisRange, noiseOf } from "./range";
+import { axisRange, extentOf, heldAxis, noiseOf, type HeldAxis } from "./range";
 import { gapOf, readAt, samplesOf, type Reading, type Samples } from "./reading";
 import { resampled, spectrumOf } from "./spectrum";
 
-const COLOURS = ["c1", "c2", "c3", "c4", "c5", "c6"];
 const SPECTRUM_POINTS = 4096;
-/** Axes shrink to a smaller range only when it is this much smaller, so that they do not breathe. */
-const SHRINK = 0.7;
+/** The column of the tip that is 1 while it follows: how it is placed and withdrawn does not count for an axis. */
+const FOLLOWS = "follows";
+/** Dashes of a curve [px]. */
+const DASHES = [5, 3];
 /** Room beside the plot for half of the last number of the time with its unit [px]. */
 const MARGIN_PX = 18;
 
@@ -41,7 +42,11 @@ export class Plot {
   private readonly distance: ForceDistance | undefined;
   private data: uPlot.AlignedData = [[]];
   private window: Window | undefined;
-  private ranges: Record<string, [number, number]> = {};
+  private axesHeld: Record<number, HeldAxis> = {};
+  /** Least and greatest of each curve where it counts. */
+  private extents: ([number, number] | undefined)[] = [];
+  /** Called with the time under the pointer [s], undefined when it leaves. */
+  onHover: (time: number | undefined) => void = () => {};
   private readonly drawn: Drawn[];
   private readonly units: string[];
   private readonly values = make("div", { class: "at-cursor", hidden: true });
@@ -50,7 +55,7 @@ export class Plot {
     readonly spec: ScopeSpec,
     private readonly store: Store,
   ) {
-    this.drawn = spec.curves.map((curve) => drawnAs(store, curve));
+    this.drawn = drawnTogether(store, spec.curves);
     this.units = [...new Set(this.drawn.map(({ unit }) => unit))];
     this.area.setAttribute("aria-label", this.title);
     if (spec.kind === "distance") {
@@ -69,10 +74,17 @@ export class Plot {
     return `${this.spec.title}, ${this.units.filter(Boolean).join("; ")}${this.spec.kind === "spectrum" ? " over Hz" : ""}`;
   }
 
-  /** Names of the curves with the names of their colours. */
-  get keys(): [label: string, colour: string][] {
-    if (this.spec.kind === "distance") return [["towards", "c1"], ["away", "c2"]];
-    return this.drawn.map(({ label }, i) => [label, COLOURS[i % COLOURS.length]!]);
+  /** Names of the curves, long and short, with the tokens of their colours, and whether they are dashed. */
+  get keys(): { label: string; short: string; colour: string; isDashed: boolean }[] {
+    if (this.spec.kind === "distance") return [{ label: "towards the sample", short: "down", colour: "tip", isDashed: false }, { label: "away from it", short: "up", colour: "quiet", isDashed: false }];
+    return this.drawn.map(({ label, colour, isDashed }) => ({ label, short: SHORT[label] ?? label, colour, isDashed }));
+  }
+
+  /** Show what stands at the time that the pointer is at in another scope [s]. */
+  hover(time: number | undefined): void {
+    if (!this.distance) return;
+    const reading = time === undefined || !this.window ? undefined : readAt(this.window, columnsOf(this.store), time, "tip");
+    this.distance.show((reading?.values.get("tip.separation") ?? NaN) * 1e9, (reading?.values.get("tip.force") ?? NaN) * 1e9);
   }
 
   draw(window: Window): void {
@@ -133,6 +145,10 @@ export class Plot {
       const { scale } = this.drawn[i]!;
       return points.map((value) => (value == null ? value : value * scale));
     });
+    const tip = window.ring("tip");
+    const column = this.store.column("tip", FOLLOWS);
+    const follows = tip && column >= 0 ? minMax(tip, column, from, to, buckets, Math.max(gapOf("tip"), 2.5 * width)) : undefined;
+    this.extents = series.map((points, i) => extentOf(points, this.spec.curves[i]!.stream === "tip" ? follows : undefined));
     this.data = [times, ...series] as uPlot.AlignedData;
     this.plot!.setData(this.data, false);
     this.plot!.setScale("x", { min: from - zero, max: to - zero });
@@ -181,7 +197,10 @@ export class Plot {
   private readAt(plot: uPlot): void {
     const at = plot.cursor.idx;
     this.values.hidden = at === null || at === undefined || (plot.cursor.left ?? -1) < 0;
-    if (this.values.hidden || at == null) return;
+    if (this.values.hidden || at == null) {
+      this.onHover(undefined);
+      return;
+    }
     const isSpectrum = this.spec.kind === "spectrum";
     const zero = this.window?.zero ?? 0;
     const reading = isSpectrum ? undefined : this.read(plot.posToVal(plot.cursor.left!, "x") + zero);
@@ -190,9 +209,11 @@ export class Plot {
       const { stream, column } = this.spec.curves[i]!;
       return (reading?.values.get(`${stream}.${column}`) ?? NaN) * this.drawn[i]!.scale;
     };
-    const shown = this.spec.curves.map((_, i) => {
-      const text = make("span", {}, Number.isNaN(value(i)) ? "–" : `${+value(i).toPrecision(4)}`);
-      text.style.color = `var(--${COLOURS[i % COLOURS.length]})`;
+    if (!isSpectrum) this.onHover(plot.posToVal(plot.cursor.left!, "x") + zero);
+    const shown = this.drawn.map(({ label, unit, colour: token, floor }, i) => {
+      const number = Number.isNaN(value(i)) ? "–" : `${Math.abs(value(i)) < floor / 100 && !isSpectrum ? 0 : +value(i).toPrecision(4)}`;
+      const text = make("span", {}, `${SHORT[label] ?? label} ${number}${unit ? ` ${unit}` : ""}`);
+      text.style.color = `var(--${token})`;
       return text;
     });
     const where = isSpectrum ? `${+(plot.data[0][at] ?? 0).toPrecision(3)} Hz` : `${reading?.isExact ? "" : "≈ "}${((reading?.time ?? NaN) - zero).toFixed(3)} s`;
@@ -224,7 +245,7 @@ export class Plot {
     pen.save();
     for (const moment of window.moments) line(moment, colour("edge"), 1, [2, 3]);
     if (window.now !== undefined) line(window.now, colour("text"), 1.5, []);
-    window.cursors?.forEach((time, i) => line(time, colour("accent"), 1.5, [5, 3], "AB"[i]!));
+    window.cursors?.forEach((time, i) => line(time, colour("text"), 1.5, [5, 3], "AB"[i]!));
     pen.restore();
   }
 
@@ -232,10 +253,11 @@ export class Plot {
     const axis = { stroke: colour("quiet"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
     const isSpectrum = this.spec.kind === "spectrum";
     const size = (_: uPlot, values: string[] | null): number => 12 + 6.4 * Math.max(1, ...(values ?? [""]).map((text) => text?.length ?? 0));
-    const labels = (_: uPlot, splits: number[]): string[] => tickTexts(splits);
+    // the unit stands in the axis, at its uppermost number
+    const labels = (i: number) => (_: uPlot, splits: number[]): string[] => tickTexts(splits).map((text, at) => (at === splits.length - 1 && this.units[i] ? `${text} ${this.units[i]}` : text));
     // powers of ten alone have a label where the axis is one of them
     const powers = (_: uPlot, splits: (number | null)[]): string[] => splits.map((value) => (value && Math.abs(Math.log10(value) % 1) < 1e-9 ? `${value}` : ""));
-    const side = (i: number): uPlot.Axis => ({ ...axis, scale: `y${i}`, side: i ? 1 : 3, size, space: 22, ...(i ? { grid: { show: false } } : {}), values: isSpectrum ? powers : labels });
+    const side = (i: number): uPlot.Axis => ({ ...axis, scale: `y${i}`, side: i ? 1 : 3, size, space: 22, ...(i ? { grid: { show: false } } : {}), values: isSpectrum ? powers : labels(i) });
     const scales = Object.fromEntries(this.axes.map((i) => [`y${i}`, isSpectrum ? { distr: 3 as const, log: 10 as const } : { range: (_: uPlot, min: number | null, max: number | null) => this.rangeOf(i, min, max) }]));
     return new uPlot(
       {
@@ -250,7 +272,7 @@ export class Plot {
           { ...axis, size: 20, space: 48, values: isSpectrum ? powers : secondsOf },
           ...this.axes.map(side),
         ],
-        series: [{}, ...this.drawn.map(({ unit }, i) => ({ stroke: colour(COLOURS[i % COLOURS.length]!), width: 1.25, points: { show: false }, scale: `y${Math.max(0, Math.min(1, this.units.indexOf(unit)))}` }))],
+        series: [{}, ...this.drawn.map(({ unit, colour: token, isDashed }) => ({ stroke: colour(token), ...(isDashed && { dash: DASHES }), width: 1.5, points: { show: false }, scale: `y${Math.max(0, Math.min(1, this.units.indexOf(unit)))}` }))],
       },
       this.data,
       this.area,
@@ -267,14 +289,14 @@ export class Plot {
     const own = this.drawn.flatMap(({ unit }, i) => (this.units.indexOf(unit) === axis ? [i] : []));
     const floor = Math.max(...own.map((i) => this.drawn[i]!.floor));
     const noise = Math.max(...own.map((i) => noiseOf(this.data[i + 1] ?? [])));
-    // a share that was lost is never negative
-    if (this.units[axis] === "%") return [0, Math.max(floor, (max ?? 0) * 1.06)];
-    const found = axisRange(min, max, floor, noise);
-    // no age and no delay is negative, and an axis that goes there looks as if one were
-    if (this.units[axis] === "ms" && (min ?? -1) >= 0) found[0] = Math.max(0, found[0]);
-    const before = this.ranges[axis];
-    const keeps = before && before[0] <= found[0] && before[1] >= found[1] && found[1] - found[0] > SHRINK * (before[1] - before[0]);
-    return (this.ranges[axis] = keeps ? before : found);
+    const counting = own.flatMap((i) => this.extents[i] ?? []);
+    const [least, greatest] = counting.length ? [Math.min(...counting), Math.max(...counting)] : [min, max];
+    const found = axisRange(least, greatest, floor, noise);
+    // no share, age or delay is negative, and an axis that goes there looks as if one were
+    if (["ms", "%"].includes(this.units[axis]!) && (least ?? 0) >= 0) found[0] = Math.max(0, found[0]);
+    // where somebody moves a playhead, what is seen changes because they want it
+    const waits = this.window?.now === undefined ? undefined : 0;
+    return (this.axesHeld[axis] = heldAxis(this.axesHeld[axis], found, performance.now(), waits)).range;
   }
 }
 

@@ -1,3 +1,8 @@
+import type { EventFacts } from "./protocol";
+
+/** What the slowest messages take more is said from here on [s]. */
+const LEAST_SPREAD_S = 5e-3;
+
 /** One direction of the link, as `link/status` has it. */
 export interface Way {
   delay_mean_s?: number;
@@ -13,29 +18,22 @@ export function delayText(ways: readonly (Way | undefined)[]): string {
   return there !== undefined && there === back ? String(+(1e3 * there).toPrecision(6)) : "";
 }
 
-/** Round trips up to which a law holds the hold of Fig. 12 in the maps of docs/laws.md [s]. */
-const BARE_S = 0.045;
-/** Mean delay in which a spread is felt as roughness. */
-const JITTER_SHARE = 0.5;
-const LOSS_FELT = 0.02;
-
-/**
- * What to do on a network as it is measured, in one sentence; `telenano study advise` computes the rest.
- * Parameters: the two ways, the share that each lost lately, and the law in force.
- */
-export function adviceFor(ways: readonly (Way | undefined)[], losses: readonly number[], law: string): string {
+/** What the link was measured to do there and back, in a row: means, what the slowest messages took more, and losses. */
+export function measuredText(ways: readonly (Way | undefined)[], losses: readonly number[]): string {
   const known = ways.filter((way): way is Way => way?.delay_valid === true);
   if (known.length < 2) return "The network is not measured yet.";
-  const trip = known.reduce((sum, way) => sum + (way.delay_mean_s ?? 0), 0);
-  const spread = known.reduce((sum, way) => sum + Math.max(0, (way.delay_max_s ?? 0) - (way.delay_mean_s ?? 0)), 0);
+  const sum = (of: (way: Way) => number): number => known.reduce((total, way) => total + of(way), 0);
+  const trip = sum((way) => way.delay_mean_s ?? 0);
+  const spread = sum((way) => Math.max(0, (way.delay_max_s ?? 0) - (way.delay_mean_s ?? 0)));
   const loss = Math.max(0, ...losses.filter(Number.isFinite));
-  const measured = `${(trip * 1e3).toFixed(trip < 0.01 ? 1 : 0)} ms there and back${loss > 0 ? `, ${(100 * loss).toFixed(loss < 0.1 ? 1 : 0)} % lost` : ""}`;
-  const isGuarded = /wave|passivity|model/.test(law);
-  if (trip > BARE_S && !isGuarded) return `${measured}: take the law wave or passivity, ${law.replaceAll("_", " ") || "this one"} may oscillate.`;
-  if (spread > JITTER_SHARE * trip && spread > 5e-3) return `${measured}, and up to ${(spread * 1e3).toFixed(0)} ms more: expect a rough touch, and press softly.`;
-  if (loss > LOSS_FELT) return `${measured}: expect gaps in what you feel.`;
-  if (trip > BARE_S) return `${measured}: ${law.replaceAll("_", " ")} suits it, and the sample feels softer.`;
-  return `${measured}: any law suits it.`;
+  const more = spread > LEAST_SPREAD_S ? `, at times ${(spread * 1e3).toFixed(0)} ms more` : "";
+  return `Measured: ${(trip * 1e3).toFixed(trip < 0.01 ? 1 : 0)} ms there and back${more}${loss > 0 ? `, ${(100 * loss).toFixed(loss < 0.1 ? 1 : 0)} % lost` : ""}`;
+}
+
+/** The newest warning of an adviser, of the law that is in force or of any; empty where there is none. */
+export function adviceIn(events: readonly EventFacts[], law: string): string {
+  const newest = events.findLast(({ advises }) => advises !== undefined);
+  return newest && [law, ""].includes(newest.advises ?? law) ? newest.text : "";
 }
 
 const WAY_NAMES = ["from the master to the slave", "from the slave to the master"];

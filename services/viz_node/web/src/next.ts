@@ -1,0 +1,124 @@
+import type { LinkState } from "./connection";
+import type { Role } from "./protocol";
+
+/** What an operator does one after the other. */
+export const STEPS = ["connect", "control", "arm", "approach", "touch", "let go"] as const;
+export type StepName = (typeof STEPS)[number];
+export type StepState = "done" | "next" | "later";
+
+/** What the page does when the button is pressed. */
+export type Act = "reload" | "take" | "arm" | "start" | "by hand" | "stay" | "go back" | "end way" | "hold" | "lower" | "let go";
+export interface Offer {
+  act: Act;
+  label: string;
+  /** The key that does the same. */
+  key: string;
+  isReady: boolean;
+}
+
+/** Everything that decides what is next. */
+export interface Situation {
+  link: LinkState;
+  linkText: string;
+  kind: "live" | "recording";
+  role: Role;
+  /** Whether a node has reported. */
+  hasRig: boolean;
+  /** Whether this page is the holder of control. */
+  holdsControl: boolean;
+  isControlFree: boolean;
+  /** Who holds control otherwise, in words, and what this page may do about it; empty where it may do nothing. */
+  lease: string;
+  leaseAction: string;
+  isStopped: boolean;
+  /** After a press of the stop nothing arms for a while. */
+  mayArm: boolean;
+  tipMode: string;
+  tipArmed: boolean;
+  placed: boolean;
+  runs: boolean;
+  program: string;
+  /** What an armed tip would go back to, in words; empty where it has no way back. */
+  wayBack: string;
+  /** How far the way back is; empty where it does not go. */
+  going: string;
+  /** Whether the person has chosen that the tip stays withdrawn. */
+  stays: boolean;
+  /** Whether this page may hold a hand, and whether it does. */
+  offersHand: boolean;
+  isHeld: boolean;
+  touches: boolean;
+  /** Distance of tip and sample [nm], NaN where it is not known, and the forces at the hand and at the tip [N]. */
+  separation_nm: number;
+  pressed_n: number;
+  felt_n: number;
+}
+
+export interface Next {
+  step: StepName | "";
+  says: string;
+  /** The one filled button. */
+  offer: Offer | undefined;
+  /** What may be done instead, unfilled. */
+  other: Offer | undefined;
+}
+
+const offer = (act: Act, label: string, key = "n", isReady = true): Offer => ({ act, label, key, isReady });
+const nothing = (step: Next["step"], says: string): Next => ({ step, says, offer: undefined, other: undefined });
+
+/** What is next, why, and which button does it. */
+export function nextOf(now: Situation): Next {
+  if (now.link === "connecting") return nothing("connect", "Connecting to the rig.");
+  if (now.link !== "open") return { step: "connect", says: `Not connected: ${now.linkText}.`, offer: offer("reload", "Load the page again"), other: undefined };
+  if (now.kind === "recording") return nothing("", "A recording: it moves nothing. The space bar plays it, and e goes to the next event.");
+  if (!now.hasRig) return nothing("connect", "Waiting for a rig: no node has reported yet.");
+  if (now.role === "observer" || now.role === "participant") return nothing("", `You look on, and may stop. ${now.lease}.`);
+  // A stop is armed after, and a tip that goes back ended, by whoever is there; control that is free is then taken for the act.
+  const isUrgent = now.isControlFree && (now.isStopped || now.isHeld || now.going !== "" || now.wayBack !== "");
+  if (!now.holdsControl && !isUrgent) {
+    const isFree = now.isControlFree;
+    const says = isFree ? "Nobody holds control: take it, and no other window can act meanwhile." : `${now.lease}.`;
+    return { step: "control", says, offer: now.leaseAction ? offer("take", isFree ? "Take control" : `${now.leaseAction} for control`, "h") : undefined, other: undefined };
+  }
+  if (now.going) return { step: "approach", says: `${now.going}. Any key or press ends it, and the tip stays where it is.`, offer: offer("end way", "End it here"), other: undefined };
+  return armed(now) ?? touching(now);
+}
+
+/** What has to be done before a hand moves the tip; undefined where it does. */
+function armed(now: Situation): Next | undefined {
+  const arm = (says: string): Next => ({ step: "arm", says, offer: offer("arm", "Arm", "n", now.mayArm), other: undefined });
+  if (now.isStopped) return arm("Stopped. Arm hand and tip: both stay where they are, and then you choose whether the tip goes back.");
+  if (now.program) return nothing("arm", `The instrument runs a ${now.program}: the hand rests until it ends.`);
+  if (now.tipMode === "retracting") return nothing("arm", "The tip moves away from the sample: wait until it is away.");
+  if (now.tipMode === "retracted") return arm(now.tipArmed ? "The tip is armed and waits for an armed hand." : "The tip is withdrawn. Arm hand and tip: both stay where they are.");
+  if (now.tipMode !== "follow" && now.tipMode !== "hold") return nothing("arm", "Waiting for the instrument to report what it does.");
+  if (!now.runs) return { step: "arm", says: "The session has not begun, or was stopped.", offer: offer("start", "Start"), other: undefined };
+  if (now.wayBack && !now.stays) {
+    return { step: "approach", says: "Armed, and the tip is withdrawn. It stays there, or it goes back:", offer: offer("go back", now.wayBack, "g"), other: offer("stay", "Stay withdrawn", "w") };
+  }
+  if (!now.placed) return nothing("approach", "The tip is on its way to the hand.");
+  return undefined;
+}
+
+/** What a hand does with a tip that follows it. */
+function touching(now: Situation): Next {
+  const distance = Number.isNaN(now.separation_nm) ? "The tip follows the hand" : `The tip is ${Math.max(0, now.separation_nm).toFixed(now.separation_nm < 9.95 ? 1 : 0)} nm above the sample`;
+  const back = now.wayBack ? offer("go back", now.wayBack, "g") : undefined;
+  if (!now.offersHand) {
+    const says = now.touches ? `The tip touches: ${now.felt_n.toFixed(2)} N come back to the hand.` : `${distance}: press with the device.`;
+    return { ...nothing(now.touches ? "touch" : "approach", says), other: back };
+  }
+  if (!now.isHeld) {
+    const says = now.touches ? "The tip rests on the sample, and nobody holds the hand." : `${distance}, and nobody holds the hand: hold it, then drag it down.`;
+    return { step: now.touches ? "touch" : "approach", says, offer: offer("hold", "Hold the hand"), other: back };
+  }
+  if (!now.touches) return { step: "approach", says: `${distance}: drag the hand down, or press ↓ on it.`, offer: offer("lower", "Lower by 0.5 mm"), other: offer("let go", "Let go", "u") };
+  // what is felt tells whether it touches well: a press that comes back as it is
+  return { step: "let go", says: `You press ${now.pressed_n.toFixed(2)} N and feel ${now.felt_n.toFixed(2)} N. Press harder or softer as you like; let go when you are done.`, offer: offer("let go", "Let go", "u"), other: offer("lower", "Press 0.5 mm more", "n") };
+}
+
+/** How each step stands: what comes before the one that is next is done. */
+export function stepStates(step: Next["step"]): Record<StepName, StepState> {
+  const at = STEPS.indexOf(step as StepName);
+  return Object.fromEntries(STEPS.map((name, i) => [name, at < 0 ? "later" : i < at ? "done" : i === at ? "next" : "later"])) as Record<StepName, StepState>;
+}

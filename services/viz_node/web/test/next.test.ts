@@ -1,0 +1,75 @@
+import { describe, expect, it } from "vitest";
+import { nextOf, STEPS, stepStates, type Situation } from "../src/next";
+
+const rest: Situation = {
+  link: "open", linkText: "", kind: "live", role: "operator", hasRig: true, holdsControl: true, isControlFree: false, lease: "You hold control", leaseAction: "Give up control",
+  isStopped: false, mayArm: true, tipMode: "follow", tipArmed: true, placed: true, runs: true, program: "", wayBack: "", going: "", stays: false,
+  offersHand: true, isHeld: false, touches: false, separation_nm: 9.7, pressed_n: 0, felt_n: 0,
+};
+const at = (changes: Partial<Situation>): [string, string | undefined, string | undefined] => {
+  const { step, offer, other } = nextOf({ ...rest, ...changes });
+  return [step, offer?.act, other?.act];
+};
+
+describe("what is next", () => {
+  it.each<[string, Partial<Situation>, [string, string | undefined, string | undefined]]>([
+    ["no connection", { link: "lost", linkText: "the server does not answer" }, ["connect", "reload", undefined]],
+    ["no rig yet", { hasRig: false }, ["connect", undefined, undefined]],
+    ["control is free", { holdsControl: false, isControlFree: true, leaseAction: "Take" }, ["control", "take", undefined]],
+    ["another window has it", { holdsControl: false, leaseAction: "Ask", lease: "Window B holds control" }, ["control", "take", undefined]],
+    ["asked already", { holdsControl: false, leaseAction: "", lease: "Window B holds control; you have asked" }, ["control", undefined, undefined]],
+    ["stopped", { isStopped: true }, ["arm", "arm", undefined]],
+    ["stopped, and control is free", { isStopped: true, holdsControl: false, isControlFree: true }, ["arm", "arm", undefined]],
+    ["stopped, and another window has control", { isStopped: true, holdsControl: false }, ["control", "take", undefined]],
+    ["withdrawn", { tipMode: "retracted" }, ["arm", "arm", undefined]],
+    ["on its way from the sample", { tipMode: "retracting" }, ["arm", undefined, undefined]],
+    ["a program", { program: "scan" }, ["arm", undefined, undefined]],
+    ["no session", { runs: false }, ["arm", "start", undefined]],
+    ["armed with a way back", { wayBack: "Go back to 10.5 nm" }, ["approach", "go back", "stay"]],
+    ["armed with a way back, after an act", { wayBack: "Go back to 10.5 nm", holdsControl: false, isControlFree: true }, ["approach", "go back", "stay"]],
+    ["it stays withdrawn", { wayBack: "Go back to 10.5 nm", stays: true }, ["approach", "hold", "go back"]],
+    ["on its way back", { wayBack: "Go back to 10.5 nm", going: "The tip goes back: 1.2 s left" }, ["approach", "end way", undefined]],
+    ["placed by a session", { placed: false }, ["approach", undefined, undefined]],
+    ["a free hand", {}, ["approach", "hold", undefined]],
+    ["a hand that is held", { isHeld: true }, ["approach", "lower", "let go"]],
+    ["a hand that presses", { isHeld: true, touches: true }, ["let go", "let go", "lower"]],
+    ["a tip that rests on the sample", { touches: true }, ["touch", "hold", undefined]],
+    ["a device is the hand", { offersHand: false }, ["approach", undefined, undefined]],
+    ["an observer", { role: "observer" }, ["", undefined, undefined]],
+    ["a recording", { kind: "recording", hasRig: false }, ["", undefined, undefined]],
+  ])("%s", (_, changes, expected) => expect(at(changes)).toEqual(expected));
+
+  it("never arms right after a stop, and says so by a button that cannot be pressed", () => {
+    expect(nextOf({ ...rest, isStopped: true, mayArm: false }).offer?.isReady).toBe(false);
+  });
+
+  it("has one filled button at most, a sentence always, and a key for each button that is not that of the other", () => {
+    const choices: { [K in keyof Situation]?: Situation[K][] } = {
+      link: ["connecting", "open", "lost", "refused"], kind: ["live", "recording"], role: ["operator", "observer", "pupil", "teacher"], hasRig: [true, false],
+      holdsControl: [true, false], isControlFree: [true, false], isStopped: [true, false], tipMode: ["follow", "hold", "retracted", "retracting", "estop", ""],
+      runs: [true, false], program: ["", "scan"], wayBack: ["", "Go back"], going: ["", "on its way"], stays: [true, false], placed: [true, false],
+      offersHand: [true, false], isHeld: [true, false], touches: [true, false], separation_nm: [NaN, -1.3, 0.04, 9.7, 110],
+    };
+    // a seeded walk through all of them
+    let seed = 11;
+    const random = (): number => (seed = (seed * 16807) % 2147483647) / 2147483647;
+    for (let i = 0; i < 5000; i++) {
+      const drawn = Object.fromEntries(Object.entries(choices).map(([key, values]) => [key, values[Math.floor(random() * values.length)]])) as Partial<Situation>;
+      const now = { ...rest, ...drawn };
+      const { says, offer, other, step } = nextOf(now);
+      expect(says).not.toBe("");
+      expect(says).not.toMatch(/NaN|undefined/);
+      if (offer && other) expect(other.key).not.toBe(offer.key);
+      // nothing that moves is offered to who may not command, in a recording, or without a connection
+      if (now.link !== "open" || now.kind === "recording" || now.role === "observer") expect([undefined, "reload"]).toContain(offer?.act);
+      // after a stop nothing but control and arming is offered, whatever else is so
+      if (now.isStopped && !now.going) expect([undefined, "reload", "take", "arm"]).toContain(offer?.act);
+      expect(step === "" || STEPS.includes(step)).toBe(true);
+    }
+  });
+
+  it("marks what is done before it", () => {
+    expect(stepStates("approach")).toEqual({ connect: "done", control: "done", arm: "done", approach: "next", touch: "later", "let go": "later" });
+    expect(new Set(Object.values(stepStates("")))).toEqual(new Set(["later"]));
+  });
+});
