@@ -40,10 +40,10 @@ RECORDERS = ("recorder@master", "recorder@slave")
 NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
 LAWS = ("wave", "virtual_impedance")
 # Faults begin from the start of the processes on, and end before the calm.
-FAULTS_S = 6.0
+FAULTS_S = 4.5
 # After the last fault nothing happens for this time; then a person arms, and after this time again the rig has to work.
-CALM_S = 1.0
-RECOVERY_S = 2.5
+CALM_S = 0.7
+RECOVERY_S = 2.0
 SESSION_S = 8.5
 
 
@@ -104,7 +104,7 @@ class Schedule(NamedTuple):
 def _network(dice: random.Random, at_s: float) -> list[Event]:
     kind = dice.choice(["delay", "delay", "line", "partition", "partition", "narrow"])
     way = dice.choice(["both", "forward", "backward"])
-    for_s = dice.choice([0.04, 0.12, 0.3, 0.8, 2.0])
+    for_s = dice.choice([0.04, 0.12, 0.3, 0.8, 1.5])
     if kind == "delay":
         there_s, back_s = (dice.choice([0.001, 0.01, 0.03, 0.06, 0.1]) for _ in range(2))
         return [{"at_s": at_s, "kind": kind, "forward_s": there_s, "backward_s": dice.choice([there_s, back_s])}]
@@ -198,5 +198,8 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "restart": (0.4, _restart),
 }
 KINDS = frozenset(
-    "delay line partition narrow clock site_restart disk kill stall device press arm start stop law link".split()
-)
+    {
+        "delay", "line", "partition", "narrow", "clock", "site_restart", "disk", "kill", "stall", "device", "press",
+        "arm", "start", "stop", "law", "link",
+    }
+)  # fmt: skip

@@ -1,0 +1,440 @@
+"""A judge that knows nothing of the project: it reads the files of a session and says which invariants they break.
+
+    python tests/simulation/outside_judge.py FOLDER
+
+It reads the recordings of both sites, the schedule, the history of what was done from outside, the ledger of all that
+was sent, and what the report said of the session (`verdict.json`). Times are those of the rig since its start [s].
+"""
+
+import bisect
+import json
+import sys
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Statistics
+from mcap.stream_reader import StreamReader
+
+HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
+# A command is valid for this time, and a tip without one is held for the second time before it is withdrawn [s].
+DEADLINE_S, HOLD_S = 0.05, 0.2
+# Two periods of the loop, and a turn that is 3 ms late [s].
+GRAIN_S = 0.0115
+# A tip stops following within this time of the last answer that its hand has felt, beyond the round trip [s].
+UNFELT_S = 0.5
+# A line that has become longer or shorter is known after this time [s].
+KNOWN_S = 3.0
+# A way that is shorter is none [m].
+LEAST_M = 0.5e-9
+# A person who presses a stop waits for so long [s].
+PATIENCE_S = 5.2
+VISITORS = ("launcher", "console", "view", "estop", "recorder")
+Fields = dict[str, Any]
+
+
+class Seen(NamedTuple):
+    """A message of a file: where it was recorded, its channel and fields, and when it was sent by the ledger [s]."""
+
+    site: str
+    channel: str
+    topic: str
+    via: str
+    fields: Fields
+    sent_s: float
+    known: bool
+    whole: bool
+
+
+class Break(NamedTuple):
+    """An invariant that is broken: its name, when [s], and how."""
+
+    invariant: str
+    at_s: float
+    text: str
+
+
+class Session:
+    """The files of a session."""
+
+    def __init__(self, folder: Path) -> None:
+        """Read all that is in a folder."""
+        self.schedule: Fields = json.loads((folder / "schedule.json").read_text())
+        self.history: Fields = json.loads((folder / "history.json").read_text())
+        verdict = folder / "verdict.json"
+        self.verdict: Fields = json.loads(verdict.read_text()) if verdict.exists() else {}
+        self.acts: list[Fields] = [{**act, "at_s": act["t_ns"] * 1e-9} for act in self.history["acts"]]
+        self.epoch_ns: int = self.history["epoch_ns"]
+        self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
+        # by publisher and topic, when each message was sent, and its number and stamp
+        self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
+        for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
+            self.ledger[src, topic, seq, t_ns] = sent_ns * 1e-9, crc
+            self.sent[src, topic].append((sent_ns * 1e-9, seq, t_ns))
+        self.seen: list[Seen] = []
+        self.statistics: list[tuple[str, int, int]] = []
+        for site, place in (("master", folder), ("slave", folder / "far")):
+            for path in sorted(place.glob("session*.mcap")):
+                self._read(site, path)
+        self.direct: dict[tuple[str, str], list[Seen]] = defaultdict(list)
+        for one in self.seen:
+            if one.via == "direct":
+                self.direct[one.fields.get("src", ""), one.topic].append(one)
+        for states in self.direct.values():
+            states.sort(key=lambda one: one.sent_s)
+        self.end_s = next((act["at_s"] for act in self.acts if act["what"] == "end"), 0.0)
+
+    def _read(self, site: str, path: Path) -> None:
+        channels: dict[int, Channel] = {}
+        count = 0
+        for record in _records(path):
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Statistics):
+                self.statistics.append((f"{site} {path.name}", record.message_count, count))
+            elif isinstance(record, Message):
+                count += 1
+                channel = channels[record.channel_id]
+                facts = channel.metadata
+                fields = msgpack.unpackb(record.data)
+                key = (fields.get("src"), facts["topic"], fields.get("seq"), fields.get("t_ns"))
+                sent_s, crc = self.ledger.get(key, (record.log_time * 1e-9, -1))
+                whole = crc == zlib.crc32(record.data)
+                self.seen.append(
+                    Seen(site, channel.topic, facts["topic"], facts["via"], fields, sent_s, crc >= 0, whole)
+                )
+
+    def events(self, *kinds: str) -> list[Fields]:
+        """Return what the schedule let happen, of some kinds."""
+        acts = [act for act in self.acts if act["what"] == "event" and act["event"]["kind"] in kinds]
+        return [{**act["event"], "at_s": act["at_s"]} for act in acts]
+
+    def transit_s(self, way: str, at_s: float) -> float:
+        """Return the greatest delay of the network in a direction that the link may still take for the present."""
+        steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
+        known = [delay for begun, delay in steps if begun <= at_s - KNOWN_S][-1:]
+        late = [delay for begun, delay in steps if at_s - KNOWN_S < begun <= at_s]
+        line = [one["jitter_s"] + 0.035 for one in self.events("line") if one["at_s"] <= at_s]
+        queue = [1.0 for one in self.events("narrow") if one["at_s"] <= at_s <= one["at_s"] + one["for_s"] + KNOWN_S]
+        return max([*known, *late]) + max([*line, *queue, 0.0])
+
+    def link_s(self, at_s: float) -> float:
+        """Return the greatest delay that the link may have added until then."""
+        changes = [one["delay_s"] for one in self.events("link") if one["at_s"] <= at_s]
+        return float(max([self.schedule["link_s"], *changes]))
+
+    def missing(self, src: str, topic: str) -> list[float]:
+        """Return when the messages were sent that the files of its own site lack."""
+        have = {(one.fields["seq"], one.fields["t_ns"]) for one in self.direct[src, topic]}
+        return [sent_s for sent_s, seq, t_ns in self.sent[src, topic] if (seq, t_ns) not in have]
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """Yield the records of a file, up to where it was cut."""
+    with path.open("rb") as stream:
+        try:
+            yield from StreamReader(stream).records
+        except (McapError, EOFError, OSError, ValueError, RuntimeError):
+            return
+        except Exception as error:  # noqa: BLE001
+            # A cut chunk ends in errors of the library that unpacks it.
+            if "zstd" not in type(error).__module__.lower() and type(error).__name__ != "error":
+                raise
+
+
+class Newest:
+    """The newest of some messages at a time."""
+
+    def __init__(self, messages: list[Seen]) -> None:
+        """Take messages in the order of their sending."""
+        self._messages, self._times = messages, [one.sent_s for one in messages]
+
+    def at(self, at_s: float) -> Seen | None:
+        """Return the newest that was sent by then."""
+        place = bisect.bisect_right(self._times, at_s)
+        return self._messages[place - 1] if place else None
+
+    def between(self, from_s: float, to_s: float) -> list[Seen]:
+        """Return those that were sent after one time and by another."""
+        return self._messages[bisect.bisect_right(self._times, from_s) : bisect.bisect_right(self._times, to_s)]
+
+
+def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
+    return bisect.bisect_left(missing_s, from_s) == bisect.bisect_right(missing_s, to_s)
+
+
+def _depth_m(state: Fields) -> float:
+    return -float(state["base_position_m"][2])
+
+
+def judge_tip(session: Session) -> Iterator[Break]:
+    """No command past its deadline moves the tip; it is held and withdrawn in time; it follows a hand that feels."""
+    states = session.direct[TIP, "afm/state"]
+    commands = session.direct["controller@slave", "afm/command"]
+    armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
+    lost = session.missing("controller@slave", "afm/command")
+    hands, lost_hands = Newest(session.direct[HAND, "haptic/state"]), session.missing(HAND, "haptic/state")
+    off_since = _off_since(session)
+    for before, state in zip(states, states[1:], strict=False):
+        at_s, mode = state.sent_s, state.fields["mode"]
+        if mode not in ("follow", "hold") or not _is_known(lost, at_s - 0.4, at_s):
+            continue
+        newest = armed.at(at_s)
+        age_s = at_s - newest.sent_s if newest is not None else 1e9
+        if mode == "follow" and age_s > DEADLINE_S + GRAIN_S:
+            yield Break("safe_in_time", at_s, f"the tip follows {age_s * 1e3:.0f} ms after the last command")
+        if mode == "hold" and age_s > DEADLINE_S + HOLD_S + GRAIN_S:
+            yield Break("safe_in_time", at_s, f"the tip is held {age_s * 1e3:.0f} ms after the last command")
+        if mode != "follow" or before.fields["mode"] != "follow" or at_s - before.sent_s > 0.1 or newest is None:
+            continue
+        if state.fields.get("device") == before.fields.get("device") == "lost":
+            yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
+        hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
+        allowed_s = DEADLINE_S + GRAIN_S + session.link_s(at_s) + session.transit_s("forward", at_s)
+        moved_m = _depth_m(state.fields) - _depth_m(before.fields)
+        if moved_m > 1e-12 and at_s - hand_s > allowed_s:
+            text = f"the tip moves by a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
+            yield Break("nothing_late", at_s, text)
+        trip_s = 2 * session.link_s(at_s) + session.transit_s("forward", at_s) + session.transit_s("backward", at_s)
+        hand = hands.at(at_s)
+        unfelt_s = at_s - off_since.get(hand.fields["t_ns"], at_s) if hand is not None else 0.0
+        if unfelt_s > UNFELT_S + trip_s and _is_known(lost_hands, at_s - unfelt_s, at_s):
+            yield Break("felt_hand", at_s, f"the tip follows a hand that has felt nothing for {unfelt_s:.2f} s")
+
+
+def _off_since(session: Session) -> dict[int, float]:
+    """Return for each sample of a hand whose motor is off, by its stamp, since when it is so."""
+    since, off = {}, None
+    for one in session.direct[HAND, "haptic/state"]:
+        off = None if one.fields["mode"] != "off" else one.sent_s if off is None else off
+        if off is not None:
+            since[one.fields["t_ns"]] = off
+    return since
+
+
+def judge_hand(session: Session) -> Iterator[Break]:
+    """The hand is let go when its newest command, or the sample that it answers, is too old."""
+    commands = Newest(session.direct["controller@master", "haptic/command"])
+    lost = session.missing("controller@master", "haptic/command")
+    for one in session.direct[HAND, "haptic/state"]:
+        at_s, state = one.sent_s, one.fields
+        if state["mode"] == "off" or not _is_known(lost, at_s - 0.4, at_s):
+            continue
+        newest = commands.at(at_s)
+        age_s = at_s - newest.sent_s if newest is not None else 1e9
+        if age_s > DEADLINE_S + GRAIN_S:
+            yield Break("safe_in_time", at_s, f"the motor is on {age_s * 1e3:.0f} ms after the last command")
+        old_s = at_s - (state["answered_t_ns"] - session.epoch_ns) * 1e-9
+        trip_s = 2 * session.link_s(at_s) + session.transit_s("forward", at_s) + session.transit_s("backward", at_s)
+        if old_s > DEADLINE_S + GRAIN_S + trip_s:
+            yield Break("nothing_late", at_s, f"the hand obeys an answer to a sample of {old_s * 1e3:.0f} ms")
+
+
+def judge_stops(session: Session) -> Iterator[Break]:
+    """After a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
+    given_s = {act["sender"]: act["at_s"] for act in session.acts if act["what"] == "command"}
+    places = {act["sender"]: act["name"] for act in session.acts if act["what"] == "command"}
+    presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
+    acks: set[tuple[str, str]] = set()
+    for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
+        line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
+        pressed_s: float | None = None
+        for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
+            said = one.fields
+            if one.topic == topic:
+                moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
+                if pressed_s is not None and moves and one.sent_s > pressed_s:
+                    yield Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after an emergency stop")
+                    pressed_s = None
+            elif said["kind"] == "ack" and said["data"].get("command") == "estop":
+                acks.add((said["id"], device))
+                press = presses.get(said["id"])
+                pressed_s = max(pressed_s or 0.0, one.sent_s if press is None else press["at_s"])
+            elif said["kind"] == "ack" and said["data"].get("command") == "arm":
+                sender = said["id"].rpartition("-")[0]
+                if pressed_s is not None and given_s.get(sender, 0.0) < pressed_s:
+                    text = f"{device} is armed by a command of {given_s.get(sender, 0.0):.2f} s"
+                    yield Break("stop_is_last", one.sent_s, f"{text}, before the stop of {pressed_s:.2f} s")
+                pressed_s = None
+                if device == TIP and places.get(sender) == "arm":
+                    yield from _judge_arming(session, one)
+    kept = session.history["kept"]
+    for act in session.acts:
+        if act["what"] != "press" or act["at_s"] > session.end_s - PATIENCE_S - 1.0:
+            continue
+        end = next((one for one in session.acts if one["what"] == "pressed" and one["id"] == act["id"]), None)
+        for device in act["devices"]:
+            answered = (act["id"], device) in acks or (end is not None and device not in end["missing"])
+            keepers = (device, LINK) if device == TIP else (device,)
+            if not answered and not any(keeper in kept for keeper in keepers):
+                yield Break("stop_kept", act["at_s"], f"the stop for {device} was neither answered nor kept")
+
+
+def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
+    """Judge whether a tip that was armed without a word to go moves more than its hand does."""
+    at_s = ack.sent_s
+    states = Newest(session.direct[TIP, "afm/state"]).between(at_s - 0.02, at_s + 0.3)
+    commands = Newest(session.direct["controller@slave", "afm/command"]).between(at_s - 0.15, at_s + 0.3)
+    references = [_depth_m(one.fields) for one in commands]
+    later = [one for one in session.acts if one["what"] == "command" and at_s - 0.3 < one["at_s"] < at_s + 0.3]
+    if len(states) < 2 or any(one["name"] == "recover" for one in later):
+        return
+    moved_m = max(_depth_m(one.fields) for one in states) - _depth_m(states[0].fields)
+    if moved_m > max(references, default=0.0) - min(references, default=0.0) + LEAST_M:
+        yield Break("stop_is_last", at_s, f"arming has moved the tip by {1e9 * moved_m:.1f} nm towards the sample")
+
+
+def judge_recordings(session: Session) -> Iterator[Break]:
+    """Nothing recorded is altered, what is lost is said, silence is no loss, and what was delivered was sent."""
+    corrupt = any(one["corrupt"] > 0 for one in session.events("line"))
+    said: dict[tuple[str, str], list[Fields]] = defaultdict(list)
+    for one in session.seen:
+        if one.topic == "recorder/gap":
+            said[one.fields["src"], one.fields["channel_topic"]].append(one.fields)
+        elif one.topic == "recorder/rejected":
+            if not corrupt:
+                yield Break("delivered_was_sent", one.sent_s, f"a message was refused: {one.fields['text'][:100]}")
+        elif not one.whole and one.via == "direct":
+            yield Break("recorded_as_sent", one.sent_s, f"{one.channel} of {one.fields.get('src')} is not as it was sent")
+        elif not one.whole:
+            yield Break("delivered_was_sent", one.sent_s, f"{one.channel} of {one.fields.get('src')} was not sent so")
+    unsaid, lost = [], 0
+    for (src, topic), seen in session.direct.items():
+        if src.partition("@")[0] in VISITORS or topic.startswith("recorder/"):
+            continue
+        have = {(one.fields["seq"], one.fields["t_ns"]) for one in seen}
+        gaps = said.get((src, topic), [])
+        numbers = {seq for _, seq, _ in session.sent[src, topic]}
+        for gap in gaps:
+            if gap["first_missing"] > max(numbers) or gap["count"] != gap["last_missing"] - gap["first_missing"] + 1:
+                yield Break("recorded_as_sent", 0.0, f"a gap of {topic} of {src} names what was not sent: {gap}")
+        for sent_s, seq, t_ns in session.sent[src, topic]:
+            if (seq, t_ns) in have or sent_s < seen[0].sent_s:
+                continue
+            lost += 1
+            if not any(gap["first_missing"] <= seq <= gap["last_missing"] for gap in gaps):
+                unsaid.append((sent_s, src, topic))
+    if not session.verdict:
+        return
+    told = session.verdict["missing"]
+    if unsaid and not told:
+        at_s, src, topic = min(unsaid)
+        text = f"{len(unsaid)} messages are missing and nothing says so, the first {topic} of {src}"
+        yield Break("recorded_as_sent", at_s, text)
+    if told and not lost and not session.events("disk", "site_restart", "kill"):
+        yield Break("recorded_as_sent", 0.0, f"nothing is missing, and the report says: {told[0][:200]}")
+
+
+def judge_counters(session: Session) -> Iterator[Break]:
+    """What publishers, link and files count agrees with what there is."""
+    for name, counted, read in session.statistics:
+        if counted != read:
+            yield Break("counters_agree", 0.0, f"{name} says {counted} messages and has {read}")
+    for one in session.direct[LINK, "link/status"]:
+        for way in ("forward", "backward"):
+            said = one.fields[way]
+            dropped = sum(said["dropped"].values())
+            balance = said["messages_in"] + said["duplicated"] - said["messages_out"] - dropped - said["queue_depth"]
+            if balance:
+                yield Break("counters_agree", one.sent_s, f"the link has {balance} messages {way} unaccounted for")
+    for one in session.seen:
+        if one.topic != "session/event" or one.via != "direct" or one.fields["data"].get("state") != "ended":
+            continue
+        src, seq = one.fields["src"], one.fields["seq"]
+        if one.fields["kind"] == "node" and one.fields["data"].get("sent.session/event") != seq + 1:
+            yield Break("counters_agree", one.sent_s, f"{src} has ended with another count than that of its events")
+        for key, count in one.fields["data"].items():
+            topic = key.removeprefix("sent.")
+            if not key.startswith("sent.") or (src, topic) not in session.sent:
+                continue
+            last = [number for sent_s, number, _ in session.sent[src, topic] if sent_s <= one.sent_s][-1:]
+            if last and count != last[0] + 1 and topic != "session/event":
+                yield Break("counters_agree", one.sent_s, f"{src} says {count} on {topic}, and {last[0] + 1} were sent")
+
+
+def judge_verdict(session: Session) -> Iterator[Break]:
+    """A verdict blames no law for what the schedule did, and a hold that is praised was held."""
+    laws = {session.schedule["law"], *(one["law"] for one in session.events("law"))}
+    if session.verdict.get("kind") in ("limit_cycle", "diverged") and laws == {"wave"}:
+        yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
+    hands = session.direct[HAND, "haptic/state"]
+    tips = Newest(session.direct[TIP, "afm/state"])
+    lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
+    for hold in session.verdict.get("holds", ()):
+        inside = [one for one in hands if hold["start_s"] <= one.fields["session_s"] <= hold["end_s"]]
+        if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
+            continue
+        length_s = hold["end_s"] - hold["start_s"]
+        held = 0
+        for one in inside:
+            tip = tips.at(one.sent_s)
+            follows = tip is not None and tip.fields["mode"] == "follow" and one.sent_s - tip.sent_s < 0.06
+            held += one.fields["mode"] != "off" and follows
+        if held * 0.004 < 0.4 * length_s:
+            text = f"the hold of {length_s:.2f} s is stable, and hand and tip were in it for {held * 0.004:.2f} s"
+            yield Break("praised_was_held", inside[0].sent_s, text)
+
+
+def judge_energy(session: Session) -> Iterator[Break]:
+    """Through wave variables no energy comes out of both ports that has not entered."""
+    restarts = [one for one in session.acts if one["what"] == "killed" and "controller" in one["node"]]
+    if session.schedule["law"] != "wave" or session.events("law") or restarts:
+        return
+    masters = Newest(session.direct["controller@master", "law/status"])
+    for one in session.direct["controller@slave", "law/status"]:
+        near = masters.at(one.sent_s)
+        if near is None or one.sent_s - near.sent_s > 0.1:
+            continue
+        sum_j = near.fields["port_energy_j"] + one.fields["port_energy_j"]
+        power_w = abs(near.fields["port_power_w"]) + abs(one.fields["port_power_w"])
+        if sum_j < -1e-6 - 0.02 * power_w:
+            yield Break("energy_granted", one.sent_s, f"{1e6 * sum_j:.1f} uJ have come out of both ports")
+            return
+
+
+def judge_going_on(session: Session) -> Iterator[Break]:
+    """A rig that can go on goes on: after the last fault a person arms it, and hand and tip follow."""
+    if session.history["failure"]:
+        yield Break("goes_on", session.end_s, f"the rig has ended: {session.history['failure'][:300]}")
+        return
+    at_s = next((one["at_s"] for one in session.acts if one["what"] == "recovered"), None)
+    slow = session.transit_s("forward", 99.0) + session.transit_s("backward", 99.0) + 2 * session.link_s(99.0) > 0.06
+    laws = {session.schedule["law"], *(one["law"] for one in session.events("law"))}
+    if at_s is None or (slow and laws != {"wave"}):
+        return
+    for device, topic, wanted in ((HAND, "haptic/state", "position"), (TIP, "afm/state", "follow")):
+        if session.missing(device, topic)[-1:] > [at_s - 0.2]:
+            continue
+        newest = Newest(session.direct[device, topic]).at(at_s)
+        if newest is None or at_s - newest.sent_s > 0.06 or newest.fields["mode"] != wanted:
+            mode = "silent" if newest is None or at_s - newest.sent_s > 0.06 else newest.fields["mode"]
+            yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
+
+
+JUDGES: tuple[Callable[[Session], Iterator[Break]], ...] = (
+    judge_tip, judge_hand, judge_stops, judge_recordings, judge_counters, judge_verdict, judge_energy, judge_going_on,
+)  # fmt: skip
+INVARIANTS = (
+    "nothing_late", "stop_is_last", "safe_in_time", "felt_hand", "recorded_as_sent", "law_not_blamed",
+    "praised_was_held", "energy_granted", "delivered_was_sent", "counters_agree", "stop_kept", "goes_on",
+)  # fmt: skip
+
+
+def judged(session: Session) -> list[Break]:
+    """Return the first break of each invariant by the files of a session."""
+    first: dict[str, Break] = {}
+    for judge in JUDGES:
+        for found in judge(session):
+            first.setdefault(found.invariant, found)
+    return list(first.values())
+
+
+if __name__ == "__main__":
+    FOUND = judged(Session(Path(sys.argv[1])))
+    print(*(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND), sep="\n")
+    print(Counter(one.invariant for one in FOUND) or "no invariant is broken")
+    sys.exit(bool(FOUND))
