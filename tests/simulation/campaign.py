@@ -1,7 +1,7 @@
 """Schedules one after the other: run, reported, judged, counted.
 
-    result = tried(Schedule.drawn(7), Path("out"))
-    result.breaks
+result = tried(Schedule.drawn(7), Path("out"))
+result.breaks
 """
 
 import json
@@ -42,7 +42,7 @@ class Tried(NamedTuple):
 @contextmanager
 def session_folder() -> Iterator[Path]:
     """Give a folder for the files of a session, in memory where the machine has room for it."""
-    memory = Path("/dev/shm")  # noqa: S108
+    memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="simulation-", dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder) / "session"
 
@@ -68,16 +68,16 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
 
 def report(folder: Path) -> None:
     """Write what the report says of a session beside its files."""
-    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": []}
+    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": ""}
     try:
         parts = sorted((folder / "far").glob("*.mcap"))
         files = SessionFolder(folder)
         files.note_far([path.name for path in parts])
         summary = RecordedSession([files.merge(parts)] if parts else list(files.own()[0])).summary
-        said = {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
+        said |= {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
         said["missing"] = summary["recording"]["missing"]
     except TelenanoError as error:
-        said["missing"] = [str(error)]
+        said["failure"] = str(error)
     (folder / "verdict.json").write_text(json.dumps(said), encoding="utf-8")
 
 

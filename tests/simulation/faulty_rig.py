@@ -51,6 +51,8 @@ _STOP_NS = 50_000_000
 _STOP_PATIENCE_NS = 5_000_000_000
 # The end of a session that does not come; a launcher waits a minute for nodes that are not ready.
 _LONGEST_S = 90.0
+# A node that takes so many turns in a row while no time passes would do so for ever.
+_MOST_TURNS = 1000
 _PROFILE = [(0.4, 0.0), (0.7, 1.0), (3.7, 1.0), (4.0, 1.6), (7.6, 1.6), (7.9, 0.0)]
 # The stops that are kept stand in this folder of the session, which is the working directory while it runs.
 KEPT = Path("kept")
@@ -58,6 +60,10 @@ KEPT = Path("kept")
 
 class Killed(BaseException):
     """A process ends where it stands, and nothing of its own comes after."""
+
+
+class StandsStillError(Exception):
+    """A node takes turn after turn, and no time passes."""
 
 
 class MachineClock:
@@ -164,13 +170,14 @@ class StopNode(Node):
         self._presses.append((press, set()))
         kept = self._keep(press)
         self._note("press", id=press.id, site=site, devices=sorted(devices), kept=kept)
+        self._send(press)
 
     def deadline_ns(self) -> int:
         return self._ticks.deadline_ns
 
     def on_message(self, received: Received) -> None:
         event = received.message
-        if isinstance(event, SessionEvent) and event.kind in ("ack", "refused"):
+        if isinstance(event, SessionEvent) and event.kind == "ack":
             for press, answered in self._presses:
                 if event.id == press.id:
                     answered.add(event.src)
@@ -185,10 +192,13 @@ class StopNode(Node):
                 kept = self._keep(press) if missing else []
                 self._note("pressed", id=press.id, missing=missing, kept=kept)
             else:
-                self.publish("session/control", id=press.id, command="estop", target=press.target, parameters={})
+                self._send(press)
 
     def make_safe(self) -> None:
         """Do nothing: it moves no device."""
+
+    def _send(self, press: _Press) -> None:
+        self.publish("session/control", id=press.id, command="estop", target=press.target, parameters={})
 
     def _keep(self, press: _Press) -> list[str]:
         """Keep a stop for the devices of this site, and at the link for that of the other; return what has it."""
@@ -218,7 +228,7 @@ class FaultyRig(SimulatedRig):
         self._doomed: dict[str, int] = {}
         self._faults: dict[str, tuple[str, float]] = {}
         self._fate: tuple[bytes, list[Any]] = (b"", [])
-        self._gone: dict[str, float] = {}
+        self._newest_turn, self._repeats = ("", 0), 0
         disk = FaultyDisk(lambda: self.now_s, self._stall_recorder)
         super().__init__(plan, schedule.seed, disk=disk, far=True)
         self.faulty_disk = disk
@@ -293,7 +303,10 @@ class FaultyRig(SimulatedRig):
         for event in sorted(self.schedule.events, key=lambda one: one["at_s"]):
             yield event["at_s"], lambda event=event: self._happen(event)  # type: ignore[misc]
         calm_s = self.schedule.calm_s
-        yield calm_s, lambda: self.people["console@master"].give((ARM_HAND, PLACE_TIP, START), "recover")
+        # A force profile goes on, unless it was stopped, or its process was.
+        stopped = any(one["kind"] == "stop" or one.get("node") == HAND for one in self.schedule.events)
+        again = (ARM_HAND, PLACE_TIP, *([START] if stopped else []))
+        yield calm_s, lambda: self.people["console@master"].give(again, "recover")
         yield calm_s + RECOVERY_S, lambda: self.note("recovered")
 
     def _happen(self, event: Event) -> None:
@@ -402,6 +415,11 @@ class FaultyRig(SimulatedRig):
         return super().start(key, takes_ns, **options)
 
     def turn(self, key: str, loop: NodeLoop) -> None:
+        place = (key, self.clock.monotonic_ns())
+        self._repeats = self._repeats + 1 if place == self._newest_turn else 0
+        self._newest_turn = place
+        if self._repeats > _MOST_TURNS:
+            raise StandsStillError(f"{key} takes turn after turn at {self.now_s:.3f} s")
         try:
             super().turn(key, loop)
         except Killed:

@@ -118,9 +118,7 @@ class Session:
         steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
         known = [delay for begun, delay in steps if begun <= at_s - KNOWN_S][-1:]
         late = [delay for begun, delay in steps if at_s - KNOWN_S < begun <= at_s]
-        line = [one["jitter_s"] + 0.035 for one in self.events("line") if one["at_s"] <= at_s]
-        queue = [1.0 for one in self.events("narrow") if one["at_s"] <= at_s <= one["at_s"] + one["for_s"] + KNOWN_S]
-        return max([*known, *late]) + max([*line, *queue, 0.0])
+        return float(max([*known, *late]))
 
     def link_s(self, at_s: float) -> float:
         """Return the greatest delay that the link may have added until then."""
@@ -140,7 +138,7 @@ def _records(path: Path) -> Iterator[Any]:
             yield from StreamReader(stream).records
         except (McapError, EOFError, OSError, ValueError, RuntimeError):
             return
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             # A cut chunk ends in errors of the library that unpacks it.
             if "zstd" not in type(error).__module__.lower() and type(error).__name__ != "error":
                 raise
@@ -178,9 +176,11 @@ def judge_tip(session: Session) -> Iterator[Break]:
     armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
     lost = session.missing("controller@slave", "afm/command")
     hands, lost_hands = Newest(session.direct[HAND, "haptic/state"]), session.missing(HAND, "haptic/state")
-    off_since = _off_since(session)
+    off_since, follows_s = _off_since(session), 0.0
     for before, state in zip(states, states[1:], strict=False):
         at_s, mode = state.sent_s, state.fields["mode"]
+        if mode == "follow" != before.fields["mode"]:
+            follows_s = at_s
         if mode not in ("follow", "hold") or not _is_known(lost, at_s - 0.4, at_s):
             continue
         newest = armed.at(at_s)
@@ -201,7 +201,7 @@ def judge_tip(session: Session) -> Iterator[Break]:
             yield Break("nothing_late", at_s, text)
         trip_s = 2 * session.link_s(at_s) + session.transit_s("forward", at_s) + session.transit_s("backward", at_s)
         hand = hands.at(at_s)
-        unfelt_s = at_s - off_since.get(hand.fields["t_ns"], at_s) if hand is not None else 0.0
+        unfelt_s = at_s - max(off_since.get(hand.fields["t_ns"], at_s), follows_s) if hand is not None else 0.0
         if unfelt_s > UNFELT_S + trip_s and _is_known(lost_hands, at_s - unfelt_s, at_s):
             yield Break("felt_hand", at_s, f"the tip follows a hand that has felt nothing for {unfelt_s:.2f} s")
 
@@ -243,13 +243,19 @@ def judge_stops(session: Session) -> Iterator[Break]:
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
         pressed_s: float | None = None
+        suspect: Break | None = None
         for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
             said = one.fields
+            if suspect is not None and one.sent_s > suspect.at_s + 0.005:
+                yield suspect
+                suspect, pressed_s = None, None
             if one.topic == topic:
                 moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
-                if pressed_s is not None and moves and one.sent_s > pressed_s:
-                    yield Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after an emergency stop")
-                    pressed_s = None
+                if pressed_s is not None and moves and suspect is None:
+                    # The answer to an arming follows the state that it has changed.
+                    suspect = Break(
+                        "stop_is_last", one.sent_s, f"{device} is in {said['mode']} after an emergency stop"
+                    )
             elif said["kind"] == "ack" and said["data"].get("command") == "estop":
                 acks.add((said["id"], device))
                 press = presses.get(said["id"])
@@ -259,9 +265,10 @@ def judge_stops(session: Session) -> Iterator[Break]:
                 if pressed_s is not None and given_s.get(sender, 0.0) < pressed_s:
                     text = f"{device} is armed by a command of {given_s.get(sender, 0.0):.2f} s"
                     yield Break("stop_is_last", one.sent_s, f"{text}, before the stop of {pressed_s:.2f} s")
-                pressed_s = None
+                pressed_s = suspect = None
                 if device == TIP and places.get(sender) == "arm":
                     yield from _judge_arming(session, one)
+    yield from _judge_window(session)
     kept = session.history["kept"]
     for act in session.acts:
         if act["what"] != "press" or act["at_s"] > session.end_s - PATIENCE_S - 1.0:
@@ -272,6 +279,23 @@ def judge_stops(session: Session) -> Iterator[Break]:
             keepers = (device, LINK) if device == TIP else (device,)
             if not answered and not any(keeper in kept for keeper in keepers):
                 yield Break("stop_kept", act["at_s"], f"the stop for {device} was neither answered nor kept")
+
+
+def _judge_window(session: Session) -> Iterator[Break]:
+    """Judge whether a sample of the hand has crossed after a stop for the tip, and before the tip has obeyed it."""
+    obeyed = {
+        one.fields["id"]: one.sent_s for one in session.direct[TIP, "session/event"] if one.fields["kind"] == "ack"
+    }
+    samples = [one for one in session.seen if one.channel == "teleop/forward@slave"]
+    for act in session.acts:
+        if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:
+            continue
+        until_s = min(obeyed.get(act["id"], session.end_s), session.end_s)
+        for one in samples:
+            if act["at_s"] + GRAIN_S < one.sent_s < until_s:
+                text = f"a sample sent {one.sent_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
+                yield Break("stop_is_last", one.sent_s, text)
+                break
 
 
 def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
@@ -299,12 +323,16 @@ def judge_recordings(session: Session) -> Iterator[Break]:
             if not corrupt:
                 yield Break("delivered_was_sent", one.sent_s, f"a message was refused: {one.fields['text'][:100]}")
         elif not one.whole and one.via == "direct":
-            yield Break("recorded_as_sent", one.sent_s, f"{one.channel} of {one.fields.get('src')} is not as it was sent")
+            yield Break(
+                "recorded_as_sent", one.sent_s, f"{one.channel} of {one.fields.get('src')} is not as it was sent"
+            )
         elif not one.whole:
             yield Break("delivered_was_sent", one.sent_s, f"{one.channel} of {one.fields.get('src')} was not sent so")
     unsaid, lost = [], 0
     for (src, topic), seen in session.direct.items():
         if src.partition("@")[0] in VISITORS or topic.startswith("recorder/"):
+            continue
+        if not seen:
             continue
         have = {(one.fields["seq"], one.fields["t_ns"]) for one in seen}
         gaps = said.get((src, topic), [])
@@ -318,9 +346,9 @@ def judge_recordings(session: Session) -> Iterator[Break]:
             lost += 1
             if not any(gap["first_missing"] <= seq <= gap["last_missing"] for gap in gaps):
                 unsaid.append((sent_s, src, topic))
-    if not session.verdict:
+    if not session.verdict or session.verdict.get("failure"):
         return
-    told = session.verdict["missing"]
+    told = [*session.verdict["missing"], *session.history["missing"]]
     if unsaid and not told:
         at_s, src, topic = min(unsaid)
         text = f"{len(unsaid)} messages are missing and nothing says so, the first {topic} of {src}"
@@ -351,7 +379,7 @@ def judge_counters(session: Session) -> Iterator[Break]:
             topic = key.removeprefix("sent.")
             if not key.startswith("sent.") or (src, topic) not in session.sent:
                 continue
-            last = [number for sent_s, number, _ in session.sent[src, topic] if sent_s <= one.sent_s][-1:]
+            last = [number for sent_s, number, _ in session.sent[src, topic] if sent_s <= one.sent_s + 0.001][-1:]
             if last and count != last[0] + 1 and topic != "session/event":
                 yield Break("counters_agree", one.sent_s, f"{src} says {count} on {topic}, and {last[0] + 1} were sent")
 
@@ -381,13 +409,19 @@ def judge_verdict(session: Session) -> Iterator[Break]:
 
 def judge_energy(session: Session) -> Iterator[Break]:
     """Through wave variables no energy comes out of both ports that has not entered."""
-    restarts = [one for one in session.acts if one["what"] == "killed" and "controller" in one["node"]]
-    if session.schedule["law"] != "wave" or session.events("law") or restarts:
+    if session.schedule["law"] != "wave":
         return
+    follows = [one.sent_s for one in session.direct[TIP, "afm/state"] if one.fields["mode"] == "follow"]
+    # What a guard or a device moves is not the motion of the law: the first stretch in which nothing intervenes counts.
+    events = [one["at_s"] for one in session.events("law", "device", "kill", "site_restart", "stall")]
+    first_s = follows[0] if follows else 0.0
+    opened = [one.sent_s for one in session.direct[TIP, "afm/state"] if one.fields["mode"] != "follow"]
+    opened += [one.sent_s for one in session.direct[HAND, "haptic/state"] if one.fields["mode"] == "off"]
+    end_s = min([one for one in [*opened, *events] if one > first_s + UNFELT_S], default=session.end_s)
     masters = Newest(session.direct["controller@master", "law/status"])
     for one in session.direct["controller@slave", "law/status"]:
         near = masters.at(one.sent_s)
-        if near is None or one.sent_s - near.sent_s > 0.1:
+        if near is None or one.sent_s - near.sent_s > 0.1 or not first_s < one.sent_s < end_s:
             continue
         sum_j = near.fields["port_energy_j"] + one.fields["port_energy_j"]
         power_w = abs(near.fields["port_power_w"]) + abs(one.fields["port_power_w"])
@@ -398,6 +432,13 @@ def judge_energy(session: Session) -> Iterator[Break]:
 
 def judge_going_on(session: Session) -> Iterator[Break]:
     """A rig that can go on goes on: after the last fault a person arms it, and hand and tip follow."""
+    ran = any(
+        "the session is running" in one.fields["text"] for one in session.direct["launcher@master", "session/event"]
+    )
+    stops = session.events("press", "kill", "site_restart", "device", "arm")
+    if session.history["failure"] and not ran and any(one["at_s"] < session.end_s for one in stops):
+        # A stop, or the end of a device, makes the arming void with which a session begins: a person begins it again.
+        return
     if session.history["failure"]:
         yield Break("goes_on", session.end_s, f"the rig has ended: {session.history['failure'][:300]}")
         return
