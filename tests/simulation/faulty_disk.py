@@ -1,4 +1,4 @@
-"""Disks of the two recorders in memory, which can be full, slow, without their folder, or cut in the middle of a write."""
+"""Disks of the two recorders in memory: they can be full, slow, without their folder, or cut in a write."""
 
 import errno
 import io

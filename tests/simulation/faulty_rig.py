@@ -86,7 +86,7 @@ class MachineClock:
         """Return a time of this monotonic clock on that of the rig [ns], rounded up."""
         if self._rate == 1.0 or time_ns >= NEVER_NS:
             return time_ns
-        return self._begun_ns + int(-(-(time_ns - self._begun_ns) // self._rate))
+        return self._begun_ns + int(-(-(time_ns - self._begun_ns) // self._rate)) + 1
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -431,10 +431,10 @@ class FaultyRig(SimulatedRig):
         super().end(key)
 
     def _due_ns(self, key: str) -> int:
-        clock = self._machines.get(site_of(key))
-        if clock is None or name_of(key) == name_of(LINK):
-            return super()._due_ns(key)
         loop = self.loops[key]
+        clock = loop.node.context.clock
+        if not isinstance(clock, MachineClock):
+            return super()._due_ns(key)
         own_ns = clock.on_rig_ns(min(loop.node.deadline_ns(), loop.health_due_ns))
         arrives_ns = self.buses[key].next_ns()
         return max(min(own_ns, arrives_ns) + self._late_ns[key], self._stalled_until_ns[key])

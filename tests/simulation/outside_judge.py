@@ -12,6 +12,7 @@ import sys
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -177,7 +178,7 @@ def judge_tip(session: Session) -> Iterator[Break]:
     lost = session.missing("controller@slave", "afm/command")
     hands, lost_hands = Newest(session.direct[HAND, "haptic/state"]), session.missing(HAND, "haptic/state")
     off_since, follows_s = _off_since(session), 0.0
-    for before, state in zip(states, states[1:], strict=False):
+    for before, state in pairwise(states):
         at_s, mode = state.sent_s, state.fields["mode"]
         if mode == "follow" != before.fields["mode"]:
             follows_s = at_s
@@ -283,9 +284,8 @@ def judge_stops(session: Session) -> Iterator[Break]:
 
 def _judge_window(session: Session) -> Iterator[Break]:
     """Judge whether a sample of the hand has crossed after a stop for the tip, and before the tip has obeyed it."""
-    obeyed = {
-        one.fields["id"]: one.sent_s for one in session.direct[TIP, "session/event"] if one.fields["kind"] == "ack"
-    }
+    answers = [one for one in session.direct[TIP, "session/event"] if one.fields["kind"] == "ack"]
+    obeyed = {one.fields["id"]: one.sent_s for one in reversed(answers)}
     samples = [one for one in session.seen if one.channel == "teleop/forward@slave"]
     for act in session.acts:
         if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:

@@ -4,6 +4,7 @@ A situation that a night never reaches is a fault of the generator.
 """
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 from outside_judge import HAND, LINK, TIP, Fields, Newest, Seen, Session
 
@@ -27,7 +28,7 @@ def _down(session: Session, node: str) -> list[Stretch]:
 def _silent(session: Session, device: str, least_s: float) -> list[Stretch]:
     """Return when a device sent nothing for longer than a time [s], by the stamps of its states."""
     times = [one.sent_s for one in _states(session, device)]
-    return [pair for pair in zip(times, times[1:], strict=False) if pair[1] - pair[0] > least_s]
+    return [pair for pair in pairwise(times) if pair[1] - pair[0] > least_s]
 
 
 def _acks(session: Session, device: str, command: str) -> list[float]:
@@ -52,13 +53,13 @@ def _holds(session: Session) -> list[Stretch]:
         presses = 0.8 <= one.fields["session_s"] <= 3.7 or 4.1 <= one.fields["session_s"] <= 7.6
         if presses and one.fields["mode"] != "off" and tip is not None and tip.fields["mode"] == "follow":
             inside.append(one.sent_s)
-    return [pair for pair in zip(inside, inside[1:], strict=False) if pair[1] - pair[0] < 0.1]
+    return [pair for pair in pairwise(inside) if pair[1] - pair[0] < 0.1]
 
 
 def _changes(session: Session, device: str, *modes: str) -> list[float]:
     """Return when a device went from one mode to another [s]."""
     states = _states(session, device)
-    pairs = zip(states, states[1:], strict=False)
+    pairs = pairwise(states)
     return [after.sent_s for before, after in pairs if (before.fields["mode"], after.fields["mode"]) == modes]
 
 
@@ -70,7 +71,7 @@ def _partitions(session: Session) -> list[Stretch]:
         arrived = sorted(one.sent_s for one in session.seen if one.channel == f"{topic}@{site}")
         sent = [at_s for at_s, _, _ in session.sent[sender, topic]]
         newest = Newest([one for one in session.seen if one.channel == topic])
-        for begin, end in zip(arrived, arrived[1:], strict=False):
+        for begin, end in pairwise(arrived):
             if end - begin > 0.03 and len(newest.between(begin, end)) > 5 and sent:
                 stretches.append((begin, end))
     return stretches
@@ -97,21 +98,21 @@ def _voids(session: Session) -> bool:
 
 def _two_at_once(session: Session) -> bool:
     given = [(act["at_s"], act["console"]) for act in session.acts if act["what"] == "command"]
-    return any(b[0] - a[0] < 0.1 and a[1] != b[1] for a, b in zip(given, given[1:], strict=False))
+    return any(b[0] - a[0] < 0.1 and a[1] != b[1] for a, b in pairwise(given))
 
 
 def _jumps(session: Session) -> Iterator[float]:
     """Yield when the age of the hand's sample that the tip obeys changed by more than 8 ms in a step [s]."""
     states = [one for one in _states(session, TIP) if one.fields["mode"] == "follow"]
     ages = [(one.sent_s, one.sent_s - (one.fields["hand_t_ns"] - session.epoch_ns) * 1e-9) for one in states]
-    for before, after in zip(ages, ages[1:], strict=False):
+    for before, after in pairwise(ages):
         if abs(after[1] - before[1]) > 0.008 and after[0] - before[0] < 0.02:
             yield after[0]
 
 
 def _clock_stepped(session: Session) -> bool:
     clocks = [one.fields["clock"] for one in session.direct[LINK, "link/status"] if one.fields["clock"]["valid"]]
-    return any(abs(a["offset_s"] - b["offset_s"]) > 0.1 for a, b in zip(clocks, clocks[1:], strict=False))
+    return any(abs(a["offset_s"] - b["offset_s"]) > 0.1 for a, b in pairwise(clocks))
 
 
 SITUATIONS: dict[str, Callable[[Session], bool]] = {
@@ -143,7 +144,7 @@ SITUATIONS: dict[str, Callable[[Session], bool]] = {
     ),
     "an instrument lost while it followed": lambda s: any(
         before.fields["mode"] == "follow" and after.fields.get("device") == "lost"
-        for before, after in zip(_states(s, TIP), _states(s, TIP)[1:], strict=False)
+        for before, after in pairwise(_states(s, TIP))
     ),
     "an arming that a stop made void": _voids,
     "two persons who commanded within a tenth of a second": _two_at_once,
