@@ -167,6 +167,16 @@ def _restart(dice: random.Random, at_s: float) -> list[Event]:
     return [{"at_s": at_s, "kind": "site_restart", "ahead_s": dice.choice([0.0, 0.5, -30.0, 3600.0])}]
 
 
+def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop at the instrument, an arming of what is withdrawn, and another stop while that is on its way."""
+    at_s = min(at_s, 2.5)
+    arm_s = round(at_s + dice.choice([0.8, 1.6]), 3)
+    press = {"kind": "press", "site": "slave", "target": "afm_node"}
+    arm = {"at_s": arm_s, "kind": "arm", "target": dice.choice(["tip", "both"]), "place": False}
+    later_s = round(arm_s + dice.choice([0.0005, 0.002, 0.005, 0.02, 0.05]), 4)
+    return [{"at_s": at_s, **press}, arm, {"at_s": later_s, **press}]
+
+
 def _press(dice: random.Random, at_s: float) -> Event:
     site = dice.choice(["master", "master", "slave"])
     target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
@@ -196,6 +206,7 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "disk": (1.0, _disk),
     "device": (1.0, _device),
     "restart": (0.4, _restart),
+    "stopped again": (1.0, _stopped_again),
 }
 KINDS = frozenset(
     {
