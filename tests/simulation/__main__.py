@@ -20,7 +20,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import campaign
 from fault_schedule import Schedule
-from outside_judge import INVARIANTS
 from planted import PLANTED, Fault
 from reached import SITUATIONS
 from shrunk import shrunk
@@ -73,7 +72,7 @@ def _campaign(seed: int, hours: float, out: Path) -> int:
 
     tally = campaign.campaign(seed, hours, observe)
     print(f"\n{campaign.speed(tally)}\n")
-    _print_table("invariant", INVARIANTS, tally.broken(), len(tally.schedules), "broken in")
+    _print_table("invariant", campaign.INVARIANTS, tally.broken(), len(tally.schedules), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally.reached(), len(tally.schedules), "reached in")
     seen = set()
     for one in failures:

@@ -28,6 +28,13 @@ from telenano.wire.errors import TelenanoError
 REPORTED = 0.5
 
 
+# Each is a sentence of docs/reliability.md, which the judge may find broken.
+INVARIANTS = (
+    "nothing_late", "stop_is_last", "safe_in_time", "felt_hand", "recorded_as_sent", "law_not_blamed",
+    "praised_was_held", "energy_granted", "delivered_was_sent", "counters_agree", "stop_kept", "goes_on",
+)  # fmt: skip
+
+
 class Tried(NamedTuple):
     """What became of a schedule: what it broke, which situations were reached, how long it was and took [s]."""
 

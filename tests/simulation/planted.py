@@ -187,7 +187,7 @@ PLANTED: dict[str, Fault] = {
     ),
     "the age of the hand": _fault(
         "the age of the hand's sample behind a command is not looked at",
-        "nothing_late felt_hand",
+        "nothing_late safe_in_time felt_hand",
         _instead(Freshness, "age_s", lambda _: lambda self, now_ns, hand_t_ns, message_age_s=0.0: message_age_s),
         events=[_at(0.95, "narrow", direction="forward", bytes_per_s=20e3, for_s=0.8)],
     ),
