@@ -35,6 +35,12 @@ INVARIANTS = (
 )  # fmt: skip
 
 
+# What is known to be open is counted and told, and fails no test, until it is mended.
+KNOWN = {
+    "law_not_blamed": "a single disturbance late in a hold can be judged as motion that grows (docs/reliability.md)",
+}
+
+
 class Tried(NamedTuple):
     """What became of a schedule: what it broke, which situations were reached, how long it was and took [s]."""
 
