@@ -71,27 +71,31 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
             text = f"the launcher has failed: {type(error).__name__}: {error}"
             found = (Break("goes_on", 0.0, text),)
             return Tried(schedule, found, frozenset(), 0.0, time.process_time() - begun_s, reported=False)
-        if reports:
-            report(folder)
+        report(folder, is_made=reports)
         session = outside_judge.Session(folder)
         breaks = outside_judge.judged(session)
         situations = reached.situations(session)
     return Tried(schedule, tuple(breaks), situations, session.end_s, time.process_time() - begun_s, reports)
 
 
-def report(folder: Path) -> None:
-    """Write what the report says of a session beside its files."""
-    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": ""}
-    try:
-        parts = sorted((folder / "far").glob("*.mcap"))
-        files = SessionFolder(folder)
-        files.note_far([path.name for path in parts])
-        summary = RecordedSession([files.merge(parts)] if parts else list(files.own()[0])).summary
-        said |= {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
-        said["missing"] = summary["recording"]["missing"]
-    except TelenanoError as error:
-        said["failure"] = str(error)
+def report(folder: Path, *, is_made: bool = True) -> None:
+    """Write beside the files of a session what its report says; where none is made, that."""
+    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": "no report was made"}
+    if is_made:
+        try:
+            said |= {**_report_of(folder), "failure": ""}
+        except TelenanoError as error:
+            said["failure"] = str(error)
     (folder / "verdict.json").write_text(json.dumps(said), encoding="utf-8")
+
+
+def _report_of(folder: Path) -> dict[str, Any]:
+    parts = sorted((folder / "far").glob("*.mcap"))
+    files = SessionFolder(folder)
+    files.note_far([path.name for path in parts])
+    summary = RecordedSession([files.merge(parts)] if parts else list(files.own()[0])).summary
+    said = {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
+    return {**said, "missing": summary["recording"]["missing"]}
 
 
 class Tally(NamedTuple):

@@ -6,13 +6,15 @@ It reads the recordings of both sites, the schedule, the history of what was don
 was sent, and what the report said of the session (`verdict.json`). Times are those of the rig since its start [s].
 """
 
+import contextlib
+import io
 import json
 import struct
 import sys
 import zlib
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,8 +34,6 @@ GRAIN_S = 0.0115
 UNFELT_S = 0.5
 # A line that has become longer or shorter is known after this time [s].
 KNOWN_S = 3.0
-# A way that is shorter is none [m].
-LEAST_M = 0.5e-9
 # A person who presses a stop waits for so long [s].
 PATIENCE_S = 6.2
 VISITORS = ("launcher", "console", "view", "estop", "recorder")
@@ -50,6 +50,10 @@ class Seen(NamedTuple):
     sent_s: float
     whole: bool
 
+    @property
+    def depth_m(self) -> float:
+        return -float(self.fields["base_position_m"][2])
+
 
 class Break(NamedTuple):
     """An invariant that is broken: its name, when [s], and how."""
@@ -65,8 +69,7 @@ class Session:
     def __init__(self, folder: Path) -> None:
         self.schedule: Fields = json.loads((folder / "schedule.json").read_text())
         self.history: Fields = json.loads((folder / "history.json").read_text())
-        verdict = folder / "verdict.json"
-        self.verdict: Fields = json.loads(verdict.read_text()) if verdict.exists() else {}
+        self.verdict: Fields = json.loads((folder / "verdict.json").read_text())
         self.acts: list[Fields] = [{**act, "at_s": act["t_ns"] * 1e-9} for act in self.history["acts"]]
         self.epoch_ns: int = self.history["epoch_ns"]
         # by publisher, topic, number and stamp when each message was sent, and its checksum; and by publisher and topic
@@ -79,19 +82,22 @@ class Session:
         self.statistics: list[tuple[str, int, int]] = []
         for site, place in (("master", folder), ("slave", folder / "far")):
             for path in sorted(place.glob("session*.mcap")):
-                self._read(site, path)
+                # A file that was cut is read up to there.
+                with contextlib.suppress(McapError, EOFError, ValueError, ZstdError, struct.error):
+                    self._read(site, path)
         self.direct: dict[tuple[str, str], list[Seen]] = defaultdict(list)
-        for one in self.seen:
+        for one in sorted(self.seen, key=lambda one: one.sent_s):
             if one.via == "direct":
                 self.direct[one.fields.get("src", ""), one.topic].append(one)
-        for states in self.direct.values():
-            states.sort(key=lambda one: one.sent_s)
-        self.end_s = next((act["at_s"] for act in self.acts if act["what"] == "end"), 0.0)
+        self.happened: dict[str, list[Fields]] = defaultdict(list)
+        for act in [act for act in self.acts if act["what"] == "event"]:
+            self.happened[act["event"]["kind"]].append({**act["event"], "at_s": act["at_s"]})
+        self.end_s: float = next(act["at_s"] for act in self.acts if act["what"] == "end")
+        self.laws = {self.schedule["law"], *(one["law"] for one in self.events("law"))}
 
     def _read(self, site: str, path: Path) -> None:
-        channels: dict[int, Channel] = {}
-        count = 0
-        for record in _records(path):
+        channels, count = dict[int, Channel](), 0
+        for record in StreamReader(io.BytesIO(path.read_bytes())).records:
             if isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Statistics):
@@ -105,8 +111,7 @@ class Session:
                 self.seen.append(Seen(channel.topic, topic, via, fields, sent_s, crc == zlib.crc32(record.data)))
 
     def events(self, *kinds: str) -> list[Fields]:
-        acts = [act for act in self.acts if act["what"] == "event" and act["event"]["kind"] in kinds]
-        return [{**act["event"], "at_s": act["at_s"]} for act in acts]
+        return [event for kind in kinds for event in self.happened[kind]]
 
     def transit_s(self, way: str, at_s: float) -> float:
         steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
@@ -117,24 +122,12 @@ class Session:
     def link_s(self, at_s: float) -> float:
         return float(max([self.schedule["link_s"], *(e["delay_s"] for e in self.events("link") if e["at_s"] <= at_s)]))
 
-    @property
-    def laws(self) -> set[str]:
-        return {self.schedule["law"], *(one["law"] for one in self.events("law"))}
-
     def trip_s(self, at_s: float) -> float:
         return 2 * self.link_s(at_s) + self.transit_s("forward", at_s) + self.transit_s("backward", at_s)
 
     def missing(self, src: str, topic: str) -> list[float]:
         have = {(one.fields["seq"], one.fields["t_ns"]) for one in self.direct[src, topic]}
         return [sent_s for sent_s, seq, t_ns in self.sent[src, topic] if (seq, t_ns) not in have]
-
-
-def _records(path: Path) -> Iterator[Any]:
-    with path.open("rb") as stream:
-        try:
-            yield from StreamReader(stream).records
-        except (McapError, EOFError, ValueError, ZstdError, struct.error):
-            return
 
 
 class Newest:
@@ -161,10 +154,6 @@ def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
     return bisect_left(missing_s, from_s) == bisect_right(missing_s, to_s)
 
 
-def _depth_m(state: Fields) -> float:
-    return -float(state["base_position_m"][2])
-
-
 def judge_tip(session: Session) -> Iterator[Break]:
     """No command past its deadline moves the tip; it is held and withdrawn in time; it follows a hand that feels."""
     states = session.direct[TIP, "afm/state"]
@@ -172,10 +161,8 @@ def judge_tip(session: Session) -> Iterator[Break]:
     armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
     lost = session.missing("controller@slave", "afm/command")
     lost_hands = session.missing(HAND, "haptic/state")
-    drives, follows_s = (
-        Newest([one for one in session.direct[HAND, "haptic/state"] if one.fields["mode"] != "off"]),
-        0.0,
-    )
+    hands = session.direct[HAND, "haptic/state"]
+    drives, follows_s = Newest([one for one in hands if one.fields["mode"] != "off"]), 0.0
     for before, state in pairwise(states):
         at_s, mode = state.sent_s, state.fields["mode"]
         if mode == "follow" != before.fields["mode"]:
@@ -183,10 +170,8 @@ def judge_tip(session: Session) -> Iterator[Break]:
         if mode not in ("follow", "hold") or not _is_known(lost, at_s - 0.4, at_s):
             continue
         newest, age_s = armed.at(at_s), at_s - armed.time_of(at_s)
-        if mode == "follow" and age_s > DEADLINE_S + GRAIN_S:
-            yield Break("safe_in_time", at_s, f"the tip follows {age_s * 1e3:.0f} ms after the last command")
-        if mode == "hold" and age_s > DEADLINE_S + HOLD_S + GRAIN_S:
-            yield Break("safe_in_time", at_s, f"the tip is held {age_s * 1e3:.0f} ms after the last command")
+        if age_s > DEADLINE_S + GRAIN_S + HOLD_S * (mode == "hold"):
+            yield Break("safe_in_time", at_s, f"the tip is in {mode} {age_s * 1e3:.0f} ms after the last command")
         if mode != "follow" or before.fields["mode"] != "follow" or at_s - before.sent_s > 0.1 or newest is None:
             continue
         if state.fields.get("device") == before.fields.get("device") == "lost":
@@ -194,7 +179,7 @@ def judge_tip(session: Session) -> Iterator[Break]:
         hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
         allowed_s = DEADLINE_S + GRAIN_S + session.link_s(at_s) + session.transit_s("forward", at_s)
         if at_s - hand_s > allowed_s:
-            moves = _depth_m(state.fields) - _depth_m(before.fields) > 1e-12
+            moves = state.depth_m - before.depth_m > 1e-12
             text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
             yield Break("nothing_late" if moves else "safe_in_time", at_s, f"the tip follows {text}")
         unfelt_s = at_s - max(drives.time_of(at_s), follows_s)
@@ -225,8 +210,7 @@ def judge_stops(session: Session) -> Iterator[Break]:
     acks: set[tuple[str, str]] = set()
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
-        pressed_s: float | None = None
-        suspect: Break | None = None
+        pressed_s, suspect = None, None
         for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
             said = one.fields
             if suspect is not None and one.sent_s > suspect.at_s + 0.005:
@@ -236,8 +220,7 @@ def judge_stops(session: Session) -> Iterator[Break]:
                 moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
                 if pressed_s is not None and moves and suspect is None:
                     # The answer to an arming follows the state that it has changed.
-                    text = f"{device} is in {said['mode']} after an emergency stop"
-                    suspect = Break("stop_is_last", one.sent_s, text)
+                    suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after a stop")
             elif said["kind"] == "ack" and said["data"].get("command") == "estop":
                 acks.add((said["id"], device))
                 press = presses.get(said["id"])
@@ -267,36 +250,33 @@ def _judge_window(session: Session) -> Iterator[Break]:
         if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:
             continue
         until_s = min(obeyed.get(act["id"], session.end_s), session.end_s)
-        for one in samples:
-            if act["at_s"] + GRAIN_S < one.sent_s < until_s:
-                text = f"a sample sent {one.sent_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
-                yield Break("stop_is_last", one.sent_s, text)
-                break
+        for late_s in [one.sent_s for one in samples if act["at_s"] + GRAIN_S < one.sent_s < until_s][:1]:
+            text = f"a sample sent {late_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
+            yield Break("stop_is_last", late_s, text)
 
 
 def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
     at_s = ack.sent_s
     states = Newest(session.direct[TIP, "afm/state"]).between(at_s - 0.02, at_s + 0.3)
     commands = Newest(session.direct["controller@slave", "afm/command"]).between(at_s - 0.15, at_s + 0.3)
-    references = [_depth_m(one.fields) for one in commands]
+    references = [one.depth_m for one in commands]
     if len(states) < 2 or any(one.get("name") == "recover" and abs(one["at_s"] - at_s) < 0.3 for one in session.acts):
         return
-    moved_m = max(_depth_m(one.fields) for one in states) - _depth_m(states[0].fields)
-    if moved_m > max(references, default=0.0) - min(references, default=0.0) + LEAST_M:
+    moved_m = max(one.depth_m for one in states) - states[0].depth_m
+    if moved_m > max(references, default=0.0) - min(references, default=0.0) + 0.5e-9:
         yield Break("stop_is_last", at_s, f"arming has moved the tip by {1e9 * moved_m:.1f} nm towards the sample")
 
 
 def judge_recordings(session: Session) -> Iterator[Break]:
     """Nothing recorded is altered, what is lost is said, silence is no loss, and what was delivered was sent."""
-    corrupt = any(one["corrupt"] > 0 for one in session.events("line"))
+    corrupt = any(one["corrupt"] for one in session.events("line"))
     said: dict[tuple[str, str], list[Fields]] = defaultdict(list)
     for one in session.seen:
         if one.topic == "recorder/gap":
             said[one.fields["src"], one.fields["channel_topic"]].append(one.fields)
-        elif one.topic == "recorder/rejected":
-            if not corrupt:
-                yield Break("delivered_was_sent", one.sent_s, f"a message was refused: {one.fields['text'][:100]}")
-        elif not one.whole:
+        elif one.topic == "recorder/rejected" and not corrupt:
+            yield Break("delivered_was_sent", one.sent_s, f"a message was refused: {one.fields['text'][:100]}")
+        elif not one.whole and one.topic != "recorder/rejected":
             name = "recorded_as_sent" if one.via == "direct" else "delivered_was_sent"
             yield Break(name, one.sent_s, f"{one.channel} of {one.fields.get('src')} is not as it was sent")
     unsaid, lost = [], 0
@@ -314,9 +294,9 @@ def judge_recordings(session: Session) -> Iterator[Break]:
             lost += 1
             if not any(gap["first_missing"] <= seq <= gap["last_missing"] for gap in gaps):
                 unsaid.append((sent_s, src, topic))
-    if not session.verdict or session.verdict.get("failure"):
-        return
     told = [*session.verdict["missing"], *session.history["missing"]]
+    if session.verdict["failure"]:
+        return
     if unsaid and not told:
         at_s, src, topic = min(unsaid)
         text = f"{len(unsaid)} messages are missing and nothing says so, the first {topic} of {src}"
@@ -349,19 +329,17 @@ def judge_counters(session: Session) -> Iterator[Break]:
 
 def judge_verdict(session: Session) -> Iterator[Break]:
     """A verdict blames no law for what the schedule did, and a hold that is praised was held."""
-    if session.verdict.get("kind") in ("limit_cycle", "diverged") and session.laws == {"wave"}:
+    if session.verdict["kind"] in ("limit_cycle", "diverged") and session.laws == {"wave"}:
         yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
-    hands = session.direct[HAND, "haptic/state"]
-    tips = Newest(session.direct[TIP, "afm/state"])
+    hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
     lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
-    for hold in session.verdict.get("holds", ()):
+    for hold in session.verdict["holds"]:
         inside = [one for one in hands if hold["start_s"] <= one.fields["session_s"] <= hold["end_s"]]
         if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
             continue
-        length_s = hold["end_s"] - hold["start_s"]
         held_s = 0.004 * sum(one.fields["mode"] != "off" and tips.mode(one.sent_s) == "follow" for one in inside)
-        if held_s < 0.4 * length_s:
-            text = f"the hold of {length_s:.2f} s is stable, and hand and tip were in it for {held_s:.2f} s"
+        if held_s < 0.4 * (hold["end_s"] - hold["start_s"]):
+            text = f"the hold from {hold['start_s']:.2f} s is stable, and hand and tip were in it for {held_s:.2f} s"
             yield Break("praised_was_held", inside[0].sent_s, text)
 
 
@@ -384,7 +362,6 @@ def judge_energy(session: Session) -> Iterator[Break]:
         power_w = abs(near.fields["port_power_w"]) + abs(one.fields["port_power_w"])
         if sum_j < -1e-6 - 0.02 * power_w:
             yield Break("energy_granted", one.sent_s, f"{1e6 * sum_j:.1f} uJ have come out of both ports")
-            return
 
 
 def judge_going_on(session: Session) -> Iterator[Break]:
@@ -406,18 +383,14 @@ def judge_going_on(session: Session) -> Iterator[Break]:
             yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
 
 
-JUDGES: tuple[Callable[[Session], Iterator[Break]], ...] = (
-    judge_tip, judge_hand, judge_stops, judge_recordings, judge_counters, judge_verdict, judge_energy, judge_going_on,
-)  # fmt: skip
+TIPS_AND_HANDS = judge_tip, judge_hand, judge_stops, judge_going_on
+FILES = judge_recordings, judge_counters, judge_verdict, judge_energy
 
 
 def judged(session: Session) -> list[Break]:
     """Return the first break of each invariant by the files of a session."""
-    first: dict[str, Break] = {}
-    for judge in JUDGES:
-        for found in judge(session):
-            first.setdefault(found.invariant, found)
-    return list(first.values())
+    found = [one for judge in (*TIPS_AND_HANDS, *FILES) for one in judge(session)]
+    return list({one.invariant: one for one in reversed(found)}.values())
 
 
 if __name__ == "__main__":
