@@ -25,6 +25,7 @@ from reached import SITUATIONS
 from shrunk import shrunk
 
 from telenano.analysis import wilson
+from telenano.recording.reader import Recording
 
 
 def main() -> int:
@@ -52,12 +53,15 @@ def _replay(path: Path, keep: Path | None) -> int:
     with campaign.session_folder() as scratch:
         folder = keep or scratch
         campaign.keep(schedule, folder)
-        for part in sorted([*folder.glob("session*.mcap"), *folder.glob("far/*.mcap"), folder / "ledger.msgpack"]):
-            bits.update(part.read_bytes())
+        # What a file has besides its messages tells of its folder and of the machine.
+        bits.update((folder / "ledger.msgpack").read_bytes())
+        for part in sorted([*folder.glob("session*.mcap"), *folder.glob("far/*.mcap")]):
+            for message in Recording(part).raw():
+                bits.update(b"%d %d " % (message.log_ns, message.seq) + message.payload)
         found = campaign.outside_judge.judged(campaign.outside_judge.Session(folder))
     for one in found:
         print(f"{one.invariant} at {one.at_s:.3f} s: {one.text}")
-    print(f"{len(found)} invariants are broken; sha256 of ledger and recordings: {bits.hexdigest()}")
+    print(f"{len(found)} invariants are broken; sha256 of all that was sent and recorded: {bits.hexdigest()}")
     return bool(found)
 
 
