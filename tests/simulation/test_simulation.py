@@ -84,10 +84,18 @@ def test_a_schedule_gives_the_same_bits_on_other_processors(tmp_path: Path) -> N
     assert said[0] == said[1]
 
 
-@pytest.mark.drawn(0.1)
-@pytest.mark.check("takes 4 s each")
+@pytest.mark.check("takes 6 s, for the fault of the day")
+def test_the_planted_fault_of_the_day_is_found() -> None:
+    check_found(list(PLANTED)[SEED_OF_THE_DAY // 1000 % len(PLANTED)])
+
+
+@pytest.mark.endurance
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: str) -> None:
+    check_found(name)
+
+
+def check_found(name: str) -> None:
     fault = PLANTED[name]
     assert unexpected(tried(fault.schedule)) == []
     with fault.planted():
