@@ -90,6 +90,8 @@ class Questions(msgspec.Struct, array_like=True):
             return False
         self._begin(now_ns)
         if now_ns >= self.until_ns:
+            # The series has ended before its next question, which would stay due and let the loop take turn after turn.
+            self.next_ns = self.until_ns
             return False
         self.next_ns = now_ns + _APART_NS
         return True

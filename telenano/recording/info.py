@@ -296,6 +296,11 @@ class _Lags:
         self._count += 1
 
 
+def unclosed_text(name: str, start_ns: int, end_ns: int) -> str:
+    """Return a sentence on a file that was not closed, with the times of its first and last message [ns]."""
+    return f"{name} was not closed: it ends {(end_ns - start_ns) * 1e-9:.3f} s after its start, the rest is missing"
+
+
 def notes_of(metadata: Iterable[Mapping[str, Mapping[str, str]]]) -> tuple[str, ...]:
     """Return what the recorder itself noted as missing, from the metadata of its files."""
     notes = [note for record in metadata for note in record.get(END_NAME, {}).get("note", "").split("; ") if note]

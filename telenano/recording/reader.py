@@ -15,7 +15,15 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
 from telenano.files.regular_files import open_regular
-from telenano.recording.info import END_NAME, PartInfo, RecordingInfo, RecordingStatistics, attachments_of, notes_of
+from telenano.recording.info import (
+    END_NAME,
+    PartInfo,
+    RecordingInfo,
+    RecordingStatistics,
+    attachments_of,
+    notes_of,
+    unclosed_text,
+)
 from telenano.recording.mcap_index import index_faults
 from telenano.recording.mcap_scan import (
     MAGIC,
@@ -429,10 +437,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
         if not part.closed:
-            length_s = (part.end_ns - part.start_ns) * 1e-9
-            missing.append(
-                f"{recording.path.name} was not closed: it ends {length_s:.3f} s after its start, the rest is missing"
-            )
+            missing.append(unclosed_text(recording.path.name, part.start_ns, part.end_ns))
         if counted:
             missing.append(f"{sum(each.size_bytes for each in counted)} bytes of {recording.path.name} cannot be read")
         parts.append(part)

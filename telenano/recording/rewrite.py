@@ -116,8 +116,13 @@ class CopyWriter:
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._mcap.add_metadata(name, dict(entries))
 
-    def copy_attachments_and_metadata(self, recordings: Sequence[Recording]) -> None:
-        """Copy attachments and metadata; entries of one name with different content are renamed to `STEM/NAME`."""
+    def copy_attachments_and_metadata(self, recordings: Sequence[Recording], *, but: str = "") -> None:
+        """Copy attachments and metadata; entries of one name with different content are renamed to `STEM/NAME`.
+
+        Args:
+            recordings: The recordings.
+            but: The name of entries that are not copied.
+        """
         files: dict[str, bytes] = {}
         metadata: dict[str, dict[str, str]] = {}
         for recording in recordings:
@@ -129,7 +134,7 @@ class CopyWriter:
                     continue
                 self.attach(name, records_of_name.media_type, records_of_name.data, records_of_name.log_time)
             for name, entries in recording.metadata.items():
-                if name in metadata and metadata[name] == entries:
+                if name == but or (name in metadata and metadata[name] == entries):
                     continue
                 while name in metadata:
                     name = f"{recording.path.stem}/{name}"

@@ -4,6 +4,7 @@ import heapq
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from telenano.recording.info import END_NAME, notes_of, unclosed_text
 from telenano.recording.mcap_scan import describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.multi_file import RecordingSource, open_recordings
@@ -66,7 +67,10 @@ def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = F
                 yield message if not shift_ns else message._replace(log_ns=max(0, message.log_ns + shift_ns))
 
     with CopyWriter(target) as writer:
-        writer.copy_attachments_and_metadata(recordings)
+        writer.copy_attachments_and_metadata(recordings, but=END_NAME)
+        writer.add_metadata(
+            END_NAME, {"state": recordings[sites.count("master") - 1].ending, "note": _lacks(recordings, sites)}
+        )
         ahead_ns = round(clock.offset_s * 1e9) if clock.applied else 0
         writer.add_metadata("merged", {"slave_clock_ahead_ns": str(ahead_ns), "reason": clock.reason})
         streams = [wanted(recording, site) for recording, site in zip(recordings, sites, strict=True)]
@@ -81,6 +85,16 @@ def slave_clock(recording: RecordingSource) -> SiteClock:
     if clock is None:
         raise RecordingError(f"{recording.path}: has no link/status or link/network in which the clocks were compared")
     return clock
+
+
+def _lacks(recordings: Sequence[Recording], sites: Sequence[str]) -> str:
+    """Return what the files of both sites lack by themselves, which is not to be seen from their messages together."""
+    unclosed = [
+        unclosed_text(f"{recording.path.name} of the {site}'s site", *recording.span_ns)
+        for recording, site in zip(recordings, sites, strict=True)
+        if not recording.closed
+    ]
+    return "; ".join([*notes_of(recording.metadata for recording in recordings), *unclosed])
 
 
 def _channels(recording: Recording) -> Iterator[RawChannel]:

@@ -90,7 +90,8 @@ class VirtualBus:
         self.key = key
         self.inbox: list[Arriving] = []
         is_newest_only = name_of(key) != LINK if newest_only is None else newest_only
-        self.reader = VirtualReader(rig.clock, topics or TOPICS, newest_only=is_newest_only)
+        self._clock = rig.clock_of(key)
+        self.reader = VirtualReader(self._clock, topics or TOPICS, newest_only=is_newest_only)
         self._rig = rig
         self._numbers: dict[str, int] = {}
         # By topic, the version of its messages and what draws how long one takes to be sent [ns].
@@ -100,10 +101,11 @@ class VirtualBus:
         rig, seq = self._rig, self._numbers.get(topic, 0)
         version, draw = self._sending.get(topic) or self._open(topic)
         # sent some time after the turn began, which no re-run knows
-        t_ns = rig.clock.now_ns() + draw()
+        drawn_ns = draw()
+        t_ns = self._clock.now_ns() + drawn_ns
         message, payload = compose(topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, **fields})
         self._numbers[topic] = seq + 1
-        rig.carry(topic, message, payload)
+        rig.carry(topic, message, payload, rig.clock.monotonic_ns() + drawn_ns)
         return message
 
     def _open(self, topic: str) -> tuple[int, Callable[[], int]]:
@@ -115,14 +117,13 @@ class VirtualBus:
         self._rig.forward(self.key, topic, payload)
 
     def receive(self) -> Iterable[Received]:
-        inbox, clock = self.inbox, self._rig.clock
-        now_ns = clock.monotonic_ns()
+        inbox, now_ns = self.inbox, self._rig.clock.monotonic_ns()
         if not inbox or inbox[0][0] > now_ns:
             return ()
         waiting = [heapq.heappop(inbox)]
         while inbox and inbox[0][0] <= now_ns and len(waiting) < _BATCH:
             waiting.append(heapq.heappop(inbox))
-        return self.reader.arrived(waiting, clock.now_ns())
+        return self.reader.arrived(waiting, self._clock.now_ns())
 
     def wait(self, deadline_ns: int) -> None:
         """Return at once: the rig has let the time pass."""
@@ -214,7 +215,8 @@ class RecordingBus(VirtualBus):
 
     def receive(self) -> Iterator[Received]:
         """Record what has arrived; yield only commands, for the node to answer."""
-        now_ns, epoch_ns, record = self._rig.clock.monotonic_ns(), self._rig.clock.epoch_offset_ns, self._record
+        now_ns, record = self._rig.clock.monotonic_ns(), self._record
+        ahead_ns = self._clock.now_ns() - now_ns
         coming = self.coming
         if not coming:
             return
@@ -226,7 +228,7 @@ class RecordingBus(VirtualBus):
             taken, self.coming = coming[:later], coming[later:]
         self._taken_ns = now_ns
         for at_ns, _, way, payload in taken:
-            received = record(way.listener, (way.frame, payload), at_ns + epoch_ns)
+            received = record(way.listener, (way.frame, payload), at_ns + ahead_ns)
             if received is not None:
                 yield received
 

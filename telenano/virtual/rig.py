@@ -34,7 +34,7 @@ from telenano.settings import package_topics
 from telenano.settings.config import flag_overrides, merge
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.scenario import LoadedScenario
-from telenano.timing.clock import VirtualClock
+from telenano.timing.clock import Clock, VirtualClock
 from telenano.virtual.bus import RecordingBus, VirtualBus
 from telenano.virtual.machine import QuietLog, VirtualMachine
 from telenano.virtual.timing import RANDOM_TIMING, RandomStreams, Range, Timing
@@ -186,7 +186,7 @@ class Engine:
         return VirtualWiring(
             key=key,
             book=self.book,
-            clock=self.clock,
+            clock=self.clock_of(key),
             log=self.log_of(key),
             network=network_of(key),
             wake_descriptor=-1,
@@ -198,6 +198,10 @@ class Engine:
             rig=self,
             given=given,
         )
+
+    def clock_of(self, key: str) -> Clock:
+        """Return the clock of a node: one for all, unless a rig gives the machines clocks of their own."""
+        return self.clock
 
     def log_of(self, key: str) -> QuietLog:
         """Return the log of a node."""
@@ -315,9 +319,9 @@ class Engine:
         for bus in (*self.buses.values(), *self._endpoints.values()):
             bus.close()
 
-    def carry(self, topic: str, message: Message, payload: bytes) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
         """Bring a message to those who listen, on its own site and through the link."""
-        src, sent_ns = message.src, message.t_ns - EPOCH_OFFSET_NS
+        src = message.src
         self._record(src, topic, payload, sent_ns)
         if self._keeps:
             self._published.setdefault((topic, src), []).append(message)

@@ -126,9 +126,9 @@ class VirtualProcesses:
         rig.stall(node, (self._ready_ns - now_ns) * 1e-9)
         return 1
 
-    def died(self, node: str) -> None:
-        """Record that a turn of a node has failed."""
-        self._ended[node] = EXIT_DIED
+    def died(self, node: str, exit_code: int = EXIT_DIED) -> None:
+        """Record that a turn of a node has failed, or by a negative code that a signal has ended its process."""
+        self._ended[node] = exit_code
 
     def reap(self) -> dict[str, int]:
         ended, self._ended = self._ended, {}

@@ -118,7 +118,7 @@ class _ComparedRig(VirtualRig):
         self._expected = expected
         super().__init__(None, SEED, scenario=scenario)
 
-    def carry(self, topic: str, message: Message, payload: bytes) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
         seen = seen_of(topic, message, payload)
         if seen is not None and not self.difference:
             number = len(self.seen)
@@ -127,7 +127,7 @@ class _ComparedRig(VirtualRig):
             if expected is not None and (number >= len(expected) or expected[number] != (topic, seen)):
                 self.difference = f"{topic} of {message.src}"
                 self.is_over = True
-        super().carry(topic, message, payload)
+        super().carry(topic, message, payload, sent_ns)
 
 
 def seen(session: Session) -> "Seen | FilesSeen":

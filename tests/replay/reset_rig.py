@@ -91,7 +91,7 @@ class ResetRig(VirtualRig):
         self.now_s = 0.0
         self._count = 0
 
-    def carry(self, topic: str, message: Message, payload: bytes) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
         """Note what the devices say."""
         said: Any = message
         time_s = (message.t_ns - self.clock.epoch_offset_ns) * 1e-9
@@ -104,7 +104,7 @@ class ResetRig(VirtualRig):
             self.events.append(said)
             if said.id:
                 self.answers[f"{said.src} {said.id}"] = said
-        super().carry(topic, message, payload)
+        super().carry(topic, message, payload, sent_ns)
 
     def wait(self, time_s: float) -> None:
         """Let time pass [s]."""

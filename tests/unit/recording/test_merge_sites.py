@@ -19,7 +19,12 @@ MS, BEGAN, AHEAD = 1_000_000, 10**18, 2_000_000_000
 
 
 def write(
-    folder: Path, node: str, rows: list[tuple[str, str, int, int]], clocks: tuple[tuple[float, float], ...]
+    folder: Path,
+    node: str,
+    rows: list[tuple[str, str, int, int]],
+    clocks: tuple[tuple[float, float], ...],
+    end: dict[str, str] | None = None,
+    closed: bool = True,
 ) -> Path:
     """Write topic, source, number and time of reception [ns]; the clocks are offset and uncertainty [s]."""
     site = node.partition("@")[2]
@@ -34,7 +39,11 @@ def write(
         made = msgspec.structs.replace(status, seq=seq, clock=msgspec.structs.replace(status.clock, **clock))
         channel = writer.channel("link/status", "delay_node@master", site)
         writer.write(channel, BEGAN + 50 * MS + seq, BEGAN, seq, encode(made))
-    writer.finish()
+    if closed:
+        writer.finish(end)
+    else:
+        writer.flush()
+        writer.abandon()
     return writer.path
 
 
@@ -79,6 +88,24 @@ def test_a_channel_that_both_have_is_taken_from_the_recorder_near_it(tmp_path: P
     merge_sites([writer.path, slave], target, same_session=True)
     tips = [message for message in Recording(target).messages() if message.topic == "afm/state"]
     assert [(message.seq, message.log_ns) for message in tips] == [(seq, BEGAN + seq * MS) for seq in range(5)]
+
+
+@pytest.mark.parametrize("site", ["master", "slave"])
+@pytest.mark.parametrize("lacks", ["", "a note", "its end"])
+def test_what_the_files_of_a_site_lack_is_said_of_both_together(tmp_path: Path, site: str, lacks: str) -> None:
+    def file(node: str, rows: list[tuple[str, str, int, int]], clocks: tuple[tuple[float, float], ...]) -> Path:
+        is_it = node.endswith(site)
+        end = {"state": "stopped", "note": "this is missing" if is_it and lacks == "a note" else ""}
+        return write(tmp_path, node, rows, clocks, end, closed=not (is_it and lacks == "its end"))
+
+    hand = [("haptic/state", "haptic_node@master", seq, BEGAN + seq * MS) for seq in range(3)]
+    tip = [("afm/state", "afm_node@slave", seq, BEGAN + seq * MS) for seq in range(3)]
+    sources = [file("recorder@master", hand, ((0.0, 0.001),)), file("recorder@slave", tip, ())]
+    merge_sites(sources, tmp_path / "both.mcap", same_session=True)
+    info = Recording(tmp_path / "both.mcap").info()
+    assert info.complete == (not lacks)
+    expected = {"": [], "a note": ["this is missing"], "its end": [f"{site}.mcap of the {site}'s site was not closed"]}
+    assert [text.partition(":")[0] for text in info.missing] == expected[lacks]
 
 
 def test_what_cannot_be_joined_is_refused_by_name(tmp_path: Path) -> None:

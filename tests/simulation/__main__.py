@@ -1,0 +1,142 @@
+"""Sessions to which faults happen, from one seed, and what they break.
+
+    python -m tests.simulation --seed 7 --hours 0.05
+    python -m tests.simulation --replay failure.json
+    python -m tests.simulation --seed 7 --planted
+
+The first prints the tables of invariants and situations, and shrinks each failure to a file and the command that
+repeats it. `--replay` runs one schedule and prints what it breaks and a digest of all that was sent and recorded.
+`--planted` plants one fault after the other, and prints how many schedules found each.
+"""
+
+import argparse
+import hashlib
+import json
+import statistics
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import campaign
+from fault_schedule import Schedule
+from planted import PLANTED, Fault
+from reached import SITUATIONS
+from shrunk import shrunk
+
+from telenano.analysis import wilson
+from telenano.recording.reader import Recording
+
+
+def main() -> int:
+    """Do what the command line asks for; return 1 where an invariant is broken."""
+    parser = argparse.ArgumentParser(prog="python -m tests.simulation", description=__doc__.partition("\n")[0])
+    parser.add_argument("--seed", type=int, default=1, help="the first seed; each schedule has the next one")
+    parser.add_argument("--hours", type=float, default=0.05, help="simulated hours")
+    parser.add_argument("--replay", type=Path, help="run the schedule of this file once")
+    parser.add_argument("--keep", type=Path, help="leave the files of the replayed session in this folder")
+    parser.add_argument("--planted", nargs="*", metavar="NAME", help="plant faults, all or the named ones")
+    parser.add_argument("--most", type=int, default=40, help="give a planted fault up after so many schedules")
+    parser.add_argument("--rounds", type=int, default=1, help="look for each planted fault from so many first seeds")
+    parser.add_argument("--out", type=Path, default=Path("out/simulation"), help="the folder of shrunk failures")
+    given = parser.parse_args()
+    if given.replay:
+        return _replay(given.replay, given.keep)
+    if given.planted is not None:
+        return _plant(given.seed, given.planted or list(PLANTED), given.most, given.rounds)
+    return _campaign(given.seed, given.hours, given.out)
+
+
+def _replay(path: Path, keep: Path | None) -> int:
+    schedule = Schedule.of(json.loads(path.read_text(encoding="utf-8")))
+    bits = hashlib.sha256()
+    with campaign.session_folder() as scratch:
+        folder = keep or scratch
+        campaign.keep(schedule, folder)
+        # What a file has besides its messages tells of its folder and of the machine.
+        bits.update((folder / "ledger.msgpack").read_bytes())
+        for part in sorted([*folder.glob("session*.mcap"), *folder.glob("far/*.mcap")]):
+            for message in Recording(part).raw():
+                bits.update(b"%d %d " % (message.log_ns, message.seq) + message.payload)
+        found = campaign.outside_judge.judged(campaign.outside_judge.Session(folder))
+    for one in found:
+        print(f"{one.invariant} at {one.at_s:.3f} s: {one.text}")
+    print(f"{len(found)} invariants are broken; sha256 of all that was sent and recorded: {bits.hexdigest()}")
+    return bool(found)
+
+
+def _campaign(seed: int, hours: float, out: Path) -> int:
+    failures: list[campaign.Tried] = []
+
+    def observe(one: campaign.Tried) -> None:
+        if one.breaks:
+            failures.append(one)
+            for found in one.breaks:
+                print(f"seed {one.schedule.seed}: {found.invariant} at {found.at_s:.3f} s: {found.text}", flush=True)
+
+    tally = campaign.campaign(seed, hours, observe)
+    print(f"\n{campaign.speed(tally)}\n")
+    _print_table("invariant", campaign.INVARIANTS, tally.broken(), len(tally.schedules), "broken in")
+    _print_table("situation", tuple(SITUATIONS), tally.reached(), len(tally.schedules), "reached in")
+    seen = set()
+    for one in failures:
+        name = one.breaks[0].invariant
+        if name in seen:
+            continue
+        seen.add(name)
+        small = shrunk(one.schedule, lambda schedule, name=name: _breaks(schedule, name))  # type: ignore[misc]
+        out.mkdir(parents=True, exist_ok=True)
+        path = out / f"{name}-{one.schedule.seed}.json"
+        path.write_text(small.text(), encoding="utf-8")
+        print(f"{name}: {len(small.events)} events are enough: python -m tests.simulation --replay {path}")
+    return bool(failures)
+
+
+def _breaks(schedule: Schedule, invariant: str) -> bool:
+    return any(found.invariant == invariant for found in campaign.tried(schedule).breaks)
+
+
+def _print_table(head: str, names: tuple[str, ...], counts: "campaign.Counter[str]", total: int, what: str) -> None:
+    width = max(map(len, names))
+    print(f"{head:{width}}  {what:>10}  95 % interval of the share")
+    for name in names:
+        low, high = wilson(counts[name], total)
+        print(f"{name:{width}}  {counts[name]:>10}  {low:.4f} to {high:.4f}")
+    print()
+
+
+def _plant(seed: int, names: list[str], most: int, rounds: int) -> int:
+    width, lost = max(map(len, names)), 0
+    print(f"{'planted fault':{width}}  found in  median of schedules, simulated hours  broke")
+    for name in names:
+        found = [
+            one for turn in range(rounds) if (one := found_by(PLANTED[name], seed + 1000 * turn, most)) is not None
+        ]
+        lost += not found
+        if not found:
+            print(f"{name:{width}}  0 of {rounds}    not within {most} schedules", flush=True)
+            continue
+        tries = statistics.median(number for number, _, _ in found)
+        hours = statistics.median(passed for _, passed, _ in found)
+        broke = sorted({invariant for _, _, broken in found for invariant in broken})
+        others = sorted(set(broke) - PLANTED[name].breaks)
+        text = f"{', '.join(broke)}{f' (not named: {chr(44).join(others)})' if others else ''}"
+        print(f"{name:{width}}  {len(found)} of {rounds}    {tries:g}, {hours:.4f}  {text}", flush=True)
+    return bool(lost)
+
+
+def found_by(fault: Fault, first_seed: int, most: int) -> tuple[int, float, set[str]] | None:
+    """Return how many schedules and simulated hours it took to find a planted fault, and what broke; None if not."""
+    passed_s = 0.0
+    with fault.planted():
+        for number in range(most):
+            one = campaign.tried(Schedule.drawn(first_seed + number), reports=fault.is_of_report)
+            passed_s += one.simulated_s
+            broken = {found.invariant for found in one.breaks}
+            if broken & fault.breaks:
+                return number + 1, passed_s / 3600.0, broken
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

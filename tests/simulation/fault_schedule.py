@@ -1,0 +1,216 @@
+"""A schedule of faults as data, drawn from one seed.
+
+    schedule = Schedule.drawn(7)
+    Schedule.of(json.loads(schedule.text())) == schedule
+
+Each event is a mapping with `at_s`, the time since the processes were started [s], `kind`, and what that kind needs:
+
+| kind | keys |
+|---|---|
+| delay | forward_s, backward_s: what the network takes from now on |
+| line | direction, loss, duplicate, reorder, corrupt, jitter_s, for_s |
+| partition | direction (both, forward, backward), for_s |
+| narrow | direction, bytes_per_s, for_s |
+| clock | ahead_s, drift_ppm of the slave's site, from its first start on |
+| site_restart | ahead_s: the slave's processes are ended and started with a clock that was set meanwhile |
+| disk | site, fault (full, slow, gone), for_s |
+| kill | node; after: the number of messages that its process still sends; torn: the part of what was not flushed that \
+reaches the disk |
+| stall | node, for_s |
+| device | device (hand, tip), fault (lost, late, repeating, range), for_s |
+| press | site, target: an emergency stop |
+| arm | target (hand, tip, both), place: whether the tip is told to go to the hand |
+| start, stop | of the force profile |
+| law | law |
+| link | delay_s, loss: settings of the link |
+
+What follows the last event is always the same: a person stops what is going on, arms both devices and starts the force
+profile, so that a rig that can go on has to.
+"""
+
+import json
+import random
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+Event = dict[str, Any]
+HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
+HALVES = ("controller@master", "controller@slave")
+RECORDERS = ("recorder@master", "recorder@slave")
+NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
+LAWS = ("wave", "virtual_impedance")
+# Faults begin from the start of the processes on, and end before the calm.
+FAULTS_S = 4.5
+# After the last fault nothing happens for this time; then a person arms, and after this time again the rig has to work.
+CALM_S = 0.7
+RECOVERY_S = 2.0
+SESSION_S = 8.5
+
+
+class Schedule(NamedTuple):
+    """A session with its faults.
+
+    seed: of all delays on the sites; law: at the start; delay_s: what the network takes each way; link_s: what the link
+    adds each way on purpose; events: by time.
+    """
+
+    seed: int
+    law: str
+    delay_s: float
+    link_s: float
+    events: tuple[Event, ...]
+
+    @classmethod
+    def drawn(cls, seed: int) -> "Schedule":
+        """Draw a schedule."""
+        dice = random.Random(f"schedule {seed}")
+        events: list[Event] = []
+        if dice.random() < 0.4:
+            ahead_s = round(dice.choice([0.003, 0.2, 7.0, 3600.0]) * dice.choice([1, -1]), 4)
+            events.append({"at_s": 0.0, "kind": "clock", "ahead_s": ahead_s, "drift_ppm": dice.choice([0, 20, -40])})
+        for _ in range(dice.choice([1, 2, 2, 3, 3, 4, 5, 6])):
+            group = dice.choices(list(_GROUPS), [weight for weight, _ in _GROUPS.values()])[0]
+            events += _GROUPS[group][1](dice, round(dice.uniform(0.3, FAULTS_S), 3))
+        events = _few_kills(events)
+        delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
+        return cls(seed, dice.choice(LAWS), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> "Schedule":
+        """Return a schedule from its document; ValueError says what is wrong with it."""
+        if missing := set(cls._fields) - set(document):
+            raise ValueError(f"the schedule has no {', '.join(sorted(missing))}")
+        events = tuple(document["events"])
+        for event in events:
+            if event.get("kind") not in KINDS or "at_s" not in event:
+                raise ValueError(f"{event}: an event has `at_s` and a `kind` of {', '.join(sorted(KINDS))}")
+        return cls(**{name: document[name] for name in cls._fields if name != "events"}, events=events)
+
+    def text(self) -> str:
+        """Return the schedule as JSON."""
+        return json.dumps({**self._asdict(), "events": list(self.events)}, indent=1)
+
+    def with_events(self, events: Sequence[Event]) -> "Schedule":
+        """Return the same session with other faults."""
+        return self._replace(events=tuple(events))
+
+    @property
+    def calm_s(self) -> float:
+        """When the last fault is over [s]."""
+        ends = (one["at_s"] + one.get("for_s", 0.0) for one in self.events)
+        return max([*ends, 1.0]) + CALM_S
+
+
+def _network(dice: random.Random, at_s: float) -> list[Event]:
+    kind = dice.choice(["delay", "delay", "line", "partition", "partition", "narrow"])
+    way = dice.choice(["both", "forward", "backward"])
+    for_s = dice.choice([0.04, 0.12, 0.3, 0.8, 1.5])
+    if kind == "delay":
+        there_s, back_s = (dice.choice([0.001, 0.01, 0.03, 0.06, 0.1]) for _ in range(2))
+        return [{"at_s": at_s, "kind": kind, "forward_s": there_s, "backward_s": dice.choice([there_s, back_s])}]
+    if kind == "line":
+        bad = dice.sample(["loss", "duplicate", "reorder", "corrupt"], dice.choice([1, 1, 2]))
+        line = {name: dice.choice([0.02, 0.1, 0.3]) if name in bad else 0.0 for name in _LINE}
+        jitter_s = 0.01 if line["reorder"] else dice.choice([0.0, 0.003])
+        return [{"at_s": at_s, "kind": kind, "direction": way, **line, "jitter_s": jitter_s, "for_s": for_s}]
+    if kind == "narrow":
+        rate = dice.choice([20e3, 60e3, 150e3])
+        return [{"at_s": at_s, "kind": kind, "direction": way, "bytes_per_s": rate, "for_s": for_s}]
+    return [{"at_s": at_s, "kind": kind, "direction": way, "for_s": for_s}]
+
+
+def _process(dice: random.Random, at_s: float) -> list[Event]:
+    node = dice.choice(NODES)
+    if dice.random() < 0.5:
+        return [{"at_s": at_s, "kind": "stall", "node": node, "for_s": dice.choice([0.03, 0.08, 0.2, 0.6, 1.5])}]
+    after = dice.choice([0, 0, 1, 2, 3])
+    return [{"at_s": at_s, "kind": "kill", "node": node, "after": after, "torn": dice.choice([0.0, 0.5, 1.0])}]
+
+
+def _disk(dice: random.Random, at_s: float) -> list[Event]:
+    fault = dice.choice(["full", "slow", "gone"])
+    site, for_s = dice.choice(["master", "slave"]), dice.choice([0.1, 0.5, 1.5])
+    return [{"at_s": at_s, "kind": "disk", "site": site, "fault": fault, "for_s": for_s}]
+
+
+def _device(dice: random.Random, at_s: float) -> list[Event]:
+    device, fault = dice.choice(["hand", "tip"]), dice.choice(["lost", "late", "repeating", "range"])
+    return [{"at_s": at_s, "kind": "device", "device": device, "fault": fault, "for_s": dice.choice([0.05, 0.2, 0.7])}]
+
+
+def _people(dice: random.Random, at_s: float) -> list[Event]:
+    kind = dice.choice(["press", "press", "press", "arm", "arm", "start", "stop", "law", "law", "link", "two"])
+    if kind == "press":
+        events = [_press(dice, at_s)]
+        if dice.random() < 0.6:
+            events.append(_arm(dice, round(at_s + dice.choice([-0.05, 0.0, 0.1, 0.7]), 3)))
+        return events
+    if kind == "arm":
+        return [_arm(dice, at_s)]
+    if kind == "law":
+        return [{"at_s": at_s, "kind": kind, "law": dice.choice(LAWS)}]
+    if kind == "link":
+        delay_s, loss = dice.choice([0.0, 0.01, 0.03]), dice.choice([0.0, 0.0, 0.05])
+        return [{"at_s": at_s, "kind": kind, "delay_s": delay_s, "loss": loss}]
+    if kind == "two":
+        return [_arm(dice, at_s), dice.choice([_press, _arm])(dice, at_s)]
+    return [{"at_s": at_s, "kind": kind}]
+
+
+def _meeting(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw two faults of any kind that begin within 0.1 s, which a draw of single ones seldom gives."""
+    draws = [_network, _process, _people, _disk, _device]
+    return [event for draw in dice.sample(draws, 2) for event in draw(dice, round(at_s + dice.uniform(0.0, 0.1), 3))]
+
+
+def _restart(dice: random.Random, at_s: float) -> list[Event]:
+    return [{"at_s": at_s, "kind": "site_restart", "ahead_s": dice.choice([0.0, 0.5, -30.0, 3600.0])}]
+
+
+def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop at the instrument, an arming of what is withdrawn, and another stop while that is on its way."""
+    at_s = min(at_s, 2.5)
+    arm_s = round(at_s + dice.choice([0.8, 1.6]), 3)
+    press = {"kind": "press", "site": "slave", "target": "afm_node"}
+    arm = {"at_s": arm_s, "kind": "arm", "target": dice.choice(["tip", "both"]), "place": False}
+    later_s = round(arm_s + dice.choice([0.0005, 0.002, 0.005, 0.02, 0.05]), 4)
+    return [{"at_s": at_s, **press}, arm, {"at_s": later_s, **press}]
+
+
+def _press(dice: random.Random, at_s: float) -> Event:
+    site = dice.choice(["master", "master", "slave"])
+    target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
+    return {"at_s": at_s, "kind": "press", "site": site, "target": target}
+
+
+def _arm(dice: random.Random, at_s: float) -> Event:
+    return {"at_s": max(at_s, 0.1), "kind": "arm", "target": dice.choice(["hand", "tip", "both"]), "place": False}
+
+
+def _few_kills(events: Sequence[Event]) -> list[Event]:
+    """Leave out what would end a process so often that its launcher gives the rig up, which is no fault of the rig."""
+    kept, kills = [], 0
+    for event in events:
+        kills += event["kind"] in ("kill", "site_restart")
+        if event["kind"] not in ("kill", "site_restart") or kills <= 3:
+            kept.append(event)
+    return kept
+
+
+_LINE = ("loss", "duplicate", "reorder", "corrupt")
+_GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] = {
+    "network": (3.0, _network),
+    "process": (3.0, _process),
+    "people": (3.0, _people),
+    "meeting": (3.0, _meeting),
+    "disk": (1.0, _disk),
+    "device": (1.0, _device),
+    "restart": (0.4, _restart),
+    "stopped again": (1.0, _stopped_again),
+}
+KINDS = frozenset(
+    {
+        "delay", "line", "partition", "narrow", "clock", "site_restart", "disk", "kill", "stall", "device", "press",
+        "arm", "start", "stop", "law", "link",
+    }
+)  # fmt: skip

@@ -1,0 +1,74 @@
+"""A hand and an instrument that can be lost, late, repeating or out of range, around the simulated ones."""
+
+from collections.abc import Callable
+from typing import Any
+
+from telenano.extend.hands import HapticReport
+from telenano.extend.instruments import AfmReport
+
+# A late sample is by this number of steps older.
+_LATE_STEPS = 5
+_PERIOD_S = 4e-3
+_STATUS = {"lost": "lost", "late": "stale", "repeating": "stale"}
+
+
+class _Faulty:
+    """A device whose samples are those of the simulated one, as a fault lets them through."""
+
+    def __init__(self, device: Any, fault: Callable[[], str]) -> None:
+        self._device, self._fault = device, fault
+        self._samples: list[Any] = []
+        self._status, self._age_s, self._valid = "ok", 0.0, True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    @property
+    def state(self) -> Any:
+        return self._device.state
+
+    @state.setter
+    def state(self, state: Any) -> None:
+        self._device.state = state
+
+    def _passed(self, sample: Any) -> Any:
+        fault = self._fault()
+        self._status, self._valid = _STATUS.get(fault, "ok"), fault != "range"
+        if fault in ("lost", "repeating") and self._samples:
+            self._age_s += _PERIOD_S
+            return self._samples[-1]
+        self._samples = [*self._samples[-_LATE_STEPS:], sample]
+        late = fault == "late" and len(self._samples) > _LATE_STEPS
+        self._age_s = _LATE_STEPS * _PERIOD_S if late else 0.0
+        return self._samples[0] if late else sample
+
+    @property
+    def _text(self) -> str:
+        return {"ok": "the device is there", "stale": "the device repeats its samples"}.get(
+            self._status, "the device is lost"
+        )
+
+
+class FaultyHand(_Faulty):
+    """The operator's device. Out of range, it cannot be believed, and reports itself lost."""
+
+    def read(self, session_time_s: float, dt_s: float) -> Any:
+        reading = self._passed(self._device.read(session_time_s, dt_s))
+        if not self._valid:
+            self._status = "lost"
+        return reading
+
+    @property
+    def report(self) -> HapticReport:
+        return HapticReport(self._status, self._age_s, False, self._text)  # type: ignore[arg-type]
+
+
+class FaultyTip(_Faulty):
+    """The instrument. Out of range, its force is no number for the guard."""
+
+    def exchange(self, base_m: float) -> Any:
+        return self._passed(self._device.exchange(base_m))
+
+    @property
+    def report(self) -> AfmReport:
+        return AfmReport(self._status, self._age_s, self._valid, self._text)  # type: ignore[arg-type]

@@ -1,0 +1,399 @@
+"""A judge that knows nothing of the project: it reads the files of a session and says which invariants they break.
+
+    python tests/simulation/outside_judge.py FOLDER
+
+It reads the recordings of both sites, the schedule, the history of what was done from outside, the ledger of all that
+was sent, and what the report said of the session (`verdict.json`). Times are those of the rig since its start [s].
+"""
+
+import contextlib
+import io
+import json
+import struct
+import sys
+import zlib
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Statistics
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
+# A command is valid for this time, and a tip without one is held for the second time before it is withdrawn [s].
+DEADLINE_S, HOLD_S = 0.05, 0.2
+# Two periods of the loop, and a turn that is 3 ms late [s].
+GRAIN_S = 0.0115
+# A tip stops following within this time of the last answer that its hand has felt, beyond the round trip [s].
+UNFELT_S = 0.5
+# A line that has become longer or shorter is known after this time [s].
+KNOWN_S = 3.0
+# A person who presses a stop waits for so long [s].
+PATIENCE_S = 6.2
+VISITORS = ("launcher", "console", "view", "estop", "recorder")
+Fields = dict[str, Any]
+
+
+class Seen(NamedTuple):
+    """A message of a file: its channel and fields, when it was sent [s], and whether it is as it was sent."""
+
+    channel: str
+    topic: str
+    via: str
+    fields: Fields
+    sent_s: float
+    whole: bool
+
+    @property
+    def depth_m(self) -> float:
+        return -float(self.fields["base_position_m"][2])
+
+
+class Break(NamedTuple):
+    """An invariant that is broken: its name, when [s], and how."""
+
+    invariant: str
+    at_s: float
+    text: str
+
+
+class Session:
+    """The files of a session."""
+
+    def __init__(self, folder: Path) -> None:
+        self.schedule: Fields = json.loads((folder / "schedule.json").read_text())
+        self.history: Fields = json.loads((folder / "history.json").read_text())
+        self.verdict: Fields = json.loads((folder / "verdict.json").read_text())
+        self.acts: list[Fields] = [{**act, "at_s": act["t_ns"] * 1e-9} for act in self.history["acts"]]
+        self.epoch_ns: int = self.history["epoch_ns"]
+        # by publisher, topic, number and stamp when each message was sent, and its checksum; and by publisher and topic
+        self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
+        self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
+        for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
+            self.ledger[src, topic, seq, t_ns] = sent_ns * 1e-9, crc
+            self.sent[src, topic].append((sent_ns * 1e-9, seq, t_ns))
+        self.seen: list[Seen] = []
+        self.statistics: list[tuple[str, int, int]] = []
+        for site, place in (("master", folder), ("slave", folder / "far")):
+            for path in sorted(place.glob("session*.mcap")):
+                # A file that was cut is read up to there.
+                with contextlib.suppress(McapError, EOFError, ValueError, ZstdError, struct.error):
+                    self._read(site, path)
+        self.direct: dict[tuple[str, str], list[Seen]] = defaultdict(list)
+        for one in sorted(self.seen, key=lambda one: one.sent_s):
+            if one.via == "direct":
+                self.direct[one.fields.get("src", ""), one.topic].append(one)
+        self.happened: dict[str, list[Fields]] = defaultdict(list)
+        for act in [act for act in self.acts if act["what"] == "event"]:
+            self.happened[act["event"]["kind"]].append({**act["event"], "at_s": act["at_s"]})
+        self.end_s: float = next(act["at_s"] for act in self.acts if act["what"] == "end")
+        self.laws = {self.schedule["law"], *(one["law"] for one in self.events("law"))}
+
+    def _read(self, site: str, path: Path) -> None:
+        channels, count = dict[int, Channel](), 0
+        for record in StreamReader(io.BytesIO(path.read_bytes())).records:
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Statistics):
+                self.statistics.append((f"{site} {path.name}", record.message_count, count))
+            elif isinstance(record, Message):
+                count += 1
+                channel, fields = channels[record.channel_id], msgpack.unpackb(record.data)
+                topic, via = channel.metadata["topic"], channel.metadata["via"]
+                key = (fields.get("src"), topic, fields.get("seq"), fields.get("t_ns"))
+                sent_s, crc = self.ledger.get(key, (record.log_time * 1e-9, -1))
+                self.seen.append(Seen(channel.topic, topic, via, fields, sent_s, crc == zlib.crc32(record.data)))
+
+    def events(self, *kinds: str) -> list[Fields]:
+        return [event for kind in kinds for event in self.happened[kind]]
+
+    def transit_s(self, way: str, at_s: float) -> float:
+        steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
+        # What the link may still take for the present: all since the newest that is known by now.
+        known = max(number for number, (begun, _) in enumerate(steps) if number == 0 or begun <= at_s - KNOWN_S)
+        return float(max(delay for begun, delay in steps[known:] if begun <= at_s))
+
+    def link_s(self, at_s: float) -> float:
+        return float(max([self.schedule["link_s"], *(e["delay_s"] for e in self.events("link") if e["at_s"] <= at_s)]))
+
+    def trip_s(self, at_s: float) -> float:
+        return 2 * self.link_s(at_s) + self.transit_s("forward", at_s) + self.transit_s("backward", at_s)
+
+    def missing(self, src: str, topic: str) -> list[float]:
+        have = {(one.fields["seq"], one.fields["t_ns"]) for one in self.direct[src, topic]}
+        return [sent_s for sent_s, seq, t_ns in self.sent[src, topic] if (seq, t_ns) not in have]
+
+
+class Newest:
+    def __init__(self, messages: list[Seen]) -> None:
+        self._messages, self._times = messages, [one.sent_s for one in messages]
+
+    def at(self, at_s: float) -> Seen | None:
+        place = bisect_right(self._times, at_s)
+        return self._messages[place - 1] if place else None
+
+    def time_of(self, at_s: float) -> float:
+        newest = self.at(at_s)
+        return -1e9 if newest is None else newest.sent_s
+
+    def mode(self, at_s: float) -> str:
+        newest = self.at(at_s)
+        return "silent" if newest is None or at_s - newest.sent_s > 0.06 else str(newest.fields["mode"])
+
+    def between(self, from_s: float, to_s: float) -> list[Seen]:
+        return self._messages[bisect_right(self._times, from_s) : bisect_right(self._times, to_s)]
+
+
+def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
+    return bisect_left(missing_s, from_s) == bisect_right(missing_s, to_s)
+
+
+def judge_tip(session: Session) -> Iterator[Break]:
+    """No command past its deadline moves the tip; it is held and withdrawn in time; it follows a hand that feels."""
+    states = session.direct[TIP, "afm/state"]
+    commands = session.direct["controller@slave", "afm/command"]
+    armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
+    lost = session.missing("controller@slave", "afm/command")
+    lost_hands = session.missing(HAND, "haptic/state")
+    hands = session.direct[HAND, "haptic/state"]
+    drives, follows_s = Newest([one for one in hands if one.fields["mode"] != "off"]), 0.0
+    for before, state in pairwise(states):
+        at_s, mode = state.sent_s, state.fields["mode"]
+        if mode == "follow" != before.fields["mode"]:
+            follows_s = at_s
+        if mode not in ("follow", "hold") or not _is_known(lost, at_s - 0.4, at_s):
+            continue
+        newest, age_s = armed.at(at_s), at_s - armed.time_of(at_s)
+        if age_s > DEADLINE_S + GRAIN_S + HOLD_S * (mode == "hold"):
+            yield Break("safe_in_time", at_s, f"the tip is in {mode} {age_s * 1e3:.0f} ms after the last command")
+        if mode != "follow" or before.fields["mode"] != "follow" or at_s - before.sent_s > 0.1 or newest is None:
+            continue
+        if state.fields.get("device") == before.fields.get("device") == "lost":
+            yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
+        hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
+        allowed_s = DEADLINE_S + GRAIN_S + session.link_s(at_s) + session.transit_s("forward", at_s)
+        if at_s - hand_s > allowed_s:
+            moves = state.depth_m - before.depth_m > 1e-12
+            text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
+            yield Break("nothing_late" if moves else "safe_in_time", at_s, f"the tip follows {text}")
+        unfelt_s = at_s - max(drives.time_of(at_s), follows_s)
+        if unfelt_s > UNFELT_S + session.trip_s(at_s) and _is_known(lost_hands, at_s - unfelt_s, at_s):
+            yield Break("felt_hand", at_s, f"the tip follows a hand that has felt nothing for {unfelt_s:.2f} s")
+
+
+def judge_hand(session: Session) -> Iterator[Break]:
+    """The hand is let go when its newest command, or the sample that it answers, is too old."""
+    commands = Newest(session.direct["controller@master", "haptic/command"])
+    lost = session.missing("controller@master", "haptic/command")
+    for one in session.direct[HAND, "haptic/state"]:
+        at_s, state = one.sent_s, one.fields
+        if state["mode"] == "off" or not _is_known(lost, at_s - 0.4, at_s):
+            continue
+        age_s = at_s - commands.time_of(at_s)
+        if age_s > DEADLINE_S + GRAIN_S:
+            yield Break("safe_in_time", at_s, f"the motor is on {age_s * 1e3:.0f} ms after the last command")
+        old_s = at_s - (state["answered_t_ns"] - session.epoch_ns) * 1e-9
+        if old_s > DEADLINE_S + GRAIN_S + session.trip_s(at_s):
+            yield Break("nothing_late", at_s, f"the hand obeys an answer to a sample of {old_s * 1e3:.0f} ms")
+
+
+def judge_stops(session: Session) -> Iterator[Break]:
+    """After a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
+    given = {act["sender"]: (act["at_s"], act["name"]) for act in session.acts if act["what"] == "command"}
+    presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
+    acks: set[tuple[str, str]] = set()
+    for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
+        line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
+        pressed_s, suspect = None, None
+        for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
+            said = one.fields
+            if suspect is not None and one.sent_s > suspect.at_s + 0.005:
+                yield suspect
+                suspect, pressed_s = None, None
+            if one.topic == topic:
+                moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
+                if pressed_s is not None and moves and suspect is None:
+                    # The answer to an arming follows the state that it has changed.
+                    suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after a stop")
+            elif said["kind"] == "ack" and said["data"].get("command") == "estop":
+                acks.add((said["id"], device))
+                press = presses.get(said["id"])
+                pressed_s = max(pressed_s or 0.0, one.sent_s if press is None else press["at_s"])
+            elif said["kind"] == "ack" and said["data"].get("command") == "arm":
+                given_s, name = given.get(said["id"].rpartition("-")[0], (0.0, ""))
+                if pressed_s is not None and given_s < pressed_s:
+                    text = f"{device} is armed by a command of {given_s:.2f} s, before the stop of {pressed_s:.2f} s"
+                    yield Break("stop_is_last", one.sent_s, text)
+                pressed_s = suspect = None
+                if device == TIP and name == "arm":
+                    yield from _judge_arming(session, one)
+    yield from _judge_window(session)
+    ended = {one["id"]: one["missing"] for one in session.acts if one["what"] == "pressed"}
+    for act in presses.values():
+        for device in act["devices"] if act["at_s"] < session.end_s - PATIENCE_S else ():
+            answered = (act["id"], device) in acks or device not in ended.get(act["id"], (device,))
+            if not answered and not {device, LINK if device == TIP else device} & set(session.history["kept"]):
+                yield Break("stop_kept", act["at_s"], f"the stop for {device} was neither answered nor kept")
+
+
+def _judge_window(session: Session) -> Iterator[Break]:
+    answers = [one for one in session.direct[TIP, "session/event"] if one.fields["kind"] == "ack"]
+    obeyed = {one.fields["id"]: one.sent_s for one in reversed(answers)}
+    samples = [one for one in session.seen if one.channel == "teleop/forward@slave"]
+    for act in session.acts:
+        if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:
+            continue
+        until_s = min(obeyed.get(act["id"], session.end_s), session.end_s)
+        for late_s in [one.sent_s for one in samples if act["at_s"] + GRAIN_S < one.sent_s < until_s][:1]:
+            text = f"a sample sent {late_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
+            yield Break("stop_is_last", late_s, text)
+
+
+def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
+    at_s = ack.sent_s
+    states = Newest(session.direct[TIP, "afm/state"]).between(at_s - 0.02, at_s + 0.3)
+    commands = Newest(session.direct["controller@slave", "afm/command"]).between(at_s - 0.15, at_s + 0.3)
+    references = [one.depth_m for one in commands]
+    if len(states) < 2 or any(one.get("name") == "recover" and abs(one["at_s"] - at_s) < 0.3 for one in session.acts):
+        return
+    moved_m = max(one.depth_m for one in states) - states[0].depth_m
+    if moved_m > max(references, default=0.0) - min(references, default=0.0) + 0.5e-9:
+        yield Break("stop_is_last", at_s, f"arming has moved the tip by {1e9 * moved_m:.1f} nm towards the sample")
+
+
+def judge_recordings(session: Session) -> Iterator[Break]:
+    """Nothing recorded is altered, what is lost is said, silence is no loss, and what was delivered was sent."""
+    corrupt = any(one["corrupt"] for one in session.events("line"))
+    said: dict[tuple[str, str], list[Fields]] = defaultdict(list)
+    for one in session.seen:
+        if one.topic == "recorder/gap":
+            said[one.fields["src"], one.fields["channel_topic"]].append(one.fields)
+        elif one.topic == "recorder/rejected" and not corrupt:
+            yield Break("delivered_was_sent", one.sent_s, f"a message was refused: {one.fields['text'][:100]}")
+        elif not one.whole and one.topic != "recorder/rejected":
+            name = "recorded_as_sent" if one.via == "direct" else "delivered_was_sent"
+            yield Break(name, one.sent_s, f"{one.channel} of {one.fields.get('src')} is not as it was sent")
+    unsaid, lost = [], 0
+    for (src, topic), seen in session.direct.items():
+        if src.partition("@")[0] in VISITORS or topic.startswith("recorder/") or not seen:
+            continue
+        have = {(one.fields["seq"], one.fields["t_ns"]) for one in seen}
+        gaps = said.get((src, topic), [])
+        for gap in gaps:
+            if gap["first_missing"] > max(seq for _, seq, _ in session.sent[src, topic]):
+                yield Break("recorded_as_sent", 0.0, f"a gap of {topic} of {src} names what was not sent: {gap}")
+        for sent_s, seq, t_ns in session.sent[src, topic]:
+            if (seq, t_ns) in have or sent_s < seen[0].sent_s:
+                continue
+            lost += 1
+            if not any(gap["first_missing"] <= seq <= gap["last_missing"] for gap in gaps):
+                unsaid.append((sent_s, src, topic))
+    told = [*session.verdict["missing"], *session.history["missing"]]
+    if session.verdict["failure"]:
+        return
+    if unsaid and not told:
+        at_s, src, topic = min(unsaid)
+        text = f"{len(unsaid)} messages are missing and nothing says so, the first {topic} of {src}"
+        yield Break("recorded_as_sent", at_s, text)
+    if told and not lost and not session.events("disk", "site_restart", "kill"):
+        yield Break("recorded_as_sent", 0.0, f"nothing is missing, and the report says: {told[0][:200]}")
+
+
+def judge_counters(session: Session) -> Iterator[Break]:
+    """What publishers, link and files count agrees with what there is."""
+    for name, counted, read in session.statistics:
+        if counted != read:
+            yield Break("counters_agree", 0.0, f"{name} says {counted} messages and has {read}")
+    for one in session.direct[LINK, "link/status"]:
+        for way in ("forward", "backward"):
+            said = one.fields[way]
+            gone = said["messages_out"] + sum(said["dropped"].values()) + said["queue_depth"]
+            if balance := said["messages_in"] + said["duplicated"] - gone:
+                yield Break("counters_agree", one.sent_s, f"the link has {balance} messages {way} unaccounted for")
+    for one in session.seen:
+        if one.topic != "session/event" or one.via != "direct" or one.fields["data"].get("state") != "ended":
+            continue
+        for key, count in one.fields["data"].items():
+            src, topic = one.fields["src"], key.removeprefix("sent.")
+            sent = session.sent.get((src, topic), [])
+            last = [number for sent_s, number, _ in sent if sent_s <= one.sent_s + 0.001][-1:]
+            if last and count != last[0] + 1:
+                yield Break("counters_agree", one.sent_s, f"{src} says {count} on {topic}, and {last[0] + 1} were sent")
+
+
+def judge_verdict(session: Session) -> Iterator[Break]:
+    """A verdict blames no law for what the schedule did, and a hold that is praised was held."""
+    if session.verdict["kind"] in ("limit_cycle", "diverged") and session.laws == {"wave"}:
+        yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
+    hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
+    lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
+    for hold in session.verdict["holds"]:
+        inside = [one for one in hands if hold["start_s"] <= one.fields["session_s"] <= hold["end_s"]]
+        if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
+            continue
+        held_s = 0.004 * sum(one.fields["mode"] != "off" and tips.mode(one.sent_s) == "follow" for one in inside)
+        if held_s < 0.4 * (hold["end_s"] - hold["start_s"]):
+            text = f"the hold from {hold['start_s']:.2f} s is stable, and hand and tip were in it for {held_s:.2f} s"
+            yield Break("praised_was_held", inside[0].sent_s, text)
+
+
+def judge_energy(session: Session) -> Iterator[Break]:
+    """Through wave variables no energy comes out of both ports that has not entered."""
+    if session.schedule["law"] != "wave":
+        return
+    tips = session.direct[TIP, "afm/state"]
+    first_s = next((one.sent_s for one in tips if one.fields["mode"] == "follow"), 0.0)
+    # What a guard or a device moves is not the motion of the law: the first stretch in which nothing intervenes counts.
+    ends = [one["at_s"] for one in session.events("law", "device", "kill", "site_restart", "stall")]
+    ends += [one.sent_s for one in tips if one.fields["mode"] != "follow"]
+    ends += [one.sent_s for one in session.direct[HAND, "haptic/state"] if one.fields["mode"] == "off"]
+    end_s = min([one for one in ends if one > first_s + UNFELT_S], default=session.end_s)
+    masters = Newest(session.direct["controller@master", "law/status"])
+    for one in session.direct["controller@slave", "law/status"]:
+        if (near := masters.at(one.sent_s)) is None or not first_s < one.sent_s < end_s:
+            continue
+        sum_j = near.fields["port_energy_j"] + one.fields["port_energy_j"]
+        power_w = abs(near.fields["port_power_w"]) + abs(one.fields["port_power_w"])
+        if sum_j < -1e-6 - 0.02 * power_w:
+            yield Break("energy_granted", one.sent_s, f"{1e6 * sum_j:.1f} uJ have come out of both ports")
+
+
+def judge_going_on(session: Session) -> Iterator[Break]:
+    """A rig that can go on goes on: after the last fault a person arms it, and hand and tip follow."""
+    said = [one.fields["text"] for one in session.direct["launcher@master", "session/event"]]
+    stops = [one["at_s"] for one in session.events("press", "kill", "site_restart", "device", "arm")]
+    if failure := session.history["failure"]:
+        # A stop, or the end of a device, makes the arming void with which a session begins: a person begins it again.
+        if "the session is running" in said or not any(at_s < session.end_s for at_s in stops):
+            yield Break("goes_on", session.end_s, f"the rig has ended: {failure[:300]}")
+        return
+    at_s = next((one["at_s"] for one in session.acts if one["what"] == "recovered"), None)
+    if at_s is None or (session.trip_s(99.0) > 0.06 and session.laws != {"wave"}):
+        return
+    for device, topic, wanted in ((HAND, "haptic/state", "position"), (TIP, "afm/state", "follow")):
+        if session.missing(device, topic)[-1:] > [at_s - 0.2]:
+            continue
+        if (mode := Newest(session.direct[device, topic]).mode(at_s)) != wanted:
+            yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
+
+
+TIPS_AND_HANDS = judge_tip, judge_hand, judge_stops, judge_going_on
+FILES = judge_recordings, judge_counters, judge_verdict, judge_energy
+
+
+def judged(session: Session) -> list[Break]:
+    """Return the first break of each invariant by the files of a session."""
+    found = [one for judge in (*TIPS_AND_HANDS, *FILES) for one in judge(session)]
+    return list({one.invariant: one for one in reversed(found)}.values())
+
+
+if __name__ == "__main__":
+    FOUND = judged(Session(Path(sys.argv[1])))
+    print(*(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND), sep="\n")
+    sys.exit(bool(FOUND))

@@ -1,0 +1,162 @@
+"""Situations that schedules have to reach, each told by what the files show and not by what was intended.
+
+A situation that a night never reaches is a fault of the generator.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+from outside_judge import HAND, LINK, TIP, Fields, Newest, Seen, Session
+
+Stretch = tuple[float, float]
+
+
+def _states(session: Session, device: str) -> list[Seen]:
+    return session.direct[device, "afm/state" if device == TIP else "haptic/state"]
+
+
+def _down(session: Session, node: str) -> list[Stretch]:
+    """Return when there was no process of a node: from its kill to its next start [s]."""
+    stretches = []
+    for act in session.acts:
+        if act["what"] == "killed" and act["node"] == node:
+            starts = [one["at_s"] for one in session.acts if one["what"] == "started" and one["node"] == node]
+            stretches.append((act["at_s"], next((at_s for at_s in starts if at_s > act["at_s"]), session.end_s)))
+    return stretches
+
+
+def _silent(session: Session, device: str, least_s: float) -> list[Stretch]:
+    """Return when a device sent nothing for longer than a time [s], by the stamps of its states."""
+    times = [one.sent_s for one in _states(session, device)]
+    return [pair for pair in pairwise(times) if pair[1] - pair[0] > least_s]
+
+
+def _acks(session: Session, device: str, command: str) -> list[float]:
+    events = session.direct[device, "session/event"]
+    return [e.sent_s for e in events if e.fields["kind"] == "ack" and e.fields["data"].get("command") == command]
+
+
+def _presses(session: Session) -> list[Fields]:
+    return [act for act in session.acts if act["what"] == "press"]
+
+
+def _within(times: list[float], stretches: list[Stretch], late_s: float = 0.0) -> bool:
+    return any(begin <= at_s <= end + late_s for at_s in times for begin, end in stretches)
+
+
+def _holds(session: Session) -> list[Stretch]:
+    """Return when the hand pressed evenly with hand and tip coupled [s]."""
+    tips = Newest(_states(session, TIP))
+    inside = []
+    for one in _states(session, HAND):
+        tip = tips.at(one.sent_s)
+        presses = 0.8 <= one.fields["session_s"] <= 3.7 or 4.1 <= one.fields["session_s"] <= 7.6
+        if presses and one.fields["mode"] != "off" and tip is not None and tip.fields["mode"] == "follow":
+            inside.append(one.sent_s)
+    return [pair for pair in pairwise(inside) if pair[1] - pair[0] < 0.1]
+
+
+def _changes(session: Session, device: str, *modes: str) -> list[float]:
+    """Return when a device went from one mode to another [s]."""
+    states = _states(session, device)
+    pairs = pairwise(states)
+    return [after.sent_s for before, after in pairs if (before.fields["mode"], after.fields["mode"]) == modes]
+
+
+def _partitions(session: Session) -> list[Stretch]:
+    """Return when samples of the hand were sent and none arrived, or answers, for more than 30 ms [s]."""
+    stretches = []
+    for topic, sender in (("teleop/forward", "controller@master"), ("teleop/backward", "controller@slave")):
+        site = "slave" if topic.endswith("forward") else "master"
+        arrived = sorted(one.sent_s for one in session.seen if one.channel == f"{topic}@{site}")
+        sent = [at_s for at_s, _, _ in session.sent[sender, topic]]
+        newest = Newest([one for one in session.seen if one.channel == topic])
+        for begin, end in pairwise(arrived):
+            if end - begin > 0.03 and len(newest.between(begin, end)) > 5 and sent:
+                stretches.append((begin, end))
+    return stretches
+
+
+def _recordings(session: Session, state: str) -> list[float]:
+    events = [e for e in session.seen if e.topic == "session/event" and e.fields["kind"] == "recording"]
+    return [e.sent_s for e in events if e.fields["data"].get("state") == state]
+
+
+def _law_changes(session: Session) -> list[Stretch]:
+    """Return when one half had changed to another law and waited for the other [s]."""
+    return [
+        (one.sent_s - 0.02, one.sent_s + 0.02)
+        for half in ("controller@master", "controller@slave")
+        for one in session.direct[half, "law/status"]
+        if one.fields["switching"]
+    ]
+
+
+def _voids(session: Session) -> bool:
+    return any(act["what"] == "answered" and act["void"] for act in session.acts)
+
+
+def _two_at_once(session: Session) -> bool:
+    given = [(act["at_s"], act["console"]) for act in session.acts if act["what"] == "command"]
+    return any(b[0] - a[0] < 0.1 and a[1] != b[1] for a, b in pairwise(given))
+
+
+def _jumps(session: Session) -> Iterator[float]:
+    """Yield when the age of the hand's sample that the tip obeys changed by more than 8 ms in a step [s]."""
+    states = [one for one in _states(session, TIP) if one.fields["mode"] == "follow"]
+    ages = [(one.sent_s, one.sent_s - (one.fields["hand_t_ns"] - session.epoch_ns) * 1e-9) for one in states]
+    for before, after in pairwise(ages):
+        if abs(after[1] - before[1]) > 0.008 and after[0] - before[0] < 0.02:
+            yield after[0]
+
+
+def _clock_stepped(session: Session) -> bool:
+    clocks = [one.fields["clock"] for one in session.direct[LINK, "link/status"] if one.fields["clock"]["valid"]]
+    return any(abs(a["offset_s"] - b["offset_s"]) > 0.1 for a, b in pairwise(clocks))
+
+
+SITUATIONS: dict[str, Callable[[Session], bool]] = {
+    "a stop while a device was being started again": lambda s: any(
+        begin <= act["at_s"] <= end
+        for act in _presses(s)
+        for device in act["devices"]
+        for begin, end in _down(s, device)
+    ),
+    "a stop while the link was away": lambda s: _within([one["at_s"] for one in _presses(s)], _down(s, LINK)),
+    "a stop while the instrument stood still": lambda s: _within(
+        [one["at_s"] for one in _presses(s) if TIP in one["devices"]], _silent(s, TIP, 0.05)
+    ),
+    "a stop in a partition": lambda s: _within([one["at_s"] for one in _presses(s)], _partitions(s)),
+    "a partition while a law changed": lambda s: any(
+        begin <= at_s <= end for at_s, _ in _law_changes(s) for begin, end in _partitions(s)
+    ),
+    "a partition in a hold": lambda s: _within([begin for begin, _ in _partitions(s)], _holds(s), 0.1),
+    "a step of the delay in a hold": lambda s: _within(list(_jumps(s)), _holds(s), 0.02),
+    "a full disk in the middle of a file": lambda s: bool(_recordings(s, "failed")),
+    "a folder that went while it was recorded to": lambda s: bool(_recordings(s, "removed")),
+    "a recorder killed in a hold": lambda s: any(
+        _within([begin for begin, _ in _down(s, recorder)], _holds(s), 0.3)
+        for recorder in ("recorder@master", "recorder@slave")
+    ),
+    "a hand killed while the tip followed": lambda s: any(
+        (tip := Newest(_states(s, TIP)).at(begin)) is not None and tip.fields["mode"] == "follow"
+        for begin, _ in _down(s, HAND)
+    ),
+    "an instrument lost while it followed": lambda s: any(
+        before.fields["mode"] == "follow" and after.fields.get("device") == "lost"
+        for before, after in pairwise(_states(s, TIP))
+    ),
+    "an arming that a stop made void": _voids,
+    "two persons who commanded within a tenth of a second": _two_at_once,
+    "a clock that was set while its site was away": _clock_stepped,
+    "a tip that was held and followed again": lambda s: bool(_changes(s, TIP, "hold", "follow")),
+    "a tip withdrawn because nothing came": lambda s: bool(_changes(s, TIP, "hold", "retracting")),
+    "an arming of a tip that was stopped": lambda s: (
+        bool(_changes(s, TIP, "estop", "follow")) or bool(_changes(s, TIP, "estop", "retracted"))
+    ),
+}
+
+
+def situations(session: Session) -> frozenset[str]:
+    """Return the situations that a session has reached."""
+    return frozenset(name for name, is_reached in SITUATIONS.items() if is_reached(session))

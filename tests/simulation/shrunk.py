@@ -1,0 +1,42 @@
+"""A schedule that breaks an invariant, made smaller: fewer events, which break the same one (delta debugging)."""
+
+from collections.abc import Callable, Sequence
+
+from fault_schedule import Event, Schedule
+
+# A failure is told by so many events at most.
+MOST_EVENTS = 5
+Breaks = Callable[[Schedule], bool]
+
+
+def shrunk(schedule: Schedule, breaks: Breaks, *, most_tries: int = 60) -> Schedule:
+    """Return a schedule with as few events as still break it.
+
+    Args:
+        schedule: A schedule that breaks.
+        breaks: Whether one does.
+        most_tries: After so many tries the smallest so far is returned.
+    """
+    tries = [0]
+
+    def still(events: Sequence[Event]) -> bool:
+        tries[0] += 1
+        return tries[0] <= most_tries and breaks(schedule.with_events(events))
+
+    return schedule.with_events(_fewest(list(schedule.events), still))
+
+
+def _fewest(events: list[Event], still: Callable[[Sequence[Event]], bool]) -> list[Event]:
+    """Return a smallest part that still breaks: halves first, then smaller parts left out, each alone at last."""
+    parts = 2
+    while len(events) >= 2:
+        size = max(1, -(-len(events) // parts))
+        places = range(0, len(events), size)
+        left_out = next((rest for at in places if still(rest := events[:at] + events[at + size :])), None)
+        if left_out is not None:
+            events, parts = left_out, max(parts - 1, 2)
+        elif size == 1:
+            break
+        else:
+            parts = min(len(events), 2 * parts)
+    return [] if events and still([]) else events

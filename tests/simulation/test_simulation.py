@@ -1,0 +1,116 @@
+"""Sessions to which faults happen: the same by a seed, judged from outside, and every planted fault is found."""
+
+import datetime
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import campaign
+import pytest
+from campaign import INVARIANTS, KNOWN, Tried, tried
+from fault_schedule import KINDS, Event, Schedule
+from planted import PLANTED
+from reached import SITUATIONS
+from shrunk import MOST_EVENTS, shrunk
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+SEED_OF_THE_DAY = datetime.datetime.now(datetime.UTC).date().toordinal() * 1000
+
+
+def unexpected(one: Tried) -> list[str]:
+    """Return what a schedule breaks besides what is known to be open, as the command that repeats it."""
+    command = f"python -m tests.simulation --seed {one.schedule.seed} --hours 0.001"
+    return [f"{found.invariant}: {found.text}; {command}" for found in one.breaks if found.invariant not in KNOWN]
+
+
+def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
+    drawn = [Schedule.drawn(seed) for seed in range(300)]
+    assert [Schedule.of(json.loads(one.text())) for one in drawn] == drawn
+    assert [Schedule.drawn(seed) for seed in range(300)] == drawn
+    assert {event["kind"] for one in drawn for event in one.events} == KINDS
+
+
+@pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
+def test_what_is_no_schedule_is_refused(document: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"schedule|event"):
+        Schedule.of(document)
+
+
+def test_a_failure_is_made_as_small_as_what_it_needs() -> None:
+    events: Sequence[Event] = [{"at_s": 0.1 * n, "kind": "stall", "number": n} for n in range(17)]
+    schedule = Schedule(1, "wave", 0.0, 0.0, tuple(events))
+    for needed in ({3}, {0, 16}, {2, 7, 8}, {1, 4, 9, 12, 15}):
+
+        def breaks(one: Schedule, needed: set[int] = needed) -> bool:
+            return needed <= {event["number"] for event in one.events}
+
+        small = shrunk(schedule, breaks, most_tries=500)
+        assert {event["number"] for event in small.events} == needed
+        assert len(small.events) <= MOST_EVENTS
+
+
+def test_the_judge_imports_nothing_of_the_project() -> None:
+    code = (
+        "import outside_judge, sys; print([m for m in sys.modules if m.partition('.')[0] in ('telenano', 'services')])"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=HERE, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"
+
+
+@pytest.mark.check("takes 20 s, by the day")
+@pytest.mark.timeout(300)
+def test_the_schedules_of_the_day_break_no_invariant(capsys: pytest.CaptureFixture[str]) -> None:
+    tally = campaign.campaign(SEED_OF_THE_DAY, 1.0, processor_s=15.0)
+    with capsys.disabled():
+        sys.stdout.write(f"\nseed of the day: {SEED_OF_THE_DAY}; {campaign.speed(tally)}; {dict(tally.broken())}\n")
+    assert [text for one in tally.schedules for text in unexpected(one)] == []
+
+
+@pytest.mark.check("takes 6 s")
+def test_a_schedule_gives_the_same_bits_on_other_processors(tmp_path: Path) -> None:
+    schedule = tmp_path / "schedule.json"
+    schedule.write_text(Schedule.drawn(7).text(), encoding="utf-8")
+    command = [sys.executable, "-m", "tests.simulation", "--replay", str(schedule)]
+    others = {"OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"}
+    said = [
+        subprocess.run(command, cwd=ROOT, env={**os.environ, **given}, capture_output=True, text=True).stdout
+        for given in ({}, others)
+    ]
+    assert "sha256" in said[0]
+    assert said[0] == said[1]
+
+
+@pytest.mark.check("takes 6 s, for the fault of the day")
+def test_the_planted_fault_of_the_day_is_found() -> None:
+    check_found(list(PLANTED)[SEED_OF_THE_DAY // 1000 % len(PLANTED)])
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: str) -> None:
+    check_found(name)
+
+
+def check_found(name: str) -> None:
+    fault = PLANTED[name]
+    assert unexpected(tried(fault.schedule)) == []
+    with fault.planted():
+        broken = {found.invariant for found in tried(fault.schedule).breaks}
+    assert broken & fault.breaks
+    assert broken <= fault.breaks | KNOWN.keys()
+
+
+def test_every_invariant_has_a_planted_fault() -> None:
+    assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(4 * 3600)
+def test_hours_of_schedules_break_no_invariant_and_reach_every_situation() -> None:
+    tally = campaign.campaign(SEED_OF_THE_DAY + 500, float(os.environ.get("SIMULATED_HOURS", "1.0")))
+    assert [text for one in tally.schedules for text in unexpected(one)] == []
+    assert {name for name in SITUATIONS if not tally.reached()[name]} == set()
