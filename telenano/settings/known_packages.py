@@ -19,6 +19,7 @@ KNOWN_PACKAGES = {
     "command calibrate": "telenano-lab",
     "command compare": "telenano-lab",
     "command curve": "telenano-lab",
+    "command curve fit": "telenano-lab[files]",
     "command device accept": "telenano-devices",
     "command device approach": "telenano-devices",
     "command device calibrate": "telenano-devices",

@@ -67,8 +67,12 @@ COMMANDS = {
     ),
     "sample": ("telenano_lab.microscopy.sample_command:app", "Make or read a surface as a round tip sees it."),
     "curve": (
-        "telenano_lab.microscopy.curve_command:curve",
+        "telenano_lab.microscopy.curve_command:app",
         "Measure a force curve of the simulated instrument, beside a measured one.",
+    ),
+    "curve fit": (
+        "telenano_lab.afm_files.curve_fit_command:fit",
+        "Fit a contact to all force curves of files: a table with a row for each, and pictures.",
     ),
     "scan": (
         "telenano_lab.microscopy.scan_command:scan",

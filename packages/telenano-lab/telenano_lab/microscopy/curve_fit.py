@@ -19,7 +19,7 @@ A curve is refused where its figures would be worth nothing: the reason says wha
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +49,8 @@ _SEEN = 6.0
 _GREATEST_SHARE = 0.5
 # A modulus that changes over the depth by more than this share, and by so many errors, is none.
 _LEAST_CHANGE, _CHANGE_ERRORS = 0.1, 4.0
+# A change of so many errors that is not refused is in the errors of contact point and modulus.
+_DOUBT_ERRORS = 2.0
 # More than this share of the points at the greatest force are a detector at its end.
 _FLAT_SHARE = 0.05
 _NOISE_STEPS = 6
@@ -142,6 +144,10 @@ class CurveFit(NamedTuple):
     refused: str = ""
     shown: Shown | None = None
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures by name, without what a picture is drawn from."""
+        return {name: value for name, value in self._asdict().items() if name not in ("refused", "shown")}
+
 
 class _Way(NamedTuple):
     """Points of a way in the order of time: base towards the sample [m], force [N], place in the way, averaged over."""
@@ -232,13 +238,24 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         )
     if number in (HERTZ, SNEDDON):
         _refuse_dip(way, model_n, depth_m, noise_n, load_n)
-    change, change_error = _change_over_depth(problem, free, way, contact, jacobian, left)
-    found = found._replace(modulus_change=change, modulus_change_error=change_error)
-    if abs(change) > max(_LEAST_CHANGE, _CHANGE_ERRORS * change_error):
+    change = _change_over_depth(problem, free, way, contact, jacobian, left)
+    found = found._replace(modulus_change=change.share, modulus_change_error=change.error)
+    if abs(change.share) > max(_LEAST_CHANGE, _CHANGE_ERRORS * change.error):
         more = "a thin layer on a hard ground (--thickness), a yielding sample or another shape of the tip"
         raise _RefusedError(
-            f"the modulus changes over the depth by {100.0 * change:.0f} ± {100.0 * change_error:.0f} %: the model"
-            f" {shape.model} does not describe it; {more} may"
+            f"the modulus changes over the depth by {100.0 * change.share:.0f} ± {100.0 * change.error:.0f} %: the"
+            f" model {shape.model} does not describe it; {more} may"
+        )
+    if abs(change.share) > _DOUBT_ERRORS * change.error:
+        # what the figures would be without the change is as likely
+        errors = [math.sqrt(error**2 + moved**2) for error, moved in zip(errors, change.moved, strict=True)]
+        if not errors[1] < _GREATEST_SHARE:
+            raise _RefusedError(
+                f"the modulus changes over the depth by {100.0 * change.share:.0f} ± {100.0 * change.error:.0f} %, and"
+                f" without that it is known to {100.0 * errors[1]:.0f} % only: the model {shape.model} may not describe it"
+            )
+        found = found._replace(
+            contact_error_m=errors[0] * problem.length_scale_m, modulus_error_pa=modulus * errors[1]
         )
     if number in (DMT, JKR):
         pull_n = float(free[2]) * scale if number == DMT else math.exp(float(free[2])) * scale
@@ -369,7 +386,8 @@ def _pull_at_jump(way: _Way) -> tuple[float, float]:
     behind = np.arange(min(last + 2, count - 1), count)
     least_n = _SEEN * noise_n * math.sqrt(0.5)
     width = 4
-    jump = float(way.force_n[last + 1 : last + 1 + width].sum() - way.force_n[last + 1 - width : last + 1].sum()) / width
+    ends = way.force_n[last + 1 - width : last + 1].tolist(), way.force_n[last + 1 : last + 1 + width].tolist()
+    jump = (math.fsum(ends[1]) - math.fsum(ends[0])) / width
     if not jump > least_n or len(before) < 8 or len(behind) < 8:
         return 0.0, least_n / 1.96
     chosen = np.concatenate([before[:-1] if way.over > 1 else before, behind])
@@ -682,14 +700,22 @@ def _in_noise(
     return free, noise, jacobian, model * problem.force_scale_n, depth
 
 
+class _Change(NamedTuple):
+    """By which share the modulus changes over the depth, its standard error, and what each parameter moves by then."""
+
+    share: float
+    error: float
+    moved: list[float]
+
+
 def _change_over_depth(
     problem: _Problem, free: Array, way: _Way, contact: npt.NDArray[np.bool_], jacobian: Array, left_n: Array
-) -> tuple[float, float]:
-    """Return by which share the modulus changes from no depth to the greatest, and the standard error of that."""
+) -> _Change:
     count = len(way.base_m)
     model, depth = np.empty(count), np.empty(count)
     compiled_form(_predict)(problem, free, way.base_m, contact, model, depth)
     share = np.clip(depth, 0.0, None) / max(float(depth.max()), 1e-15)
     columns = np.column_stack([jacobian, jacobian[:, 1] * share])
     noise = correlated_noise(left_n / problem.force_scale_n, columns, way.place)
-    return float(noise.coefficients[-1]), math.sqrt(float(noise.covariance[-1, -1]))
+    *moved, change = noise.coefficients.tolist()
+    return _Change(change, math.sqrt(float(noise.covariance[-1, -1])), moved)

@@ -183,8 +183,8 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
     FigureCanvasAgg(figure)
     for place, image in enumerate(images.values(), start=1):
         axes = figure.add_subplot(rows, columns, place)
-        factor, unit = _readable(image.values, image.unit)
-        side, side_unit = _readable(np.array([image.width_m, image.depth_m]), "m")
+        factor, unit = readable(image.values, image.unit)
+        side, side_unit = readable(np.array([image.width_m, image.depth_m]), "m")
         extent = (0.0, image.width_m * side, 0.0, image.depth_m * side)
         shown = axes.imshow(image.values * factor, origin="lower", extent=extent, cmap="afmhot", aspect="equal")
         figure.colorbar(shown, ax=axes, label=unit)
@@ -194,13 +194,14 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
     return figure
 
 
-_PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
+_PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"),
+             (1e9, "G"))  # fmt: skip
 
 
-def _readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
+def readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
     """Return the factor and the unit with which values are between 1 and 1000."""
     if unit in ("deg", "rad", ""):
         return 1.0, unit
-    largest = float(np.abs(values).max())
+    largest = float(np.abs(values).max(initial=0.0))
     base, prefix = max((row for row in _PREFIXES if row[0] <= largest), default=(1.0, ""))
     return 1.0 / base, prefix + unit

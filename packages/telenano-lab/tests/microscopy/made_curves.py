@@ -7,7 +7,7 @@ It knows nothing of the fit: the branches of each contact are computed on a fine
 place of the base is read from it. The base goes to the sample and back; the sample drifts along with a constant speed,
 and the zero of the force tilts and wanders in time.
 
-    python packages/telenano-lab/tests/microscopy/made_curves.py MAP.npz [MODEL [SIDE]]
+    python packages/telenano-lab/tests/microscopy/made_curves.py MAP.h5 [MODEL [SIDE]]
 
 writes a map of curves, which `telenano curve fit` reads.
 """
@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -206,27 +207,38 @@ def drawn_curve(model: str, seed: int, *, is_layer: bool = False, noise: str = "
 def made_map(model: str, side: int, seed: int) -> list[list[Made]]:
     """Return a map of curves, [x][y], over a hill, with a modulus and a pull that differ from place to place."""
     random = np.random.default_rng([seed, side])
-    conditions = drawn_conditions(model, random, noise="wander")._replace(points=400, noise_share=0.01)
+    conditions = Conditions(
+        model, 400, 3e-9, 0.05, 1e-6, math.radians(20.0), 0.5, 0.5, "wander", 0.01, 0.05, 1e-4
+    )  # fmt: skip
     return [
-        [curve_under(conditions, random, is_layer=False, height_m=1e-7 * (i + j) / side) for j in range(side)]
+        [
+            curve_under(conditions, random, is_layer=False, height_m=1e-7 * math.sin(6.0 * i / side) * j / side)
+            for j in range(side)
+        ]
         for i in range(side)
     ]
 
 
 def write_map(path: Path, curves: list[list[Made]], side_m: float = 1e-6) -> None:
-    """Write a map of curves as a plain grid over the height of the base, on the heights that all of them have."""
-    flat = [curve for column in curves for curve in column]
-    low, high = max(curve.approach_m[0] for curve in flat), min(curve.approach_m[-1] for curve in flat)
-    z = np.linspace(low, high, 400)
-    value = [
-        [np.stack([np.interp(z, each.approach_m, each.approach_n), np.interp(z, each.retract_m, each.retract_n)], 1)
-         for each in column] for column in curves
-    ]  # fmt: skip
-    places = (np.arange(len(curves)) + 0.5) / len(curves) * side_m
-    np.savez(
-        path, value=np.array(value), x=places, y=places, z=z, unit="N", length_unit="m", sign=1, axis="base",
-        stiffness_n_per_m=flat[0].stiffness_n_per_m, source=f"made, {flat[0].model}",
-    )  # fmt: skip
+    """Write a map of curves as afmformats does: a group for each, with its place in the grid."""
+    with h5py.File(path, "w") as file:
+        file.attrs["software"], file.attrs["software version"] = "made_curves", "1"
+        for number, (i, j) in enumerate((i, j) for i in range(len(curves)) for j in range(len(curves[0]))):
+            each, group = curves[i][j], file.create_group(str(number))
+            count = len(each.approach_m)
+            group["force"] = np.concatenate([each.approach_n[::-1], each.retract_n])
+            group["height (measured)"] = np.concatenate([each.approach_m[::-1], each.retract_m])
+            group["segment"] = np.repeat(np.array([0, 1], dtype=np.uint8), count)
+            group["time"] = np.arange(2 * count) * 1e-3
+            for name, unit in (("force", "N"), ("height (measured)", "m"), ("segment", ""), ("time", "s")):
+                group[name].attrs["unit"] = unit
+            group.attrs.update({
+                "enum": number, "imaging mode": "force-distance", "point count": 2 * count,
+                "spring constant": each.stiffness_n_per_m, "speed approach": 1e-6, "speed retract": 1e-6,
+                "duration": 2e-3 * count, "grid index x": i, "grid index y": j, "grid shape x": len(curves),
+                "grid shape y": len(curves[0]), "grid size x": side_m, "grid size y": side_m,
+                "grid center x": 0.5 * side_m, "grid center y": 0.5 * side_m,
+            })  # fmt: skip
 
 
 if __name__ == "__main__":
