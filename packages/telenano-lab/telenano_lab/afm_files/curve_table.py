@@ -10,6 +10,7 @@ A file may hold one curve or a map of thousands; a folder is all files in it. Wh
 
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,7 +19,6 @@ import numpy as np
 
 from telenano.wire import ConfigError
 from telenano_lab.afm_files.map_files import MAP_SUFFIXES, Curves, Wanted, read_curves
-from telenano_lab.microscopy.contact_models import MODELS
 from telenano_lab.microscopy.curve_fit import ContactShape, CurveFit, MeasuredWays, fit_curve
 
 if TYPE_CHECKING:
@@ -80,8 +80,7 @@ def curves(
         ConfigError: There is no such file, the shape of the tip is missing, or no file can be read.
     """
     shape = ContactShape(model, radius_m, half_angle_rad, poisson, thickness_m).checked()
-    one = isinstance(files, str | os.PathLike)
-    paths = [Path(os.fspath(each)) for each in ([files] if one else files)]  # type: ignore[list-item,union-attr]
+    paths = [Path(files)] if isinstance(files, str | os.PathLike) else [Path(each) for each in files]
     return frame_of(fit_files(paths, shape, settings or {}), model)
 
 
@@ -154,9 +153,7 @@ def counted(rows: list[FittedCurve]) -> dict[str, Any]:
         if each.fit.refused:
             # figures differ from curve to curve, and the reason does not
             short = each.fit.refused.partition(":")[0] if ":" in each.fit.refused else each.fit.refused
-            words = "".join("…" if letter.isdigit() else letter for letter in short)
-            while "……" in words:
-                words = words.replace("……", "…")
+            words = re.sub(r"-?\d[\d.]*(e[-+]?\d+)?", "…", short)
             reasons[words] = reasons.get(words, 0) + 1
     refused = sum(reasons.values())
     return {
@@ -166,6 +163,3 @@ def counted(rows: list[FittedCurve]) -> dict[str, Any]:
         "refused_share": refused / len(rows),
         "reasons": dict(sorted(reasons.items(), key=lambda row: -row[1])),
     }
-
-
-__all__ = ["FITTED", "MODELS", "REFUSED", "UNITS", "FittedCurve", "counted", "curves", "fit_files", "frame_of"]

@@ -12,6 +12,7 @@ from telenano_lab.afm_files.curve_table import FittedCurve
 from telenano_lab.microscopy.image_files import readable
 
 Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.int64]
 
 _QUANTITIES = (
     ("contact_m", "Contact point", "m"),
@@ -43,25 +44,23 @@ def map_figure(rows: Sequence[FittedCurve], title: str) -> Figure:
     return figure
 
 
-def _grid_of(rows: Sequence[FittedCurve]) -> tuple[Array, Array, Array, Array] | None:
+def _grid_of(rows: Sequence[FittedCurve]) -> tuple[Array, Array, Places, Places] | None:
     """Return x and y of the columns and lines of one map, and those of each curve; None where there is no map."""
     if len({each.file for each in rows}) != 1 or not all(each.is_grid for each in rows):
         return None
     x, xs = np.unique([each.place_m[0] for each in rows], return_inverse=True)
     y, ys = np.unique([each.place_m[1] for each in rows], return_inverse=True)
-    return x, y, xs, ys
+    return x, y, xs.astype(np.int64), ys.astype(np.int64)
 
 
-def _draw_map(axes: Axes, figure: Figure, grid: tuple[Array, Array, Array, Array], values: Array, label: str) -> None:
+def _draw_map(axes: Axes, figure: Figure, grid: tuple[Array, Array, Places, Places], values: Array, label: str) -> None:
     x, y, xs, ys = grid
     image = np.full((len(y), len(x)), np.nan)
-    image[ys.astype(int), xs.astype(int)] = values
+    image[ys, xs] = values
     sides = [float(each[1] - each[0]) if len(each) > 1 else 1e-9 for each in (x, y)]
     factor, unit = readable(np.array([x[-1] - x[0] + sides[0], y[-1] - y[0] + sides[1]]), "m")
-    extent = tuple(factor * end for end in (
-        float(x[0]) - 0.5 * sides[0], float(x[-1]) + 0.5 * sides[0],
-        float(y[0]) - 0.5 * sides[1], float(y[-1]) + 0.5 * sides[1],
-    ))  # fmt: skip
+    extent = (factor * float(x[0] - 0.5 * sides[0]), factor * float(x[-1] + 0.5 * sides[0]),
+              factor * float(y[0] - 0.5 * sides[1]), factor * float(y[-1] + 0.5 * sides[1]))  # fmt: skip
     axes.set_facecolor("0.75")
     # one curve that is far off must not take the colours of all others
     sound = values[np.isfinite(values)]

@@ -130,7 +130,7 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
 
 
 class Curves(NamedTuple):
-    """Curves as they were taken: of each its number in the file, its place [m] and branches of height [m] and force [N].
+    """Curves as they were taken: of each its number in the file, its place [m] and branches of height [m], force [N].
 
     The height is that of the base, rising away from the sample, ascending; a repulsive force is positive; the approach
     comes first. is_grid: whether the places are those of a map.

@@ -11,11 +11,11 @@ is one too, which is inverted by Newton's steps between bounds. E* is the reduce
 | hertz | sqrt(d) | s^2 | 4/3 E* sqrt(R) s^3 | H. Hertz, J. reine angew. Math. 92 (1882) 156 |
 | sneddon | d | s | 2/pi E* tan(half angle) s^2 | I. N. Sneddon, Int. J. Eng. Sci. 3 (1965) 47 |
 | dmt | sqrt(d) | s^2 | that of Hertz, less the pull-off | B. V. Derjaguin and others, JCIS 53 (1975) 314 |
-| jkr | sqrt(a) | s^4/R - sqrt(4 P/(3 R E*)) s | K s^6 - 2 sqrt(K P) s^3, K = 4 E*/(3 R) | K. L. Johnson and others, 1971 |
+| jkr | sqrt(a) | s^4/R - sqrt(4 P/(3 R E*)) s | K s^6 - 2 sqrt(K P) s^3, K = 4 E*/(3 R) | K. L. Johnson, 1971 |
 
 a is the radius of the contact and P the pull-off, 2 pi w R of DMT and 3/2 pi w R of JKR. A sample of the thickness h on
-a hard ground, to which it is bonded, presses more than Hertz, by the factor 1 + 1.133 c + 1.283 c^2 + 0.769 c^3 + 0.0975
-c^4 with c = sqrt(R d)/h, for a Poisson ratio of 0.5 (E. K. Dimitriadis and others, Biophys. J. 82 (2002) 2798, Eq. 12).
+a hard ground, to which it is bonded, presses more than Hertz, by the factor 1 + 1.133 c + 1.283 c^2 + 0.769 c^3 +
+0.0975 c^4 with c = sqrt(R d)/h, for a Poisson ratio of 0.5 (E. K. Dimitriadis and others, Biophys. J. 82 (2002) 2798).
 
 Everything here is arithmetic and square roots, in one order, so that every processor gives the same bits.
 """
@@ -32,8 +32,6 @@ Array = npt.NDArray[np.float64]
 
 HERTZ, SNEDDON, DMT, JKR = range(4)
 MODELS = {"hertz": HERTZ, "sneddon": SNEDDON, "dmt": DMT, "jkr": JKR}
-# Dimitriadis and others, Eq. 12: the powers of sqrt(R d)/h from the first on.
-_LAYER = (1.133, 1.283, 0.769, 0.0975)
 _MOST_STEPS = 80
 # The inversion ends when s changes by less than this share of itself.
 _ENOUGH = 1e-13

@@ -15,6 +15,7 @@ deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is whit
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ Array = npt.NDArray[np.float64]
 # Correlation as shares of the record, in points no less than _LEAST_POINTS, and ratio of the variances.
 _SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _LEAST_POINTS = 2.0
-_RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 # noise is believed possible whose log likelihood is so much less than the greatest
 _SUPPORT = 2.0
 
@@ -46,8 +47,15 @@ class Noise(NamedTuple):
     zero: Array = np.zeros(0)
 
 
-def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
+def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequence[float] = RATIOS) -> Noise:
     """Regress values, shape (n,), on columns, shape (n, p), in white noise and a wander over an index that rises, (n,).
+
+    Args:
+        values: The values.
+        columns: The columns.
+        index: The index.
+        ratios: Variances of the wander that are possible, in that of the white noise; averages over many points have
+            less white noise, and as much wander.
 
     Raises: numpy.linalg.LinAlgError where the columns do not tell the coefficients apart.
     """
@@ -56,7 +64,7 @@ def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
     if not (np.isfinite(size).all() and size.all()):
         raise np.linalg.LinAlgError("a column is nothing")
     lengths = sorted({max(share * float(np.ptp(index)), _LEAST_POINTS) for share in _SHARES})
-    ratio, points = (np.ravel(one) for one in np.meshgrid(_RATIOS, lengths))
+    ratio, points = (np.ravel(one) for one in np.meshgrid(ratios, lengths))
     ratio, points = np.append(0.0, ratio), np.append(_LEAST_POINTS, points)
     white, logs = _whitened(np.column_stack([columns / size, values]), index, ratio, points)
     kinds, width = len(ratio), columns.shape[1]

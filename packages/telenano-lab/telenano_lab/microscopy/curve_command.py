@@ -46,9 +46,7 @@ app = command_group()
 def curve(
     context: typer.Context,
     given: dict[str, Any],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")] = None,
     points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
     model: Annotated[
         CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")

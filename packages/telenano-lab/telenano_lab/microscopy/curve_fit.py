@@ -27,12 +27,12 @@ import numpy.typing as npt
 from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_lab.microscopy.contact_models import DMT, HERTZ, JKR, MODELS, SNEDDON, Contact, at, end_of, forces
-from telenano_lab.microscopy.correlated_noise import Noise, correlated_noise
+from telenano_lab.microscopy.correlated_noise import RATIOS, Noise, correlated_noise
 
 Array = npt.NDArray[np.float64]
 
 # A way is averaged over neighbours to no more than this number of points.
-_MOST_POINTS = 512
+_MOST_POINTS = 256
 # A fit needs this number of points in contact, and away from the sample.
 _LEAST_POINTS = 10
 # This share of the way, at its end away from the sample, is taken for free until the contact is known.
@@ -41,8 +41,8 @@ _FREE_SHARE = 0.25
 _LEFT_OUT = 0.03
 # Points of the contact within this share of it from the end that the model has are left out as well.
 _NEXT_TO_END = {DMT: 0.02, JKR: 0.1}
-# Points before the last jump of a retraction that tell its pull.
-_BEFORE_JUMP = 24
+# Points before the last jump of a retraction, and behind it, that tell its pull.
+_BEFORE_JUMP, _BEHIND_JUMP = 24, 120
 # The load, a pull or a jump is seen where it is so many times its noise.
 _SEEN = 6.0
 # An error of the modulus above this share of it is refused.
@@ -54,6 +54,8 @@ _DOUBT_ERRORS = 2.0
 # More than this share of the points at the greatest force are a detector at its end.
 _FLAT_SHARE = 0.05
 _NOISE_STEPS = 6
+# Averages over neighbours have less white noise, and as much that wanders.
+_OF_AVERAGES = (*RATIOS, 300.0, 1000.0)
 # Places of the touch at which the fit begins are tried at this number of points of the way.
 _STARTS = 80
 
@@ -252,19 +254,16 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         if not errors[1] < _GREATEST_SHARE:
             raise _RefusedError(
                 f"the modulus changes over the depth by {100.0 * change.share:.0f} ± {100.0 * change.error:.0f} %, and"
-                f" without that it is known to {100.0 * errors[1]:.0f} % only: the model {shape.model} may not describe it"
+                f" without that it is known to {100.0 * errors[1]:.0f} % only: the model {shape.model} may not describe"
+                " it"
             )
-        found = found._replace(
-            contact_error_m=errors[0] * problem.length_scale_m, modulus_error_pa=modulus * errors[1]
-        )
+        found = found._replace(contact_error_m=errors[0] * problem.length_scale_m, modulus_error_pa=modulus * errors[1])
     if number in (DMT, JKR):
         pull_n = float(free[2]) * scale if number == DMT else math.exp(float(free[2])) * scale
-        return found._replace(
-            adhesion_n=pull_n, adhesion_error_n=errors[2] * (scale if number == DMT else pull_n)
-        )
+        return found._replace(adhesion_n=pull_n, adhesion_error_n=errors[2] * (scale if number == DMT else pull_n))
     if retract is None:
         return found
-    pull_n, error_n = _pull_at_jump(retract)
+    pull_n, error_n = _pull_at_jump(curve)
     return found._replace(adhesion_n=pull_n, adhesion_error_n=error_n)
 
 
@@ -377,33 +376,34 @@ def _last_in_contact(way: _Way) -> int:
     return int(np.argmax(behind - before)) + width - 1
 
 
-def _pull_at_jump(way: _Way) -> tuple[float, float]:
-    """Return what a retraction pulls with at its last jump [N], and its standard error; 0 where none is seen."""
-    zero_n, noise_n = _free_end(way, turned=True)
-    last, count = _last_in_contact(way), len(way.force_n)
-    before = np.arange(max(last - _BEFORE_JUMP + 1, 0), last + 1)
-    # one or two points may lie in the jump itself, which an average makes of it
-    behind = np.arange(min(last + 2, count - 1), count)
+def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
+    """Return what a retraction pulls with at its last jump [N], and its standard error; 0 where none is seen.
+
+    An average over neighbours would have the jump in it, so that the points are taken as they are, and near the jump.
+    """
+    sound = np.isfinite(curve.retract_m) & np.isfinite(curve.retract_n)
+    base, force = -curve.retract_m[sound], curve.retract_n[sound]
+    way = _Way(base, force, np.arange(len(base), dtype=np.float64), 1)
+    _, noise_n = _free_end(way, turned=True)
+    last, count, width = _last_in_contact(way), len(force), 4
+    before = np.arange(max(last - min(_BEFORE_JUMP, max(count // 30, 10)) + 1, 0), last + 1)
+    behind = np.arange(last + 1, min(last + 1 + _BEHIND_JUMP, count))
     least_n = _SEEN * noise_n * math.sqrt(0.5)
-    width = 4
-    ends = way.force_n[last + 1 - width : last + 1].tolist(), way.force_n[last + 1 : last + 1 + width].tolist()
+    ends = force[last + 1 - width : last + 1].tolist(), force[last + 1 : last + 1 + width].tolist()
     jump = (math.fsum(ends[1]) - math.fsum(ends[0])) / width
     if not jump > least_n or len(before) < 8 or len(behind) < 8:
         return 0.0, least_n / 1.96
-    chosen = np.concatenate([before[:-1] if way.over > 1 else before, behind])
+    chosen = np.concatenate([before, behind])
     is_before = (chosen <= last).astype(np.float64)
-    edge = float(way.base_m[last])
-    x = (way.base_m[chosen] - edge) / max(abs(float(way.base_m[before[0]] - edge)), 1e-15)
-    far = (way.base_m[chosen] - float(way.base_m[-1])) / max(abs(float(way.base_m[-1]) - edge), 1e-15)
-    columns = np.stack([np.ones(len(chosen)), far, is_before, is_before * x, is_before * x * x], axis=1)
-    scale = max(float(np.ptp(way.force_n[chosen])), 1e-15)
-    noise = correlated_noise(way.force_n[chosen] / scale, columns, way.place[chosen])
-    # the zero line at the edge is of the pull as well
-    pull = -float(noise.coefficients[2])
-    slope = abs(float(noise.coefficients[3])) / max(len(before) - 1, 1)
-    # where between two points the jump lies is not known
+    # the jump is somewhere between two points
+    edge = 0.5 * float(base[last] + base[last + 1])
+    x = (base[chosen] - edge) / max(abs(float(base[before[0]]) - edge), 1e-15)
+    columns = np.stack([np.ones(len(chosen)), x, is_before, is_before * x, is_before * x * x], axis=1)
+    scale = max(float(np.ptp(force[chosen])), 1e-15)
+    noise = correlated_noise(force[chosen] / scale, columns, way.place[chosen])
+    slope = abs(float(noise.coefficients[3])) / len(before)
     error = math.sqrt(float(noise.covariance[2, 2]) + slope * slope / 12.0)
-    return scale * (pull + 0.5 * slope), scale * error
+    return -scale * float(noise.coefficients[2]), scale * error
 
 
 class _Problem(NamedTuple):
@@ -443,7 +443,9 @@ def _start(
     return np.array([touch_m / length, math.log(modulus), pull_n / scale, zero / scale, slope * length / scale])
 
 
-def _start_of_jkr(radius_m: float, k: float, pull_n: float, top: tuple[float, float], low_m: float) -> tuple[float, float]:
+def _start_of_jkr(
+    radius_m: float, k: float, pull_n: float, top: tuple[float, float], low_m: float
+) -> tuple[float, float]:
     """Return E* [Pa] and touch [m] with which the way from the greatest pull, at low_m, to the top is as measured."""
     top_m, top_n = top
 
@@ -683,7 +685,7 @@ def _in_noise(
     for _ in range(_NOISE_STEPS):
         compiled_form(_predict)(problem, free, way.base_m, contact, model, depth)
         compiled_form(_slopes)(problem, free, way.base_m, contact, which, jacobian)
-        noise = correlated_noise(force - model, jacobian, way.place)
+        noise = correlated_noise(force - model, jacobian, way.place, _OF_AVERAGES)
         errors = np.sqrt(np.diagonal(noise.covariance))
         move = np.clip(noise.coefficients, -3.0 * errors, 3.0 * errors)
         # A step that goes back goes half as far, and so do those after it.
@@ -716,6 +718,6 @@ def _change_over_depth(
     compiled_form(_predict)(problem, free, way.base_m, contact, model, depth)
     share = np.clip(depth, 0.0, None) / max(float(depth.max()), 1e-15)
     columns = np.column_stack([jacobian, jacobian[:, 1] * share])
-    noise = correlated_noise(left_n / problem.force_scale_n, columns, way.place)
+    noise = correlated_noise(left_n / problem.force_scale_n, columns, way.place, _OF_AVERAGES)
     *moved, change = noise.coefficients.tolist()
     return _Change(change, math.sqrt(float(noise.covariance[-1, -1])), moved)

@@ -194,8 +194,10 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
     return figure
 
 
-_PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"),
-             (1e9, "G"))  # fmt: skip
+_PREFIXES = (
+    *((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m")),
+    *((1.0, ""), (1e3, "k"), (1e6, "M"), (1e9, "G")),
+)
 
 
 def readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:

@@ -7,7 +7,7 @@ It knows nothing of the fit: the branches of each contact are computed on a fine
 place of the base is read from it. The base goes to the sample and back; the sample drifts along with a constant speed,
 and the zero of the force tilts and wanders in time.
 
-    python packages/telenano-lab/tests/microscopy/made_curves.py MAP.h5 [MODEL [SIDE]]
+    python -m telenano_lab.doubles.made_curves MAP.h5 [MODEL [SIDE]]
 
 writes a map of curves, which `telenano curve fit` reads.
 """
@@ -37,7 +37,7 @@ class Truth(NamedTuple):
 
 
 class Made(NamedTuple):
-    """A curve: heights of the base, ascending [m], forces [N], constants, its noise, and the truth of the fitted way."""
+    """A curve: heights of the base, ascending [m], forces [N], constants, noise, and the truth of the fitted way."""
 
     model: str
     approach_m: Array
@@ -53,7 +53,13 @@ class Made(NamedTuple):
 
 
 def branch(
-    model: str, reduced_pa: float, radius_m: float, angle_rad: float, pull_n: float, thickness_m: float, deepest_m: float
+    model: str,
+    reduced_pa: float,
+    radius_m: float,
+    angle_rad: float,
+    pull_n: float,
+    thickness_m: float,
+    deepest_m: float,
 ) -> tuple[Array, Array]:
     """Return indentations [m] and forces [N] of a contact, from where it may end to beyond deepest_m."""
     if model == "jkr":
@@ -102,7 +108,7 @@ def noise_of(kind: str, count: int, random: np.random.Generator) -> Array:
     size[1:] = frequency[1:] ** (-0.5 if kind == "flicker" else -1.0)
     normal = random.standard_normal((2, len(frequency)))
     slow = np.fft.irfft(size * (normal[0] + 1j * normal[1]))[:count]
-    return white + (slow - slow.mean()) / slow.std()
+    return np.asarray(white + (slow - slow.mean()) / slow.std())
 
 
 class Conditions(NamedTuple):
@@ -162,11 +168,8 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
         if high / low < 1.0 + 1e-12:
             break
     depth, force = branch(c.model, reduced, c.radius_m, c.half_angle_rad, pull_n, thickness_m, indented_m)
-    if c.model in ("dmt", "jkr"):
-        back = depth, force
-    else:
-        # these models know no pull: what holds the tip on its way back does not act on the way there
-        back = depth, force - pull_n
+    # the other models know no pull: what holds the tip on its way back does not act on the way there
+    back = (depth, force) if c.model in ("dmt", "jkr") else (depth, force - pull_n)
     pushed_m = indented_m + bent_m
     way_m = pushed_m / (1.0 - c.free_share)
     ends = pushed_m - way_m
@@ -245,5 +248,8 @@ if __name__ == "__main__":
     chosen = sys.argv[2] if len(sys.argv) > 2 else "hertz"
     made = made_map(chosen, int(sys.argv[3]) if len(sys.argv) > 3 else 16, 1)
     write_map(Path(sys.argv[1]), made)
-    print(f"radius_nm {1e9 * made[0][0].radius_m:.6g} half_angle_deg {math.degrees(made[0][0].half_angle_rad):.6g} "
-          f"poisson {made[0][0].poisson:.6g}")  # fmt: skip
+    facts = made[0][0]
+    sys.stdout.write(
+        f"radius_nm {1e9 * facts.radius_m:.6g} half_angle_deg {math.degrees(facts.half_angle_rad):.6g}"
+        f" poisson {facts.poisson:.6g}\n"
+    )
