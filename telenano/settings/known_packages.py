@@ -50,6 +50,7 @@ KNOWN_PACKAGES = {
     "command sample info": "telenano-lab[files]",
     "command scan": "telenano-lab",
     "command study": "telenano-lab",
+    "command study drift": "telenano-lab[experiments]",
     "command topic pub": "telenano-lab",
     "driver dhd": "telenano-devices",
     "driver gwyscope": "telenano-devices",

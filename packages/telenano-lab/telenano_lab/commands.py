@@ -17,6 +17,10 @@ COMMANDS = {
         "telenano_lab.studies.study_command:app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "study drift": (
+        "telenano_lab.experiments.drift_command:drift",
+        "What each law makes of a drift in z: one that stands, and one that wanders as heat makes it.",
+    ),
     "reproduce": (
         "telenano_lab.studies.reproduce_command:reproduce",
         "Make figures and equations of the paper again, on one page.",
