@@ -1,6 +1,6 @@
 """Force curves fitted as `telenano curve fit` does and by nanite, in turn: the time of each, and whose errors hold.
 
-    python benchmarks/curve_fits.py [CURVES]          needs: pip install nanite
+    python benchmarks/curve_fits.py [CURVES = 512, of each of 8 lines]          needs: pip install nanite
 
 The curves are those of a known sphere or cone, with noise that is white or wanders, tilt and drift. An interval is the
 figure with 1.96 of its standard errors on both sides; nanite's are those of lmfit. Each line has a model and a kind of
@@ -62,8 +62,8 @@ def by_nanite(made: Made) -> tuple[float, float] | None:
     return float(fitted["E"].value), float(fitted["E"].stderr)
 
 
-def compared(model: str, noise: str, count: int) -> str:
-    """Return a line of the table."""
+def compared(model: str, noise: str, count: int) -> tuple[str, dict[str, float]]:
+    """Return a line of the table, and the seconds of both."""
     ways: dict[str, Any] = {"telenano": by_telenano, "nanite": by_nanite}
     seconds, held, fitted, off = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0), dict.fromkeys(ways, 0), {}
     shares: dict[str, list[float]] = {name: [] for name in ways}
@@ -83,11 +83,12 @@ def compared(model: str, noise: str, count: int) -> str:
         cover = 100.0 * held[name] / max(fitted[name], 1)
         milliseconds = 1e3 * seconds[name] / count
         parts.append(f"{fitted[name]:5d} {cover:6.0f} {off[name]:8.2g} {milliseconds:8.1f}")
-    return f"{model:8s} {noise:8s} " + "  ".join(parts) + f" {seconds['nanite'] / seconds['telenano']:8.1f}"
+    line = f"{model:8s} {noise:8s} " + "  ".join(parts) + f" {seconds['nanite'] / seconds['telenano']:8.1f}"
+    return line, seconds
 
 
 def main(count: int) -> None:
-    """Print the table, and what 4096 curves would take."""
+    """Print the table, and the time of all curves."""
     warnings.simplefilter("ignore")
     try:
         import nanite
@@ -97,10 +98,14 @@ def main(count: int) -> None:
         by_telenano(drawn_curve(model, 0))
     print(f"nanite {nanite.__version__}; {count} curves a line")
     print("                  telenano: fitted, covers %, off %, ms   nanite: the same           nanite/telenano")
+    both = {"telenano": 0.0, "nanite": 0.0}
     for model in ("hertz", "sneddon"):
         for noise in NOISES:
-            print(compared(model, noise, count), flush=True)
+            line, seconds = compared(model, noise, count)
+            print(line, flush=True)
+            both = {name: both[name] + seconds[name] for name in both}
+    print(f"{8 * count} curves: telenano {both['telenano']:.1f} s, nanite {both['nanite']:.1f} s")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 128)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 512)

@@ -89,6 +89,7 @@ def rows_of(outcomes: Sequence[Outcome]) -> list[DriftRow]:
     for one in outcomes:
         run = one.cell
         assert isinstance(run, DriftRun)
+        drift: tuple[str, float, float | None]
         if run.wander_m_per_s:
             drift = "wanders", 1e12 * run.wander_m_per_s, run.wander_s
         elif run.speed_m_per_s:
