@@ -12,7 +12,8 @@ indentation, in which the same noise stands, a fit of a soft lever is biased. Th
 that the residuals tell (`correlated_noise`).
 
 With Hertz and Sneddon the adhesion is what the retraction pulls with at its last jump: a line or a parabola through the
-points before the jump, with the zero line behind it. Where no jump is seen the adhesion is 0, and its error such that
+points before the jump, with the zero line behind it; of a retraction that comes off without a jump it is the lowest
+point. Where neither is seen the adhesion is 0, and its error such that
 the interval of 95 % reaches to the least jump that would have been seen.
 
 A curve is refused where its figures would be worth nothing: the reason says what was seen, and what can be done.
@@ -376,6 +377,43 @@ def _last_in_contact(way: _Way) -> int:
     return int(np.argmax(behind - before)) + width - 1
 
 
+def _lowest(force: Array, width: int) -> int:
+    """Return the number of the point in the middle of the lowest mean over a few."""
+    sums = np.zeros(len(force) - width + 1)
+    for place in range(width):
+        sums = sums + force[place : len(force) - width + 1 + place]
+    return int(np.argmin(sums)) + width // 2
+
+
+def _smooth_pull(way: _Way, lowest: int, last: int, noise_n: float) -> tuple[float, float] | None:
+    """Return the greatest pull [N] and its error where a retraction comes off without a jump; None where it jumps.
+
+    A stiff lever follows the contact past its greatest pull: there a parabola goes through the points on both sides.
+    """
+    force, count = way.force_n, len(way.force_n)
+    half = min(_BEFORE_JUMP // 2, max(count // 60, 5))
+    inside = np.arange(max(lowest - half, 0), min(lowest + half + 1, count))
+    behind = np.arange(max(count - _BEHIND_JUMP, count - int(_FREE_SHARE * count), lowest + 2 * half), count)
+    if len(inside) < 2 * half or len(behind) < 2 * _LEAST_POINTS:
+        return None
+    width = 4
+    deep = math.fsum(force[lowest - width // 2 : lowest + width // 2].tolist()) / width
+    before = math.fsum(force[max(last + 1 - width, 0) : last + 1].tolist()) / min(width, last + 1)
+    zero = math.fsum(force[behind].tolist()) / len(behind)
+    # before its greatest step the force has risen again: the greatest pull is not where a branch ends
+    if not (lowest < last and before - deep > _SEEN * noise_n and zero - deep > 2.0 * _SEEN * noise_n):
+        return None
+    chosen = np.concatenate([inside, behind])
+    is_inside = (chosen <= inside[-1]).astype(np.float64)
+    x = (chosen - lowest) / half
+    columns = np.stack([np.ones(len(chosen)), is_inside, is_inside * x, is_inside * x * x], axis=1)
+    scale = max(float(np.ptp(force[chosen])), 1e-15)
+    noise = correlated_noise(force[chosen] / scale, columns, way.place[chosen])
+    _, level, slope, bow = noise.coefficients.tolist()
+    deepest = slope * slope / (4.0 * bow) if bow > 0.0 and abs(slope) < 2.0 * bow else 0.0
+    return -scale * (level - deepest), scale * math.sqrt(float(noise.covariance[1, 1]))
+
+
 def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
     """Return what a retraction pulls with at its last jump [N], and its standard error; 0 where none is seen.
 
@@ -389,6 +427,9 @@ def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
     before = np.arange(max(last - min(_BEFORE_JUMP, max(count // 30, 10)) + 1, 0), last + 1)
     behind = np.arange(last + 1, min(last + 1 + _BEHIND_JUMP, count))
     least_n = _SEEN * noise_n * math.sqrt(0.5)
+    lowest = _lowest(force, width)
+    if (smooth := _smooth_pull(way, lowest, last, noise_n)) is not None:
+        return smooth
     ends = force[last + 1 - width : last + 1].tolist(), force[last + 1 : last + 1 + width].tolist()
     jump = (math.fsum(ends[1]) - math.fsum(ends[0])) / width
     if not jump > least_n or len(before) < 8 or len(behind) < 8:

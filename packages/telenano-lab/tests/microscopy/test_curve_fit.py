@@ -154,3 +154,17 @@ def test_jkr_ends_where_no_spring_holds_it_and_pulls_most_with_its_pull_off() ->
     # a stiff spring follows the contact to where its depth is least: there a^3 = P R / (12 E*), and the depth -3 a^2/R
     least_m = -3.0 / 1e-6 * (1e-8 * 1e-6 / (12.0 * 1e6)) ** (2.0 / 3.0)
     assert depth.min() == pytest.approx(least_m, rel=1e-4, abs=0)
+
+
+@pytest.mark.check("compiles the steps")
+def test_a_stiff_lever_that_comes_off_without_a_jump_has_its_greatest_pull() -> None:
+    random, height = np.random.default_rng(5), np.linspace(-30e-9, 40e-9, 400)
+    pushed = np.clip(-height, 0.0, None)
+    approach = 1e-8 * (pushed / 30e-9) ** 1.5 + random.normal(0.0, 5e-11, 400)
+    pulled = 1e-8 * np.clip(-height / 30e-9, 0.0, None) ** 1.5 - 4e-9 * np.exp(-((height - 3e-9) ** 2) / (4e-9) ** 2)
+    found = fit_curve(
+        MeasuredWays(height, approach, height, pulled + random.normal(0.0, 5e-11, 400), 1e4),
+        ContactShape("hertz", 1e-7),
+    )
+    assert not found.refused
+    assert found.adhesion_n == pytest.approx(4e-9, rel=0.03, abs=0)
