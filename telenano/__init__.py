@@ -1,6 +1,7 @@
 """The `telenano` command, and what programs use.
 
-`open` a recording, `open_all` of many, `simulate` a session, connect to a `live` rig.
+`open` a recording, `open_all` of many, `simulate` a session, connect to a `live` rig, fit force
+`curves`.
 """
 
 from importlib import import_module
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
     from telenano.api import check_law as check_law
+    from telenano.api import curves as curves
     from telenano.api import live as live
     from telenano.api import open as open
     from telenano.api import open_all as open_all
@@ -33,6 +35,7 @@ __all__ = [
     "SimulatedSession",
     "Table",
     "check_law",
+    "curves",
     "live",
     "open",
     "open_all",

@@ -42,7 +42,7 @@ from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.quantities import quantity
 from telenano.recording.site_clock import Timeline
 from telenano.recording.tables import TypedColumn, flat, row
-from telenano.wire.errors import NoRecordingError, RecordingError, TelenanoError, known_names
+from telenano.wire.errors import ConfigError, NoRecordingError, RecordingError, TelenanoError, known_names
 from telenano.wire.messages import Message
 
 if TYPE_CHECKING:
@@ -411,6 +411,34 @@ def check_law(name: str) -> dict[str, list[str]]:
     from telenano.lockstep.law_rules import broken_rules
 
     return broken_rules(name)
+
+
+def curves(
+    files: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], model: str = "hertz", **shape: Any
+) -> "pandas.DataFrame":
+    """Fit a contact to all force curves of files; return a table of pandas with a row for each.
+
+    This does the same as `telenano curve fit`, and needs telenano-lab.
+
+    Args:
+        files: A file, a folder, or several of them.
+        model: hertz, sneddon, dmt or jkr.
+        **shape: `radius_m` of the tip, or for sneddon `half_angle_rad` of the cone; `poisson` of the sample (0.5),
+            `thickness_m` of a sample on a hard ground, and `settings`, what the files lack, as by `--set`.
+
+    Raises:
+        ConfigError: telenano-lab is not installed, there is no such file, or the shape of the tip is missing.
+    """
+    from telenano.settings.known_packages import KNOWN_PACKAGES
+    from telenano.settings.plugins import load, refuse
+    from telenano.wire.extras import how_to_add_package
+
+    loaded = load("functions", only="curves")
+    refuse(loaded, "curves")
+    if "curves" not in loaded.found:
+        package = KNOWN_PACKAGES["command curve fit"]
+        raise ConfigError(f"telenano.curves is in the package {package}: {how_to_add_package(package)}")
+    return loaded.found["curves"](files, model, **shape)
 
 
 @contextmanager

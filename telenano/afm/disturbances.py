@@ -6,7 +6,7 @@ step.
 
 At the instrument's rate of a step a millisecond, with t its own time:
 
-    x_piezo = S(x + hysteresis(x) + creep(x)) + drift t + vibration(t)
+    x_piezo = S(x + hysteresis(x) + creep(x)) + drift t + wander(t) + vibration(t)
     x, y    = those of the stage - drift of the sample
     zeta    = zeta(x_piezo) + thermal + (white + 1/f + rounding of the converter) / gain of the read-out
 
@@ -39,7 +39,7 @@ class NoiseState(NamedTuple):
     """Time [s]; 1/f parts, of unit variance; how many normal numbers were used; how far the voltage wandered.
 
     wandered is of unit variance. sample: how far the sample has drifted in x and y [m], and by how much the speeds of
-    that have wandered [m/s].
+    that have wandered [m/s]. base: how far the base has wandered in z [m], and its speed, of unit variance.
     """
 
     time_s: float
@@ -47,6 +47,7 @@ class NoiseState(NamedTuple):
     drawn: int
     wandered: float
     sample: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    base: tuple[float, float] = (0.0, 0.0)
 
 
 class Noise(NamedTuple):
@@ -82,10 +83,17 @@ def noise_step(
 ) -> tuple[NoiseState, Noise]:
     """Draw what is added in a step, dt [s] after the last one, to an instrument with such a cantilever [N/m]."""
     time_s, drawn, flicker, wandered = state.time_s + dt, state.drawn, state.flicker, state.wandered
-    drift_m = config.drift.speed_m_per_s * time_s if config.drift.enabled else 0.0
+    drift, base = config.drift, state.base
+    drift_m = drift.speed_m_per_s * time_s if drift.enabled else 0.0
     vibration_m = _vibration_m(config.seed, config.vibration, time_s) if config.vibration.enabled else 0.0
     sample = _drifted(config, state, dt) if config.drift.enabled else state.sample
-    drawn += 2 * (config.drift.enabled and config.drift.walk_m2_per_s3 > 0.0)
+    drawn += 2 * (drift.enabled and drift.walk_m2_per_s3 > 0.0)
+    if drift.enabled and drift.wander_m_per_s > 0.0:
+        # a speed of Ornstein and Uhlenbeck, whose first value is drawn from what it is in the long run
+        kept = math.exp(-dt / drift.wander_s) if state.time_s > 0.0 else 0.0
+        speed = kept * base[1] + math.sqrt(1.0 - kept * kept) * normal_number(config.seed, drawn)
+        base, drawn = (base[0] + drift.wander_m_per_s * speed * dt, speed), drawn + 1
+        drift_m += base[0]
     voltage_v, e = 0.0, config.electrostatic
     if e.enabled:
         voltage_v = e.voltage_v
@@ -109,7 +117,7 @@ def noise_step(
         flicker = tuple(parts)
         flicker_v = r.flicker_v / math.sqrt(_OCTAVES) * sum(flicker)
     noise = Noise(drift_m, vibration_m, voltage_v, thermal_m, white_v, flicker_v, sample[0], sample[1])
-    return NoiseState(time_s, flicker, drawn, wandered, sample), noise
+    return NoiseState(time_s, flicker, drawn, wandered, sample, base), noise
 
 
 def _drifted(config: DisturbanceConfig, state: NoiseState, dt: float) -> tuple[float, float, float, float]:

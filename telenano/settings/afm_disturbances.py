@@ -57,8 +57,15 @@ class DriftConfig(Settings):
     x_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along x [m/s].")
     y_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along y [m/s].")
     walk_m2_per_s3: float = Field(
-        0.0, ge=0.0, le=1e-18, description="Density of the white acceleration by which these speeds wander [m^2/s^3]."
+        0.0,
+        ge=0.0,
+        le=1e-18,
+        description="Density of the white acceleration by which the sample's speeds along x and y wander [m^2/s^3].",
     )
+    wander_m_per_s: float = Field(
+        0.0, ge=0.0, le=1e-6, description="Root mean square of the speed by which the base wanders in z as well [m/s]."
+    )
+    wander_s: float = Field(60.0, ge=0.01, le=1e5, description="Time over which that speed forgets itself [s].")
 
 
 class ThermalConfig(Settings):

@@ -34,7 +34,19 @@ SCENARIO_KINDS = (
 )
 KINDS = (
     *SCENARIO_KINDS,
-    *("advisers", "commands", "checks", "exports", "images", "panels", "readers", "steps", "topics", "transports"),
+    *(
+        "advisers",
+        "commands",
+        "checks",
+        "exports",
+        "functions",
+        "images",
+        "panels",
+        "readers",
+        "steps",
+        "topics",
+        "transports",
+    ),
 )
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 

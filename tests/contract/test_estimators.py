@@ -55,6 +55,16 @@ def adhesion() -> None:
     _function("telenano_lab.microscopy.adhesion_fit:fit_adhesion")(replace(curve, retract=pushed), config)  # type: ignore[type-var]
 
 
+def curve() -> None:
+    made = importlib.import_module("telenano_lab.doubles.made_curves").drawn_curve("dmt", 2, noise="white")
+    fits = importlib.import_module("telenano_lab.microscopy.curve_fit")
+    ways = fits.MeasuredWays(
+        made.approach_m, made.approach_n, made.retract_m, made.retract_n, made.stiffness_n_per_m
+    )  # fmt: skip
+    shape = fits.ContactShape("hertz", made.radius_m, poisson=made.poisson)
+    raise TelenanoError(_function("telenano_lab.microscopy.curve_fit:fit_curve")(ways, shape).refused)  # type: ignore[attr-defined]
+
+
 def psychometric() -> None:
     model = importlib.import_module("telenano_lab.experiments.psychophysics.function").Psychometric()
     found = _function("telenano_lab.experiments.psychophysics.fit:fit")([(float(n), True) for n in range(20)], model)
@@ -103,6 +113,7 @@ ESTIMATORS: dict[str, tuple[Callable[[], None], str]] = {
     "sensitivity by a curve": (sensitivity, "the line of contact is bent"),
     "handle and stage": (line, "of the span off the line"),
     "radius and work of adhesion": (adhesion, "points in contact before a pull-off"),
+    "contact point, modulus, adhesion": (curve, "the approach is pulled in"),
     "psychometric function": (psychometric, "threshold None, low None, high None"),
     "loss of a tapping contact by phase and amplitude": (phase, "1 spans of"),
     "place and radius of a particle in an image": (particle, "clusters .*True"),

@@ -17,6 +17,10 @@ COMMANDS = {
         "telenano_lab.studies.study_command:app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "study drift": (
+        "telenano_lab.experiments.drift_command:drift",
+        "What each law makes of a drift in z: one that stands, and one that wanders as heat makes it.",
+    ),
     "reproduce": (
         "telenano_lab.studies.reproduce_command:reproduce",
         "Make figures and equations of the paper again, on one page.",
@@ -67,8 +71,12 @@ COMMANDS = {
     ),
     "sample": ("telenano_lab.microscopy.sample_command:app", "Make or read a surface as a round tip sees it."),
     "curve": (
-        "telenano_lab.microscopy.curve_command:curve",
+        "telenano_lab.microscopy.curve_command:app",
         "Measure a force curve of the simulated instrument, beside a measured one.",
+    ),
+    "curve fit": (
+        "telenano_lab.afm_files.curve_fit_command:fit",
+        "Fit a contact to all force curves of files: a table with a row for each, and pictures.",
     ),
     "scan": (
         "telenano_lab.microscopy.scan_command:scan",

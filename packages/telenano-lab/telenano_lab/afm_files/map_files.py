@@ -129,6 +129,100 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         raise ConfigError(f"{path}: {error}") from error
 
 
+class Curves(NamedTuple):
+    """Curves as they were taken: of each its number in the file, its place [m] and branches of height [m], force [N].
+
+    The height is that of the base, rising away from the sample, ascending; a repulsive force is positive; the approach
+    comes first. is_grid: whether the places are those of a map.
+    """
+
+    numbers: list[int]
+    places_m: list[tuple[float, float]]
+    branches: list[list[Way]]
+    stiffness_n_per_m: float
+    is_grid: bool
+    notes: tuple[str, ...]
+
+
+def read_curves(path: Path, wanted: Wanted, watch: Watch = lambda share: None) -> Curves:
+    """Return the curves of a file, each over its own heights, or of a map on its grid.
+
+    Args:
+        path: The file, or the folder of a map of waves.
+        wanted: What a person says of it.
+        watch: Called with the share that is read, from 0 to 1.
+
+    Raises:
+        ConfigError: The file cannot be used; the message names it, the key and what would be right.
+    """
+    suffix = path.suffix.lower()
+    is_spectrum = suffix == ".dat" and not path.is_dir() and is_spectroscopy(str(path))
+    is_grid_h5 = suffix == ".h5" and not path.is_dir() and _is_plain_grid(path)
+    if suffix in (".npz", ".3ds") or is_spectrum or is_grid_h5:
+        imported = import_map(path, wanted._replace(level="common", correct="nothing"), watch)
+        return _curves_of_map(path, imported)
+    try:
+        if not path.is_dir():
+            open_regular(path).close()
+            if path.stat().st_size == 0:
+                raise MapError("is empty")
+        if suffix not in (".dat", *_CURVE_SUFFIXES) and not path.is_dir() and not _is_bruker(path):
+            raise MapError(f"is no file of force curves that can be read; these are {', '.join(MAP_SUFFIXES)}")
+        members = {name: value for name, value in wanted.given.items() if name not in TableOptions._fields}
+        options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
+        if options and suffix not in SUFFIXES:
+            raise MapError(f"--set {next(iter(options))}: is for a text table; this file states it itself")
+        facts, (places, counts, heights, forces) = _load(
+            path, wanted._replace(given=members), json.dumps(options), watch
+        )
+        given = members.get("stiffness_n_per_m", facts["stiffness_n_per_m"])
+        stiffness = _positive_stiffness(given)
+    except ImportError as error:
+        text = f"{path}: needs {error.name} to be read: install telenano-lab with its dependencies"
+        raise ConfigError(text) from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    ends = np.cumsum(counts.ravel()).reshape(-1, 2).tolist()
+    branches = [
+        [(heights[cut], forces[cut]) for cut in (slice(end - sizes[0], end), slice(end, stop))]
+        for sizes, (end, stop) in zip(counts.tolist(), ends, strict=True)
+    ]
+    pitch = [side / max(count, 1) for side, count in zip(facts["sides"], facts["shape"], strict=True)]
+    at = [((i + 0.5) * pitch[0], (j + 0.5) * pitch[1]) for i, j in places.tolist()]
+    is_grid = len({tuple(place) for place in places.tolist()}) == len(places) > 1
+    return Curves(list(range(len(branches))), at, branches, stiffness, is_grid, ())
+
+
+def _positive_stiffness(value: Any) -> float:
+    if value is None:
+        raise MapError("stiffness_n_per_m: the file has no such value; give --set stiffness_n_per_m=…")
+    if not (isinstance(value, int | float) and 0.0 < value < math.inf):
+        raise MapError(f"stiffness_n_per_m: is {value!r}; it must be a number above 0")
+    return float(value)
+
+
+def _is_plain_grid(path: Path) -> bool:
+    try:
+        read_in_child("telenano_lab.afm_files.map_libraries:load_grid", path)
+    except (ValueError, OSError, ImportError):
+        # what is wrong with it the reader of curves tells
+        return False
+    return True
+
+
+def _curves_of_map(path: Path, imported: Imported) -> Curves:
+    whole = imported.map
+    if whole.quantity != "force":
+        raise ConfigError(f"{path}: is a map of {whole.quantity.replace('_', ' ')}, and no force can be fitted to it")
+    nx, ny = len(whole.x_m), len(whole.y_m)
+    places = [(i, j) for i in range(nx) for j in range(ny)]
+    branches = [[(whole.z_m, branch[i, j]) for branch in whole.values] for i, j in places]
+    at = [(float(whole.x_m[i]), float(whole.y_m[j])) for i, j in places]
+    return Curves(list(range(nx * ny)), at, branches, whole.stiffness_n_per_m, nx * ny > 1, imported.notes)
+
+
 def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     suffix = path.suffix.lower()
     source = {"source": path.name}
@@ -207,13 +301,18 @@ def _corrected(imported: Imported, wanted: Wanted) -> Imported:
     return Imported(whole._replace(values=values), (*imported.notes, *notes))
 
 
-def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
+def _load(path: Path, wanted: Wanted, options: str, watch: Watch) -> tuple[dict[str, Any], list[Array]]:
+    """Return what `curve_files.load_curves` finds."""
     constants = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in constants]
     limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
-    facts, (places, counts, heights, forces) = read_in_child(
+    return read_in_child(
         "telenano_lab.afm_files.curve_files:load_curves", path, *texts, options, limits=limits, watch=watch
     )
+
+
+def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
+    facts, (places, counts, heights, forces) = _load(path, wanted, options, watch)
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]
     nx, ny = (len(line) for line in lines)

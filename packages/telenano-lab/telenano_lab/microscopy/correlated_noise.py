@@ -15,17 +15,20 @@ deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is whit
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from telenano.numerics import compiled, compiled_form
 
 Array = npt.NDArray[np.float64]
 
 # Correlation as shares of the record, in points no less than _LEAST_POINTS, and ratio of the variances.
 _SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _LEAST_POINTS = 2.0
-_RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 # noise is believed possible whose log likelihood is so much less than the greatest
 _SUPPORT = 2.0
 
@@ -44,45 +47,56 @@ class Noise(NamedTuple):
     zero: Array = np.zeros(0)
 
 
-def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
+def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequence[float] = RATIOS) -> Noise:
     """Regress values, shape (n,), on columns, shape (n, p), in white noise and a wander over an index that rises, (n,).
+
+    Args:
+        values: The values.
+        columns: The columns.
+        index: The index.
+        ratios: Variances of the wander that are possible, in that of the white noise; averages over many points have
+            less white noise, and as much wander.
 
     Raises: numpy.linalg.LinAlgError where the columns do not tell the coefficients apart.
     """
     # columns of one size: their products must not decide which of them are distinguished
-    size = np.sqrt((columns**2).sum(axis=0))
+    size = np.array([math.sqrt(math.fsum((column * column).tolist())) for column in columns.T])
     if not (np.isfinite(size).all() and size.all()):
         raise np.linalg.LinAlgError("a column is nothing")
     lengths = sorted({max(share * float(np.ptp(index)), _LEAST_POINTS) for share in _SHARES})
-    ratio, points = (np.ravel(one) for one in np.meshgrid(_RATIOS, lengths))
+    ratio, points = (np.ravel(one) for one in np.meshgrid(ratios, lengths))
     ratio, points = np.append(0.0, ratio), np.append(_LEAST_POINTS, points)
     white, logs = _whitened(np.column_stack([columns / size, values]), index, ratio, points)
-    x, y = white[:, :, :-1], white[:, :, -1:]
-    turned = np.swapaxes(x, 1, 2)
-    normal = turned @ x
-    halves = np.linalg.cholesky(normal)
-    inverse = np.linalg.inv(normal)
-    coefficients = inverse @ (turned @ y)
-    freedom = len(values) - columns.shape[1]
-    variance = np.maximum(((y - x @ coefficients) ** 2).sum(axis=(1, 2)) / freedom, 1e-300)
-    gains = -0.5 * freedom * np.log(variance) - logs - np.log(np.diagonal(halves, axis1=1, axis2=2)).sum(axis=1)
+    kinds, width = len(ratio), columns.shape[1]
+    coefficients, inverse = np.empty((kinds, width)), np.empty((kinds, width, width))
+    squares, halves = np.empty(kinds), np.empty(kinds)
+    if not compiled_form(_regress)(white, coefficients, inverse, squares, halves):
+        raise np.linalg.LinAlgError("the columns are not distinguished")
+    freedom = len(values) - width
+    variance = np.maximum(squares / freedom, 1e-300)
+    gains = np.array([
+        -0.5 * freedom * math.log(v) - log - half
+        for v, log, half in zip(variance.tolist(), logs.tolist(), halves.tolist(), strict=True)
+    ])  # fmt: skip
     # before the values are looked at, noise that wanders in some way is as likely as noise that does not
     gains[1:] -= math.log(len(gains) - 1)
     # what the noise is like is known no better than the likelihood tells: the mean over all, each with its weight
-    weights = np.exp(gains - gains.max())
-    weights /= weights.sum()
-    mean = np.tensordot(weights, coefficients[:, :, 0], 1)
-    apart = coefficients[:, :, 0] - mean
-    each = variance[:, None, None] * inverse
-    covariance = np.tensordot(weights, each + apart[:, :, None] * apart[:, None, :], 1)
     best = int(np.argmax(gains))
+    shares = [math.exp(gain) for gain in (gains - gains[best]).tolist()]
+    whole = math.fsum(shares)
+    mean, covariance = np.zeros(width), np.zeros((width, width))
+    each = variance[:, None, None] * inverse
+    for share, found in zip(shares, coefficients, strict=True):
+        mean += share / whole * found
+    for share, found, spread in zip(shares, coefficients - mean, each, strict=True):
+        covariance += share / whole * (spread + found[:, None] * found[None, :])
     worst = np.diagonal(each[gains >= gains[best] - _SUPPORT], axis1=1, axis2=2).max(axis=0)
     # Each coefficient has one factor, so that the covariance stays positive definite.
     grown = np.sqrt(np.maximum(worst / np.diagonal(covariance), 1.0)) / size
     deviation = math.sqrt(float(variance[best]))
     return Noise(
         mean / size,
-        covariance * np.outer(grown, grown),
+        covariance * (grown[:, None] * grown[None, :]),
         deviation,
         deviation * math.sqrt(float(ratio[best])),
         float(points[best]) if best else 0.0,
@@ -95,16 +109,96 @@ def _whitened(values: Array, index: Array, ratio: Array, points: Array) -> tuple
     Returns: those, shape (m, n, p), and half the logarithm of the determinant of the covariance, shape (m,).
     """
     count, width = values.shape
-    white, logs = np.empty((count, len(ratio), width)), np.zeros(len(ratio))
-    expected, uncertain = np.zeros((len(ratio), width)), ratio.copy()
-    kept = np.exp(-np.diff(index, prepend=index[0])[:, None] / points)
-    for i in range(count):
-        expected = expected * kept[i][:, None]
-        uncertain = kept[i] ** 2 * uncertain + ratio * (1.0 - kept[i] ** 2)
-        total = uncertain + 1.0
-        innovation = values[i] - expected
-        white[i] = innovation / np.sqrt(total)[:, None]
-        logs += 0.5 * np.log(total)
-        expected = expected + (uncertain / total)[:, None] * innovation
-        uncertain = uncertain / total
-    return np.swapaxes(white, 0, 1), logs
+    white, logs = np.empty((len(ratio), count, width)), np.zeros(len(ratio))
+    steps = np.diff(index, prepend=index[0])
+    compiled_form(_whiten)(np.ascontiguousarray(values), steps, ratio, points, white, logs)
+    return white, logs
+
+
+@compiled
+def _whiten(values: Array, steps: Array, ratio: Array, points: Array, white: Array, logs: Array) -> None:
+    """Fill white, shape (m, n, p), and logs, shape (m,); the points one after another, on every processor alike."""
+    count, width = values.shape
+    expected = np.zeros(width)
+    for kind in range(ratio.shape[0]):
+        uncertain, total_log, product = ratio[kind], 0.0, 1.0
+        before, kept = -1.0, 0.0
+        for column in range(width):
+            expected[column] = 0.0
+        for i in range(count):
+            # the points of a record are mostly as far apart as those before
+            if steps[i] != before:
+                before = steps[i]
+                kept = math.exp(-before / points[kind])
+            uncertain = kept * kept * uncertain + ratio[kind] * (1.0 - kept * kept)
+            total = uncertain + 1.0
+            root, gain = 1.0 / math.sqrt(total), uncertain / total
+            for column in range(width):
+                ahead = kept * expected[column]
+                innovation = values[i, column] - ahead
+                white[kind, i, column] = innovation * root
+                expected[column] = ahead + gain * innovation
+            # a logarithm for many points at once
+            product *= total
+            if product > 1e200:
+                total_log += math.log(product)
+                product = 1.0
+            uncertain = gain
+        logs[kind] = 0.5 * (total_log + math.log(product))
+
+
+@compiled
+def _regress(white: Array, coefficients: Array, inverse: Array, squares: Array, halves: Array) -> bool:
+    """Regress the last column of white, shape (m, n, p + 1), on the others; return whether they are distinguished.
+
+    It fills the coefficients, shape (m, p), the inverse of the normal matrix, shape (m, p, p), the sum of the squares
+    that are left, shape (m,), and half the logarithm of the determinant of the normal matrix, shape (m,).
+    """
+    kinds, count, width = white.shape
+    free = width - 1
+    lower = np.zeros((width, width))
+    solved = np.zeros((free, free))
+    for kind in range(kinds):
+        for row in range(width):
+            for column in range(row + 1):
+                lower[row, column] = 0.0
+        for i in range(count):
+            for row in range(width):
+                for column in range(row + 1):
+                    lower[row, column] += white[kind, i, row] * white[kind, i, column]
+        # Cholesky's factor of the normal matrix with the values as its last row: what is left of them stands last
+        half = 0.0
+        for row in range(width):
+            whole = lower[row, row]
+            for column in range(row + 1):
+                rest = lower[row, column]
+                for i in range(column):
+                    rest -= lower[row, i] * lower[column, i]
+                if column < row:
+                    lower[row, column] = rest / lower[column, column]
+                elif row < free:
+                    if not rest > 1e-15 * whole:
+                        return False
+                    lower[row, row] = math.sqrt(rest)
+                    half += math.log(lower[row, row])
+                else:
+                    squares[kind] = max(rest, 0.0)
+        halves[kind] = half
+        for row in range(free - 1, -1, -1):
+            rest = lower[free, row]
+            for i in range(row + 1, free):
+                rest -= lower[i, row] * coefficients[kind, i]
+            coefficients[kind, row] = rest / lower[row, row]
+        for column in range(free):
+            for row in range(free):
+                rest = 1.0 if row == column else 0.0
+                for i in range(row):
+                    rest -= lower[row, i] * solved[i, column]
+                solved[row, column] = rest / lower[row, row]
+        for row in range(free):
+            for column in range(free):
+                total = 0.0
+                for i in range(free):
+                    total += solved[i, row] * solved[i, column]
+                inverse[kind, row, column] = total
+    return True

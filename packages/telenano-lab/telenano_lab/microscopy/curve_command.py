@@ -10,6 +10,7 @@ import typer
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
+    command_group,
     print_document,
     progress,
     refuse_unused,
@@ -36,10 +37,15 @@ class CurveModel(StrEnum):
     DYNAMIC = "dynamic"
 
 
+app = command_group()
+
+
+@app.callback(invoke_without_command=True, no_args_is_help=False)
 @with_options(CurveSettings)
 def curve(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")],
+    context: typer.Context,
     given: dict[str, Any],
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")] = None,
     points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
     model: Annotated[
         CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
@@ -72,7 +78,11 @@ def curve(
     as_json: JsonOption = False,
 ) -> None:
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
+    if context.invoked_subcommand is not None:
+        return
     with report_errors(as_json):
+        if out is None:
+            raise ConfigError("missing option '--out'")
         validated(CurveSettings, given)
         import telenano_lab.microscopy.force_curve as curves
         from telenano.sections import AfmConfig

@@ -24,7 +24,8 @@ _GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 class Image(NamedTuple):
     """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m].
 
-    partial, what there is of an image that was ended early, such as `37 of 256 lines`: every file has it in it.
+    partial, what there is of an image that was ended early, such as `37 of 256 lines`: every file has it in it. log:
+    what was done to the values, a step a sentence; every file has it too.
     """
 
     title: str
@@ -33,6 +34,7 @@ class Image(NamedTuple):
     width_m: float
     depth_m: float
     partial: str = ""
+    log: tuple[str, ...] = ()
 
     @property
     def caption(self) -> str:
@@ -139,6 +141,7 @@ def write_gsf(path: Path, image: Image) -> None:
     )
     if image.partial:
         header += f"Partial = {image.partial}\n"
+    header += "".join(f"Step{number} = {step}\n" for number, step in enumerate(image.log, start=1))
     content = _GSF_MAGIC + header.encode()
     content += b"\0" * (4 - len(content) % 4)
     path.write_bytes(content + np.ascontiguousarray(image.values[::-1], dtype="<f4").tobytes())
@@ -146,7 +149,7 @@ def write_gsf(path: Path, image: Image) -> None:
 
 def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
     """Write channels into one Gwyddion file; the titles are those of the images."""
-    from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
+    from gwyfile.objects import GwyContainer, GwyDataField, GwyObject, GwySIUnit
 
     container = GwyContainer()
     for number, image in enumerate(images.values()):
@@ -161,13 +164,19 @@ def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
         container[f"/{number}/data/title"] = image.caption
         if image.partial:
             container[f"/{number}/meta"] = GwyContainer({"Partial": image.partial})
+        if image.log:
+            container[f"/{number}/data/log"] = GwyObject(
+                "GwyStringList", {"strings": list(image.log)}, {"strings": "S"}
+            )
     container.tofile(str(path))
 
 
 def write_png(path: Path, images: Mapping[str, Image]) -> None:
     """Draw channels into a file."""
     parts = {image.partial for image in images.values()} - {""}
-    metadata = {"Description": f"partial: {', '.join(sorted(parts))}"} if parts else {}
+    said = [f"partial: {', '.join(sorted(parts))}"] if parts else []
+    said += [f"{image.title}: {step}" for image in images.values() for step in image.log]
+    metadata = {"Description": "; ".join(said)} if said else {}
     image_figure(images).savefig(path, dpi=120, metadata=metadata)
 
 
@@ -183,8 +192,8 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
     FigureCanvasAgg(figure)
     for place, image in enumerate(images.values(), start=1):
         axes = figure.add_subplot(rows, columns, place)
-        factor, unit = _readable(image.values, image.unit)
-        side, side_unit = _readable(np.array([image.width_m, image.depth_m]), "m")
+        factor, unit = readable(image.values, image.unit)
+        side, side_unit = readable(np.array([image.width_m, image.depth_m]), "m")
         extent = (0.0, image.width_m * side, 0.0, image.depth_m * side)
         shown = axes.imshow(image.values * factor, origin="lower", extent=extent, cmap="afmhot", aspect="equal")
         figure.colorbar(shown, ax=axes, label=unit)
@@ -194,13 +203,16 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
     return figure
 
 
-_PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
+_PREFIXES = (
+    *((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m")),
+    *((1.0, ""), (1e3, "k"), (1e6, "M"), (1e9, "G")),
+)
 
 
-def _readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
+def readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
     """Return the factor and the unit with which values are between 1 and 1000."""
     if unit in ("deg", "rad", ""):
         return 1.0, unit
-    largest = float(np.abs(values).max())
+    largest = float(np.abs(values).max(initial=0.0))
     base, prefix = max((row for row in _PREFIXES if row[0] <= largest), default=(1.0, ""))
     return 1.0 / base, prefix + unit

@@ -7,6 +7,7 @@ import typer
 
 from telenano.cli import JsonOption, command_group, print_document, report_errors, results_in
 from telenano.wire import ConfigError
+from telenano_lab.microscopy.row_levels import AboveOption, AlignOption, BelowOption, aligned_image
 from telenano_lab.microscopy.sample_options import (
     ChannelOption,
     SampleOption,
@@ -31,6 +32,9 @@ def sample(
     tip_radius: Annotated[
         float, typer.Option("--tip-radius", min=0.0, max=1e6, metavar="NM", help="Radius of the tip's sphere [nm].")
     ] = 10.0,
+    align: AlignOption = None,
+    above: AboveOption = None,
+    below: BelowOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a sample and what a tip of this radius sees of it, as .gwy, .gsf and PNG."""
@@ -43,13 +47,16 @@ def sample(
         from telenano_lab.microscopy.image_files import Image, write_gsf, write_gwy, write_png
 
         surface = config.build()
+        whole = Image("Sample", "m", surface.height_m, surface.width_m, surface.depth_m)
+        whole = aligned_image(whole, align, above, below)
+        surface = surface._replace(height_m=whole.values)
         try:
             seen = surface.dilated(tip_radius * 1e-9)
         except ValueError as error:
             raise ConfigError(f"--tip-radius: {error}") from error
         images = {
-            "sample": Image("Sample", "m", surface.height_m, surface.width_m, surface.depth_m),
-            "seen": Image(f"Seen by a tip of {tip_radius:g} nm", "m", seen.height_m, surface.width_m, surface.depth_m),
+            "sample": whole,
+            "seen": whole._replace(title=f"Seen by a tip of {tip_radius:g} nm", values=seen.height_m),
         }
         with results_in(out) as folder:
             write_gsf(folder / "sample.gsf", images["sample"])
@@ -63,6 +70,7 @@ def sample(
         "width_m": surface.width_m,
         "depth_m": surface.depth_m,
         **({"level": f"{config.level}: {config.levelled}"} if config.levelled else {}),
+        **({"steps": list(whole.log)} if whole.log else {}),
         "lowest_m": float(heights.min()),
         "highest_m": float(heights.max()),
         "height_span_m": float(heights.max() - heights.min()),

@@ -20,8 +20,9 @@ from telenano.cli import (
 )
 from telenano.settings import DEFAULT_SITE_FILE, ScanSettings, flag_overrides, validate
 from telenano.signals import finishing
-from telenano.wire import RigError
+from telenano.wire import ConfigError, RigError
 from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+from telenano_lab.microscopy.row_levels import AboveOption, AlignOption, BelowOption, Levels, aligned_image
 from telenano_lab.microscopy.sample_options import (
     ChannelOption,
     SampleOption,
@@ -71,6 +72,9 @@ def scan(
         float, typer.Option("--temperature", metavar="K", help="Temperature of the thermal noise [K]; 0: none.")
     ] = 0.0,
     seed: Annotated[int, typer.Option("--noise-seed", min=0, metavar="N", help="Seed of the thermal noise.")] = 0,
+    align: AlignOption = None,
+    above: AboveOption = None,
+    below: BelowOption = None,
     afm: AfmOption = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
@@ -83,6 +87,8 @@ def scan(
         given |= {"mode": asked_mode} if asked_mode else {}
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
+        levels = Levels(align, above, below)
+        levels.check()
         if live and size is not None:
             given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
         wanted = validated(ScanSettings, given, _OWN)
@@ -90,7 +96,7 @@ def scan(
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
                        "--temperature": temperature}  # fmt: skip
             refuse_foreign(foreign)
-            _scan_live(out, site_file, wanted, given, as_json=as_json)
+            _scan_live(out, site_file, wanted, given, levels, as_json=as_json)
             return
         refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
         from telenano.sections import AfmConfig
@@ -119,7 +125,8 @@ def scan(
                 image = take_image(config, keys, advanced)
             finish()
             is_reported = _say_if_interrupted(finish.exit_code, image.lines.partial)
-            files = write_images(folder, _images(image), mode, sample=sample.name)
+            images = _aligned(_images(image), levels)
+            files = write_images(folder, images, mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
@@ -132,12 +139,20 @@ def scan(
     }
     if image.lines.partial:
         document["partial"] = image.lines.partial
+    if images["height"].log:
+        document["steps"] = list(images["height"].log)
     print_document(document, str(out), as_json=as_json)
     _exit_if_interrupted(finish.exit_code, is_reported, image.lines.partial)
 
 
 def _scan_live(
-    out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
+    out: Path,
+    site_file: Path,
+    settings: ScanSettings,
+    given: "dict[str, Scalar]",
+    levels: Levels,
+    *,
+    as_json: bool,
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
     from telenano_lab.microscopy.image_files import LiveImage, images_of_lines
@@ -147,7 +162,7 @@ def _scan_live(
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | KeyboardInterrupt | None = None
-    is_reported, files = False, list[str]()
+    is_reported, files, steps = False, list[str](), list[str]()
     with finishing() as finish, results_in(out) as folder:
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
@@ -157,18 +172,34 @@ def _scan_live(
         finish()
         if count := image.finished:
             is_reported = _say_if_interrupted(finish.exit_code, image.partial)
-            files = write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
+            images = _aligned(images_of_lines(image, count), levels)
+            steps = list(images["height"].log)
+            files = write_images(folder, images, settings.mode, "the running rig")
     if failure is not None:
         raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
     document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
                 "text": report.text, "files": [str(out / name) for name in files]}  # fmt: skip
     if image.partial:
         document["partial"] = image.partial
+    if steps:
+        document["steps"] = steps
     print_document(document, str(out), as_json=as_json)
     # an image that has not begun does not know how many lines it is to have
     _exit_if_interrupted(finish.exit_code, is_reported, image.partial if count else "no lines")
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
+
+
+def _aligned(images: "dict[str, Image]", levels: Levels) -> "dict[str, Image]":
+    """Return channels with the rows of the heights aligned; where they cannot be, they are kept, and it is said."""
+    done = dict(images)
+    for name in ("height", "retrace"):
+        try:
+            done[name] = aligned_image(images[name], levels.method, levels.above_nm, levels.below_nm)
+        except ConfigError as error:
+            # an image of a real tip is not lost by a limit that is too narrow
+            say(f"the rows of {name} are left as they are: {error}")
+    return done
 
 
 def _say_if_interrupted(code: int, partial: str) -> bool:

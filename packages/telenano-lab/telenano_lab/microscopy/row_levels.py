@@ -1,0 +1,154 @@
+"""Rows of an image brought to one level, with what stands out left out, and each step said in words.
+
+    aligned, steps = align_rows(heights_m, "median", above_m=2e-9)
+
+A scan has its lines one after another, so that drift, and jumps of the feedback, leave them at different levels. Each
+row has its median, its mean or a parabola taken off. Particles on a flat ground pull the level of their rows down with
+them: what is higher than a threshold over the ground, or lower, is masked, and decides nothing.
+"""
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import typer
+
+from telenano.wire import ConfigError
+from telenano_lab.microscopy.image_files import Image
+
+Array = npt.NDArray[np.float64]
+Method = Literal["median", "mean", "polynomial"]
+
+# A row needs this share of its points, or at least so many, that are not masked.
+_LEAST_SHARE, _LEAST_POINTS = 0.05, 4
+# Gwyddion's and most programs' first choice for the bow of a scanner.
+_DEGREE = 2
+# How often mask and rows are found, each by the other.
+_PASSES = 3
+
+AlignOption = Annotated[
+    Literal["median", "mean", "polynomial"] | None,
+    typer.Option("--align-rows", help="Take this off each row: its median, its mean, or a parabola."),
+]
+AboveOption = Annotated[
+    float | None,
+    typer.Option(
+        "--mask-above", min=0.0, metavar="NM", help="Leave out what is higher than this over the ground [nm]."
+    ),
+]
+BelowOption = Annotated[
+    float | None,
+    typer.Option("--mask-below", min=0.0, metavar="NM", help="Leave out what is lower than this under it [nm]."),
+]
+
+
+def align_rows(
+    heights: Array, method: Method, above_m: float | None = None, below_m: float | None = None
+) -> tuple[Array, tuple[str, ...]]:
+    """Return an image whose rows have one level, and the steps to it.
+
+    With a threshold the ground is found first, by the medians of the rows, and the mask again in the rows that were
+    aligned without what it had. A row of which more than half is no ground is taken for the ground itself.
+
+    Args:
+        heights: The image, shape (rows, columns).
+        method: What is taken off each row.
+        above_m: What is higher over the ground than this is left out [m]; None for no limit.
+        below_m: What is lower under the ground than this is left out [m]; None for no limit.
+
+    Raises:
+        ConfigError: The image has values that are no number, or a row has too few points that are not masked.
+    """
+    if heights.ndim != 2 or heights.size == 0 or not np.isfinite(heights).all():
+        raise ConfigError("rows are aligned of an image whose values are all numbers")
+    kept = np.ones(heights.shape, bool)
+    if above_m is None and below_m is None:
+        return _aligned(heights, method, kept), (f"rows aligned: {_WORDS[method]} of each row taken off",)
+    # a mean or a parabola through particles is no ground, and a median is nearly one
+    aligned = _aligned(heights, "median", kept)
+    for _ in range(_PASSES):
+        ground = float(np.median(aligned[kept]))
+        higher = np.zeros(heights.shape, bool) if above_m is None else aligned > ground + above_m
+        lower = np.zeros(heights.shape, bool) if below_m is None else aligned < ground - below_m
+        kept = ~(higher | lower)
+        aligned = _aligned(heights, method, kept)
+    steps = [] if above_m is None else [f"masked: {_share(higher)} higher than {above_m:.6g} m over the ground"]
+    steps += [] if below_m is None else [f"masked: {_share(lower)} lower than {below_m:.6g} m under the ground"]
+    return aligned, (*steps, f"rows aligned: {_WORDS[method]} of each row taken off, without what is masked")
+
+
+_WORDS = {"median": "the median", "mean": "the mean", "polynomial": f"a polynomial of degree {_DEGREE}"}
+
+
+class Levels(NamedTuple):
+    """What the options ask for: the method, and the limits of the mask [nm]."""
+
+    method: Method | None
+    above_nm: float | None
+    below_nm: float | None
+
+    def check(self) -> None:
+        """Raise ConfigError where a mask is given and nothing that it is for."""
+        if self.method is None and (self.above_nm is not None or self.below_nm is not None):
+            raise ConfigError("--mask-above, --mask-below: leave points out of --align-rows, which is not given")
+
+
+def aligned_image(image: Image, method: Method | None, above_nm: float | None, below_nm: float | None) -> Image:
+    """Return an image with its rows aligned as options ask for, and the steps in its log.
+
+    Raises:
+        ConfigError: There is a mask and no method, or the rows cannot be aligned; the message names the option.
+    """
+    Levels(method, above_nm, below_nm).check()
+    if method is None:
+        return image
+    metres = [None if each is None else 1e-9 * each for each in (above_nm, below_nm)]
+    values, steps = align_rows(image.values, method, *metres)
+    return image._replace(values=values, log=(*image.log, *steps))
+
+
+def _share(masked: npt.NDArray[np.bool_]) -> str:
+    return f"{100.0 * np.count_nonzero(masked) / masked.size:.3g} % of the points,"
+
+
+def _aligned(heights: Array, method: Method, kept: npt.NDArray[np.bool_]) -> Array:
+    columns = heights.shape[1]
+    least = max(math.ceil(_LEAST_SHARE * columns), min(_LEAST_POINTS, columns))
+    aligned = np.empty_like(heights)
+    for row, (values, mask) in enumerate(zip(heights, kept, strict=True)):
+        count = int(np.count_nonzero(mask))
+        if count < least:
+            raise ConfigError(
+                f"--mask-above, --mask-below: row {row} has {count} of {columns} points that are not masked, {least}"
+                " are needed: take a wider limit"
+            )
+        aligned[row] = values - _level_of(values, method, mask)
+    return aligned
+
+
+def _level_of(values: Array, method: Method, kept: npt.NDArray[np.bool_]) -> Array | float:
+    """Return what a row has taken off; sums have one order, so that each processor gives the same bits."""
+    chosen = values[kept]
+    if method == "median":
+        return float(np.median(chosen))
+    if method == "mean":
+        return math.fsum(chosen.tolist()) / len(chosen)
+    x = np.linspace(-1.0, 1.0, len(values))
+    level = np.zeros(len(values))
+    basis: list[tuple[Array, float]] = []
+    for degree in range(_DEGREE + 1):
+        # Gram and Schmidt over the points that count
+        form = np.ones(len(values))
+        for _ in range(degree):
+            form = form * x
+        for other, square in basis:
+            form = form - _product(form, other, kept) / square * other
+        square = _product(form, form, kept)
+        basis.append((form, square))
+        level = level + _product(values - level, form, kept) / square * form
+    return level
+
+
+def _product(one: Array, other: Array, kept: npt.NDArray[np.bool_]) -> float:
+    return math.fsum((one[kept] * other[kept]).tolist())
