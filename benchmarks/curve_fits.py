@@ -1,22 +1,27 @@
 """Force curves fitted as `telenano curve fit` does and by nanite, in turn: the time of each, and whose errors hold.
 
-    python benchmarks/curve_fits.py [CURVES = 512, of each of 8 lines]          needs: pip install nanite
+    python benchmarks/curve_fits.py [--curves 512] [--json]          needs: pip install nanite
 
 The curves are those of a known sphere or cone, with noise that is white or wanders, tilt and drift. An interval is the
 figure with 1.96 of its standard errors on both sides; nanite's are those of lmfit. Each line has a model and a kind of
 noise.
 """
 
+import argparse
+import itertools
+import json
 import math
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from telenano_lab.doubles.made_curves import NOISES, Made, drawn_curve
 from telenano_lab.microscopy.curve_fit import ContactShape, MeasuredWays, fit_curve
+
+MODELS = ("hertz", "sneddon")
 
 
 def by_telenano(made: Made) -> tuple[float, float] | None:
@@ -62,10 +67,10 @@ def by_nanite(made: Made) -> tuple[float, float] | None:
     return float(fitted["E"].value), float(fitted["E"].stderr)
 
 
-def compared(model: str, noise: str, count: int) -> tuple[str, dict[str, float]]:
-    """Return a line of the table, and the seconds of both."""
-    ways: dict[str, Any] = {"telenano": by_telenano, "nanite": by_nanite}
-    seconds, held, fitted, off = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0), dict.fromkeys(ways, 0), {}
+def compared(model: str, noise: str, count: int) -> dict[str, dict[str, float]]:
+    """Return of both how many curves are fitted, how often the interval covers [%], the error [%] and the time [ms]."""
+    ways: dict[str, Callable[[Made], tuple[float, float] | None]] = {"telenano": by_telenano, "nanite": by_nanite}
+    seconds, held = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0)
     shares: dict[str, list[float]] = {name: [] for name in ways}
     for seed in range(count):
         made = drawn_curve(model, 10_000 + seed, noise=noise)
@@ -74,38 +79,53 @@ def compared(model: str, noise: str, count: int) -> tuple[str, dict[str, float]]
             found = way(made)
             seconds[name] += time.perf_counter() - begun
             if found is not None:
-                fitted[name] += 1
                 held[name] += abs(found[0] - made.truth.modulus_pa) <= 1.96 * found[1]
                 shares[name].append(abs(found[0] / made.truth.modulus_pa - 1.0))
-    parts = []
-    for name in ways:
-        off[name] = 100.0 * float(np.median(shares[name])) if shares[name] else math.nan
-        cover = 100.0 * held[name] / max(fitted[name], 1)
-        milliseconds = 1e3 * seconds[name] / count
-        parts.append(f"{fitted[name]:5d} {cover:6.0f} {off[name]:8.2g} {milliseconds:8.1f}")
-    line = f"{model:8s} {noise:8s} " + "  ".join(parts) + f" {seconds['nanite'] / seconds['telenano']:8.1f}"
-    return line, seconds
+    return {
+        name: {
+            "fitted": len(shares[name]),
+            "covers_percent": 100.0 * held[name] / max(len(shares[name]), 1),
+            "off_percent": 100.0 * float(np.median(shares[name])) if shares[name] else 0.0,
+            "ms": 1e3 * seconds[name] / count,
+        }
+        for name in ways
+    }
 
 
-def main(count: int) -> None:
+def main() -> None:
     """Print the table, and the time of all curves."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--curves", type=int, default=512, help="curves of each of the eight lines")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
     warnings.simplefilter("ignore")
     try:
         import nanite
     except ImportError:
         sys.exit("nanite is not installed: pip install nanite")
-    for model in ("hertz", "sneddon"):
+    count = 4 if given.smoke else given.curves
+    for model in MODELS:
         by_telenano(drawn_curve(model, 0))
-    print(f"nanite {nanite.__version__}; {count} curves a line")
-    print("                  telenano: fitted, covers %, off %, ms   nanite: the same           nanite/telenano")
-    both = {"telenano": 0.0, "nanite": 0.0}
-    for model in ("hertz", "sneddon"):
-        for noise in NOISES:
-            line, seconds = compared(model, noise, count)
-            print(line, flush=True)
-            both = {name: both[name] + seconds[name] for name in both}
-    print(f"{8 * count} curves: telenano {both['telenano']:.1f} s, nanite {both['nanite']:.1f} s")
+    if not given.json:
+        print(f"nanite {nanite.__version__}; {count} curves a line")
+        print("                  telenano: fitted, covers %, off %, ms   nanite: the same           nanite/telenano")
+    rows = []
+    for model, noise in itertools.product(MODELS, NOISES):
+        found = compared(model, noise, count)
+        rows.append({"model": model, "noise": noise, **found, "ratio": found["nanite"]["ms"] / found["telenano"]["ms"]})
+        if not given.json:
+            parts = [
+                f"{one['fitted']:5.0f} {one['covers_percent']:6.0f} {one['off_percent']:8.2g} {one['ms']:8.1f}"
+                for one in found.values()
+            ]
+            print(f"{model:8s} {noise:8s} {'  '.join(parts)} {rows[-1]['ratio']:8.1f}", flush=True)
+    whole_s = {name: sum(1e-3 * count * row[name]["ms"] for row in rows) for name in ("telenano", "nanite")}
+    if given.json:
+        print(json.dumps({"rows": rows, "whole_s": whole_s}))
+    else:
+        print(f"{len(rows) * count} curves: telenano {whole_s['telenano']:.1f} s, nanite {whole_s['nanite']:.1f} s")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 512)
+    main()

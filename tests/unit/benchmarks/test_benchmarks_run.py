@@ -19,6 +19,9 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "convergence.without.*.phase_degrees": (-1.0, 1.0),
     },
     "compose.py": {"bare.hold_ratio": (0.9, 1.1), "compose.hold_ratio": (0.9, 1.1), "compose_to_bare.p50": (0.1, 50.0)},
+    "curve_fits.py": {
+        "rows.*.telenano.fitted": (1, 4), "rows.*.telenano.ms": (0.1, 1e4), "rows.*.ratio": (0.01, 100.0),
+    },
     "devices.py": {},
     "dynamic_node.py": {"rounds.*.*.p50": (0.05, 500.0), "exchange_ms.*.*": (1e-4, 10.0)},
     "empty_loop.py": {"available": (0.2, 1.0), "stalls": (0, 1000)},
@@ -66,7 +69,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "wide_area.py": {"delay_ms": (10.0, 10.0), "link.0": (5.0, 500.0), "bare.0": (5.0, 500.0)},
 }  # fmt: skip
 # these need what a machine may lack, and say so
-NEED = {"compose.py": "docker", "viz.py": "page"}
+NEED = {"compose.py": "docker", "curve_fits.py": "nanite", "viz.py": "page"}
 # in one process, because most of the time goes into what they all import
 ASK = """
 import runpy, sys
