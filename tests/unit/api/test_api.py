@@ -55,7 +55,7 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
     assert (np.diff(both["time_s"]) >= 0.0).all()
     with pytest.raises(RecordingError, match="law/status: recorder@master published nothing on it"):
         session.table("law/status", "recorder@master")
-    with pytest.raises(RecordingError, match="has no channel afm; known are afm/command, afm/state"):
+    with pytest.raises(RecordingError, match="has no channel afm; did you mean afm/command or afm/state"):
         session.table("afm")
 
 
