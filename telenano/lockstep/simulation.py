@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from numbers import Real
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -299,7 +300,7 @@ class SimulatedSession(Session):
 
 
 def simulate_scenario(
-    scenario: str = "fig12",
+    scenario: str | PathLike[str] = "fig12",
     *,
     law: str | None = None,
     round_trip_ms: float | None = None,
