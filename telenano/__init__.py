@@ -57,7 +57,7 @@ if not TYPE_CHECKING:
 
             return version("telenano")
         if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}: it has {', '.join(__all__)}")
         try:
             module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
             return getattr(import_module(module), attribute)

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, fields
 from functools import cached_property
-from glob import glob
+from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -240,7 +240,7 @@ class RecordedSession(Session):
         sources = self.channels.get(channel)
         if sources is None:
             raise RecordingError(
-                f"{self._source.path}: has no channel {channel}; {known_names(channel, self.channels)}"
+                f"{self._source.path}: has no channel {channel}; {known_names(str(channel), self.channels)}"
             )
         if src is None and len(sources) > 1:
             raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}, or '*' for all")
@@ -296,10 +296,30 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str], same_se
         RecordingError: A file cannot be read, a folder has not just one recording, or two files are not of one session;
             the message names them.
     """
+    for each in (path, *further):
+        _check_path(each)
     return RecordedSession(map(_recording_at, map(Path, (path, *further))), same_session=same_session)
 
 
+def _check_path(path: object) -> None:
+    if isinstance(path, (str, os.PathLike)):
+        return
+    many = "; telenano.open_all takes many" if isinstance(path, Iterable) and not hasattr(path, "read") else ""
+    raise TypeError(
+        f"a recording is named by its path, such as 'out/fig12/session.mcap', and not by a {type(path).__name__}{many}"
+    )
+
+
 def _recording_at(path: Path) -> Path:
+    if not path.exists():
+        from telenano.settings.included import known_scenarios
+
+        if has_magic(str(path)):
+            raise NoRecordingError(f"{path}: is a pattern of names, which telenano.open_all takes; open takes one path")
+        if str(path) in known_scenarios():
+            raise NoRecordingError(
+                f"{path}: no recording has this name, and a scenario has: telenano.simulate({str(path)!r}) runs it"
+            )
     paths = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if len(paths) != 1:
         names = f" of {', '.join(each.name for each in paths)}" if paths else ""
@@ -353,6 +373,11 @@ def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLi
         if not paths:
             raise NoRecordingError(f"{recordings}: no recording (.mcap) and no folder with one has such a name")
     else:
+        if not isinstance(recordings, Iterable):
+            _check_path(recordings)
+        recordings = list(recordings)
+        for each in recordings:
+            _check_path(each)
         paths = [Path(each) for each in recordings]
     # a pattern may name a recording and the folder that it is in, and a link to it
     own: dict[str, Path] = {os.path.realpath(path): path for path in reversed(paths) if not path.is_dir()}

@@ -5,6 +5,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from telenano.analysis.figure_style import VERDICT_COLOURS
 from telenano.files.optional_modules import required_module
-from telenano.recording.column_table import Column, ColumnTable
+from telenano.recording.column_table import Column, ColumnTable, no_attribute
 from telenano.settings.named_instruments import IDEAL
 from telenano.wire.errors import TelenanoError
 
@@ -205,6 +206,16 @@ class Session(Mapping[str, Column]):
     def __getitem__(self, name: str) -> Column:
         """Return a column; KeyError names the one that was probably meant, and those that there are."""
         return self.course[name]
+
+    if not TYPE_CHECKING:
+        # To a checker of types a name that is not here is none.
+        def __getattr__(self, name: str) -> Any:
+            columns: Mapping[str, Any] = {}
+            # What begins with _ is asked by the language and by notebooks, which takes no reading of a recording.
+            if not name.startswith("_") and not hasattr(type(self), name):
+                with suppress(TelenanoError):
+                    columns = self.course
+            raise AttributeError(no_attribute(self, name, columns))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.course)

@@ -17,7 +17,7 @@ from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES
 from telenano.signals import interrupts
-from telenano.wire.errors import ConfigError, TelenanoError, probably_meant
+from telenano.wire.errors import ConfigError, TelenanoError, named_by, probably_meant
 from telenano.wire.nodes import module_of
 
 # what the wheel installs at the top level
@@ -239,6 +239,8 @@ def _rig_option() -> Any:
     return next(parameter for parameter in typer.main.get_command(alone).params if parameter.name == "rig")
 
 
+# The most commands or options that an error names for a word.
+_MOST_MEANT = 4
 # Commands by another name.
 ALIASES = {"run": "up"}
 # What people type who look for something that has another name.
@@ -292,7 +294,57 @@ class OpenGroup(TyperGroup):
             package, last = KNOWN_PACKAGES[f"command {words[0]}"], words[0].removeprefix(" ".join([*self.path, ""]))
             ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
+        # What is another way to say a name, such as its plural, is meant by it before what only has the word.
+        if not any(near == f"; did you mean {each}?" for each in (name[:-1], f"{name}s")):
+            near = self._meant(ctx, name) or near
+        if not near:
+            near = f"; there are {', '.join(self._first(ctx))}"
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
+
+    def _first(self, ctx: Any) -> list[str]:
+        """Return the commands to begin with."""
+        return [name for name in self.list_commands(ctx) if self.path or name in FIRST_COMMANDS]
+
+    def _meant(self, ctx: Any, name: str) -> str:
+        """Return `: ...` with what an unknown command is another word for: a file, an option, or commands elsewhere."""
+        if os.path.exists(name):  # noqa: PTH110 - `Path.exists` raises for a name that is too long
+            from telenano.wire.printable import quoted
+
+            if not name.endswith((".yaml", ".yml")):
+                shown = quoted(name)
+                return (
+                    f": it is a file or a folder; `telenano view {shown}` shows a recording, `telenano bag info"
+                    f" {shown}` says what is in one, and `telenano inspect {shown}` what is in another file"
+                )
+            return f": it is a file; `telenano up {quoted(name)}` runs it"
+        if not self.path:
+            from telenano.settings.included import known_scenarios
+
+            if name in known_scenarios():
+                return f": it is a scenario; `telenano up {name}` runs it"
+        root = ctx.find_root().command
+        groups = {row: root.command_at(row) for row in (*_GROUPS, "session")}
+        # a command of a group, and one of the root, may have the name or be what is said to do it
+        abouts = {row: one.about for row, one in root.rows().items()}
+        for row, group in groups.items():
+            for child in getattr(group, "commands", {}).values():
+                abouts[f"{row} {child.name}"] = child.short_help or ""
+        exact = [each for each in abouts if each.split()[-1] == name and each != name] or (
+            [name] if name in root.rows() else []
+        )
+        options = {flag: root for one in root.params for flag in one.opts if flag.startswith("--")}
+        up = root.command_at("up")
+        options |= {flag: up for one in up.params for flag in one.opts if flag.startswith("--")}
+        if not exact and (flags := named_by(name, {flag: "" for flag in options})):
+            return ": " + " or ".join(
+                f"`telenano {'' if options[flag] is root else 'up fig12 '}{flag}`" for flag in flags[:_MOST_MEANT]
+            )
+        meant = exact or named_by(name, abouts)
+        return (
+            ": " + "; ".join(f"`telenano {each}`: {abouts[each].rstrip('.')}" for each in meant[:_MOST_MEANT])
+            if meant
+            else ""
+        )
 
 
 class LazyRoot(OpenGroup):
@@ -316,6 +368,13 @@ class LazyRoot(OpenGroup):
         if not standalone:
             return code
         sys.exit(code if isinstance(code, int) else 0)
+
+    def command_at(self, name: str) -> Any:
+        """Return a command or a group of the table, imported; None where a package cannot be used."""
+        try:
+            return load_row(name, self.rows()[name], (name,))
+        except (ConfigError, KeyError):
+            return None
 
     def make_context(self, *args: Any, **extra: Any) -> Any:
         with _unknown_to_typer():

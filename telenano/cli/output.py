@@ -24,7 +24,15 @@ from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
 from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
-from telenano.wire.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
+from telenano.wire.errors import (
+    ConfigError,
+    ExistsError,
+    NoRecordingError,
+    ReportError,
+    TelenanoError,
+    named_by,
+    probably_meant,
+)
 from telenano.wire.printable import one_line, printable, quoted
 
 # A pipe has no width, and a line of a table that is folded there could not be searched.
@@ -111,9 +119,37 @@ def usage_text(error: Any) -> str:
     """Return a usage error of the command line as a sentence."""
     message = _suggested(" ".join(error.format_message().split()).rstrip("."))
     path = error.ctx.command_path.removeprefix(error.ctx.find_root().command_path) if error.ctx else ""
-    if path in (" up", " simulate") and (meant := _MEANT.get(getattr(error, "option_name", ""))):
+    option = getattr(error, "option_name", "") if message.lower().startswith("no such option") else ""
+    if path in (" up", " simulate") and (meant := _MEANT.get(option) or _meant_option(error.ctx.command, option)):
         message = f"{message.partition('; ')[0]}: {meant}"
+    if path in (" up", " simulate") and (setting := re.search(r"extra argument\S* \(([\w.]+=\S*?)[ )]", message)):
+        message = f"{message}: a key of the scenario is changed by --set {setting[1]}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
+
+
+def _meant_option(command: Any, option: str) -> str:
+    """Return which options of a session are meant by one that it has not, or the key of the scenario of this name."""
+    abouts = {
+        flag: one.help or "" for one in command.params for flag in getattr(one, "opts", ()) if flag.startswith("--")
+    }
+    if len(option) == 2:
+        flags = [flag for flag in abouts if flag.startswith(f"-{option}")]
+        return f"there are {', '.join(flags)}" if flags else ""
+    if not option or probably_meant(option, abouts):
+        return ""
+    word = option.strip("-").replace("_", "-")
+    if flags := named_by(word, {flag: "" for flag in abouts}):
+        return f"did you mean {' or '.join(flags)}?"
+    from telenano.launcher.scenario_keys import keys_named
+    from telenano.wire.nodes import SERVICES
+
+    if word in SERVICES:
+        return f"its keys are changed by --set {word}.KEY=VALUE, and `telenano param list {word}` has them"
+    if flags := named_by(word, abouts):
+        return f"did you mean {' or '.join(flags)}?"
+    if keys := keys_named(word):
+        return f"a key of the scenario is changed by --set, as in --set {keys[0]}=VALUE"
+    return ""
 
 
 def _suggested(message: str) -> str:

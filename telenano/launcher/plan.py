@@ -67,7 +67,7 @@ class SessionRequest(Settings):
         description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
     )
     round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
-        default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
+        default=None, ge=0.0, description="Delay (latency, RTT) of the link, half of it each way [ms]"
     )
     duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
     out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(

@@ -158,6 +158,19 @@ def with_meant(line: str) -> str:
     return text if count else f"{line}; did you mean {meant}?"
 
 
+def keys_named(word: str) -> list[str]:
+    """Return the keys whose last part has a word, as `force_gain` has `gain`; those that people change first, alone."""
+    word = _SYMBOLS.get(word, word.replace("-", "_").lower())
+    keys = all_keys()
+    for among in (first_keys(keys), keys):
+        endings = {key.name: f"_{key.name.rpartition('.')[2]}_" for key in among}
+        exact = [name for name, end in endings.items() if end == f"_{word}_"]
+        last = [name for name, end in endings.items() if end.endswith(f"_{word}_")]
+        if found := exact or last or [name for name, end in endings.items() if f"_{word}_" in end]:
+            return found
+    return []
+
+
 def value_at(document: Mapping[str, Any], key: str) -> Any:
     """Return what a dotted key has; ConfigError names the keys that there are at the point where it is wrong."""
     value: Any = document

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from numbers import Real
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ from telenano.settings.config import merge, nested, read_yaml
 from telenano.settings.included import find_scenario
 from telenano.settings.link_settings import EVEN, LinkSettings
 from telenano.settings.scenario import LoadedScenario
-from telenano.wire.errors import ConfigError
+from telenano.wire.errors import ConfigError, known_names
 
 _RENAMED = {"operator_force_n": "hand_force_n"}
 # Of a session whose hand moves the tip across as well: column of the course, unit, and text.
@@ -245,7 +246,7 @@ class SimulatedSession(Session):
             ConfigError: A simulation has no such channel or publisher; the message names those that it has.
         """
         if channel not in _CHANNELS:
-            raise ConfigError(f"{channel}: a simulation has no such channel; it has {', '.join(_CHANNELS)}")
+            raise ConfigError(f"{channel}: a simulation has no such channel; {known_names(str(channel), _CHANNELS)}")
         if src not in (None, "*", *_PUBLISHERS[channel]):
             raise ConfigError(f"{channel}: {src} published nothing on it; {', '.join(_PUBLISHERS[channel])} did")
         found = {"time_s": ("time_s", 1.0), **_CHANNELS[channel]}
@@ -299,7 +300,7 @@ class SimulatedSession(Session):
 
 
 def simulate_scenario(
-    scenario: str = "fig12",
+    scenario: str | PathLike[str] = "fig12",
     *,
     law: str | None = None,
     round_trip_ms: float | None = None,

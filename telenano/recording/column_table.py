@@ -1,5 +1,6 @@
 """Columns of equal length with units and descriptions: a table of messages, or of a simulated session."""
 
+import sys
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -28,11 +29,21 @@ class ColumnTable(Mapping[str, Column]):
 
     def __getitem__(self, name: str) -> Column:
         """Return a column; KeyError names the one that was probably meant, and those that there are."""
+        if not isinstance(name, str):
+            raise KeyError(
+                f"{self._name} has columns by name and not {name!r}: `to_pandas()` gives rows, slices and several"
+                f" columns; its columns are {', '.join(self._columns)}"
+            )
         if name not in self._columns:
-            meant = _meant(name, self._columns)
+            meant = probably_meant(name, self._columns)
             names = f"{meant} Its" if meant else "; its"
             raise KeyError(f"{self._name} has no column {name!r}{names} columns are {', '.join(self._columns)}")
         return self._columns[name]
+
+    if not TYPE_CHECKING:
+        # To a checker of types a name that is not here is none.
+        def __getattr__(self, name: str) -> Any:
+            raise AttributeError(no_attribute(self, name, self.__dict__.get("_columns", {})))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
@@ -71,9 +82,14 @@ class ColumnTable(Mapping[str, Column]):
         return data
 
 
-def _meant(name: object, columns: Mapping[str, Column]) -> str:
-    """Return `; did you mean NAME?` for a wrong column: the components of the vector that it names, or the nearest."""
-    text = str(name)
-    if parts := [column for column in columns if column.startswith(f"{text}.")]:
-        return f"; did you mean {' or '.join(parts)}?"
-    return probably_meant(text, columns)
+def no_attribute(table: object, name: str, columns: Mapping[str, Any]) -> str:
+    """Return what is said of an attribute that a table has not: a column, or what pandas has, is got in another way."""
+    text = f"{type(table).__name__!r} object has no attribute {name!r}"
+    if name in columns:
+        return f"{text}: [{name!r}] is the column"
+    if name == "columns":
+        return f"{text}: list() of it gives the names of its columns"
+    pandas = sys.modules.get("pandas")
+    if pandas is not None and not name.startswith("_") and hasattr(pandas.DataFrame, name):
+        return f"{text}: `to_pandas()` gives a DataFrame, which has it"
+    return text + probably_meant(name, [each for each in dir(type(table)) if not each.startswith("_")])

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 
 from telenano.settings.plugins import scenario_files
-from telenano.wire.errors import ConfigError, known_names
+from telenano.wire.errors import ConfigError, known_names, probably_meant
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
@@ -32,8 +32,11 @@ def known_scenarios() -> list[str]:
     return sorted(scenarios())
 
 
-def find_scenario(name: str) -> Path:
+def find_scenario(name: str | os.PathLike[str]) -> Path:
     """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
+    if not isinstance(name, str | os.PathLike):
+        raise ConfigError(f"a scenario is a name such as fig12, or the path of a .yaml file, and not {name!r}")
+    name = os.fspath(name)
     if not name or "\0" in name:
         raise ConfigError("the name of the scenario is empty" if not name else f"{name}: can be no name of a file")
     own = SCENARIO_DIRECTORY / f"{name}.yaml"
@@ -43,11 +46,17 @@ def find_scenario(name: str) -> Path:
     if name in packages.problems:
         raise ConfigError(packages.problems[name])
     path = packages.found.get(name, Path(name))
-    if path.suffix == ".mcap":
+    is_session = path.suffix != ".yaml" and os.path.isdir(path) and any(path.glob("*.mcap"))  # noqa: PTH112
+    if path.suffix == ".mcap" or is_session:
         raise ConfigError(
-            f"{name}: is the name of a recording, not of a scenario: `telenano view` shows it, `telenano report` makes"
-            " its figure, `telenano replay` sends it into a rig"
+            f"{name}: is the {'folder' if is_session else 'name'} of a recording, not of a scenario: `telenano view`"
+            " shows it, `telenano report` makes its figure, `telenano replay` sends it into a rig"
         )
+    # A name is not a file only because it ends as one.
+    if path.suffix in (".yaml", ".yml") and "/" not in name and not os.path.exists(path):  # noqa: PTH110
+        names = known_scenarios()
+        if meant := f"; did you mean {path.stem}?" if path.stem in names else probably_meant(path.stem, names):
+            raise ConfigError(f"{path.absolute()}: cannot be read: No such file or directory{meant}")
     # `Path.exists` raises for a name that is too long.
     if path.suffix in (".yaml", ".yml") or os.path.exists(path):  # noqa: PTH110
         return path

@@ -6,23 +6,71 @@
 The first keeps the course alone; the second is a recording as `telenano up` leaves one.
 """
 
+import inspect
 import json
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
 from telenano.settings.config import nested
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire.errors import ConfigError, RigError, named_by, probably_meant
 
 if TYPE_CHECKING:
     from telenano.api import RecordedSession
     from telenano.lockstep.simulation import SimulatedSession
 
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Return a function that says of an argument that it has not which one is meant, as of any other wrong name."""
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def called(*args: Given.args, **given: Given.kwargs) -> Result:
+        lines = re.findall(
+            r"^ {8}(\w+): (.*)$", inspect.cleandoc(function.__doc__ or "").replace("\n    ", "\n        "), re.M
+        )
+        abouts = {name: text for name, text in lines if name in signature.parameters}
+        for name in given:
+            if name not in signature.parameters:
+                raise TypeError(f"telenano.simulate: {_wrong_argument(name, given[name], abouts)}")
+        positional = [one.name for one in signature.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
+        if len(args) > len(positional):
+            raise TypeError(
+                f"telenano.simulate: {args[len(positional)]!r} has no name: all but {', '.join(positional)} are given"
+                f" by name, as in law='wave'; there are {', '.join(signature.parameters)}"
+            )
+        return function(*args, **given)
+
+    return called
+
+
+def _wrong_argument(name: str, value: object, abouts: Mapping[str, str]) -> str:
+    """Return what is meant by an argument that there is none of: another one, or a key of the scenario."""
+    text = f"has no argument {name!r}"
+    # what is said of settings is an example of one
+    if meant := named_by(name, {each: text for each, text in abouts.items() if each != "settings"}):
+        return f"{text}; did you mean {' or '.join(meant)}? There are {', '.join(abouts)}"
+    if near := probably_meant(name, abouts):
+        return f"{text}{near} There are {', '.join(abouts)}"
+    from telenano.launcher.scenario_keys import keys_named
+
+    if keys := keys_named(name):
+        return f"{text}; a key of the scenario is given by settings={{{keys[0]!r}: {value!r}}}" + (
+            f", and others of this name are {', '.join(keys[1:5])}" if keys[1:] else ""
+        )
+    return f"{text}; there are {', '.join(abouts)}, and settings takes every key that `telenano param list` has"
+
+
 @overload
 def simulate(
-    scenario: str = ...,
+    scenario: str | os.PathLike[str] = ...,
     *,
     law: str | None = ...,
     round_trip_ms: float | None = ...,
@@ -37,7 +85,7 @@ def simulate(
 
 @overload
 def simulate(
-    scenario: str = ...,
+    scenario: str | os.PathLike[str] = ...,
     *,
     law: str | None = ...,
     round_trip_ms: float | None = ...,
@@ -52,8 +100,9 @@ def simulate(
 ) -> "RecordedSession": ...
 
 
+@_says_what_is_meant
 def simulate(
-    scenario: str = "fig12",
+    scenario: str | os.PathLike[str] = "fig12",
     *,
     law: str | None = None,
     round_trip_ms: float | None = None,
@@ -77,7 +126,7 @@ def simulate(
     Args:
         scenario: A known name or a YAML file. What the other arguments leave out is as in it.
         law: The name of a law.
-        round_trip_ms: The round trip of the link [ms], half of it each way.
+        round_trip_ms: The round trip (RTT) of the link [ms]: its delay, or latency, half of it each way.
         environment: The sample, as `afm_node.environment`.
         instrument: What disturbs the AFM: ideal, real or real_drifting.
         operator: The hand, as the section `haptic_node.operator`.
@@ -123,7 +172,7 @@ def simulate(
     flags += [f"haptic_node.operator={json.dumps(dict(operator))}"] if operator is not None else []
     flags += list(_flags(nested(dict(settings or {}), "settings")))
     request = SimulateRequest(
-        scenario=scenario,
+        scenario=os.fspath(scenario),
         instrument=instrument,
         round_trip_ms=round_trip_ms,
         duration_s=duration_s,

@@ -1,6 +1,7 @@
 """The exceptions: whatever a user can cause raises one of these; the text names what would be right."""
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from telenano.wire.printable import shown
@@ -14,11 +15,38 @@ def known_names(name: str, choices: Iterable[str]) -> str:
 
 
 def probably_meant(name: str, choices: Iterable[str]) -> str:
-    """Return `; did you mean NAME?` with the nearest of some names, empty where none is near."""
+    """Return `; did you mean NAME?` with the nearest of some names, empty where none is near.
+
+    Of a name that is the first part of others, as `afm` is of `afm/state`, all of them are meant. Capitals do not
+    matter.
+    """
     from difflib import get_close_matches
 
-    near = get_close_matches(name, [choice for choice in choices if choice != name], n=1, cutoff=0.7)
-    return f"; did you mean {near[0]}?" if near else ""
+    others = [choice for choice in choices if choice != name]
+    typed = name.lower()
+    if parts := [choice for choice in others if typed and choice.lower().startswith((f"{typed}.", f"{typed}/"))]:
+        return f"; did you mean {' or '.join(parts)}?"
+    lowered = {choice.lower(): choice for choice in reversed(others)}
+    near = get_close_matches(typed, list(lowered), n=1, cutoff=0.7)
+    return f"; did you mean {lowered[near[0]]}?" if near else ""
+
+
+def named_by(word: str, abouts: Mapping[str, str]) -> list[str]:
+    """Return the names that a word means which is none of them: it is a word of the name, or of what is said of it.
+
+    Args:
+        word: What was typed, such as `delay_ms`; the whole of it comes before its first word.
+        abouts: What is said of each name.
+    """
+    whole = re.sub(r"[^a-z0-9]+", " ", word.lower()).strip()
+    for typed in dict.fromkeys([whole, *whole.split()[:1]]):
+        for texts in ({name: name for name in abouts}, abouts):
+            found = [
+                name for name, text in texts.items() if f" {typed} " in f" {re.sub('[^a-z0-9]+', ' ', text.lower())} "
+            ]
+            if typed and found:
+                return found
+    return []
 
 
 class TelenanoError(Exception):

@@ -53,6 +53,34 @@ def test_the_version_has_a_short_option() -> None:
         ("stop", "telenano estop"),
         ("demo", "telenano up fig12"),
         ("report session.mcap", "--out"),
+        # a word that a group of commands has
+        ("export x.mcap", "telenano bag export"),
+        ("verify x.mcap", "telenano bag verify"),
+        ("info x.mcap", "telenano bag info"),
+        ("show fig12", "telenano scenario show"),
+        ("check", "telenano scenario check"),
+        # or that says what a command does
+        ("convert x.mcap out.csv", "telenano bag export"),
+        ("bag record", "`telenano record`"),
+        # or that an option has
+        ("version", "`telenano --version`"),
+        ("completion bash", "--show-completion"),
+        ("sweep", "`telenano up fig12 --sweep`"),
+        # the name of another thing
+        ("fig12", "`telenano up fig12` runs it"),
+        # the plural, and what means nothing
+        ("nodes", "did you mean node?"),
+        ("laws", "did you mean law?"),
+        ("zzz", "there are up, simulate"),
+        ("bag zzz", "there are info"),
+        ("up fig12 --latency 40", "did you mean --round-trip-ms?"),
+        ("up fig12 --rtt 40", "did you mean --round-trip-ms?"),
+        ("up fig12 --controller wave", "--set controller.KEY=VALUE"),
+        ("up fig12 --force-gain 5", ".force_gain=VALUE"),
+        ("up fig12 -o x", "there are --"),
+        ("up fig12 controller.law=wave", "--set controller.law=wave"),
+        ("up fig12.yaml", "did you mean fig12?"),
+        ("up Fig12", "did you mean fig12?"),
     ],
 )
 def test_what_is_meant_is_said(line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,6 +114,20 @@ def test_a_number_may_have_its_unit(flag: str, text: str, value: float, monkeypa
     assert done.exit_code == 7, done.output
     field = next(option.field for option in options_of(SessionRequest) if option.flag in (flag, f"{flag}-s"))
     assert getattr(seen[0], field) == pytest.approx(value)
+
+
+def test_a_file_or_a_folder_is_no_command_and_no_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "done").mkdir()
+    (tmp_path / "done" / "session.mcap").write_bytes(b"")
+    for line, says in (
+        ("done", "telenano view done"),
+        ("bag done/session.mcap", "telenano bag info done/session.mcap"),
+        ("up done", "is the folder of a recording"),
+        ("simulate done", "is the folder of a recording"),
+    ):
+        code, text = typed(line)
+        assert code == 2 and says in text, text
 
 
 @pytest.mark.check("judges a recording")
