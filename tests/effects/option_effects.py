@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "simulate": f"simulate fig12 {SHORT} --out {{out}}",
     "report": "report {demo} --out {out}",
     "bag info": "bag info {demo}",
+    "bag list": "bag list {demo.parent}",
     "bag cat": "bag cat {demo} --topics link/status",
     "bag filter": "bag filter {demo} --out {out}/made.mcap",
     "bag split": "bag split {demo} --out {out} --interval 1",
