@@ -26,6 +26,7 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
 from telenano.analysis.line_states import line_states
+from telenano.analysis.summary import tip_columns
 from telenano.recording.arrays import in_step
 from telenano.recording.messages import LeftOut, readable
 from telenano.recording.multi_file import RecordingSource
@@ -227,7 +228,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     # a hand that falls silent is due until its force profile or the recording is over
     due_s = max(seconds, min(document.duration_s, seconds + (ends.silent_s or 0.0)))
     command = _series(recording, _COMMAND, _COMMAND_FIELDS, timeline)
-    tip = _series(recording, TIP, _TIP_FIELDS, timeline)
+    tip = _series(recording, TIP, tuple(dict.fromkeys((*_TIP_FIELDS, *tip_columns()))), timeline)
     breaks = _breaks(recording, {HAND: hand, TIP: tip, _COMMAND: command}, start_ns, {HAND: due_s}, seconds)
     hand = {name: values[running] for name, values in hand.items()}
     new = (hand["answered_t_ns"] > 0) & (np.diff(hand["answered_seq"], prepend=-1) != 0)

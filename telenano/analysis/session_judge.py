@@ -25,7 +25,7 @@ from telenano.analysis.intervals import half_width
 from telenano.analysis.mean_interval import mean_half_width
 from telenano.analysis.missing import recording_facts
 from telenano.analysis.recorded_session import Session
-from telenano.analysis.summary import Summary
+from telenano.analysis.summary import Summary, tip_figures
 from telenano.files.strict_json import finite
 from telenano.recording.info import RecordingInfo
 from telenano.recording.messages import LeftOut, RecordedMessage, readable
@@ -75,7 +75,7 @@ def summary_of(session: Session, recording: RecordingSource, missing: Sequence[s
         **judged,
         "contact_x_cm": _mean(samples["contact_x_cm"]),
         "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
-        "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
+        **tip_figures(session.tip),
         "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
         "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
         "processes_ended": sum(one.kind == "process_ended" for one in interruptions),

@@ -3,9 +3,12 @@
 `make regenerate` writes its JSON Schema and the page docs/summary.md.
 """
 
-from collections.abc import Iterator
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from telenano.analysis.holds import FactKind
@@ -33,6 +36,23 @@ The meaning of each verdict is in [the chapter on verdicts](verdicts.md#what-the
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+
+@dataclass(frozen=True)
+class OfTip:
+    """How a figure of the summary is made of columns of afm/state within the session, each of shape (n,), n > 0.
+
+    It stands in the type of its key, so that a figure of what the tip did is declared in one place. The figure is null
+    where the session has no sample of the tip, and where `value` returns None. A column that the recording does not
+    have, because it is older, is filled with NaN.
+    """
+
+    columns: tuple[str, ...]
+    value: Callable[..., float | None]
+
+
+def _greatest_pull_nn(force_n: npt.NDArray[np.float64]) -> float:
+    return float(1e9 * force_n.min(initial=0.0))
 
 
 class LoopAge(_Part):
@@ -268,7 +288,7 @@ class Summary(_Part):
     release_force_nn: float | None = Field(
         description="Mean force F_s on the tip in the last second of the session [nN]; null without `afm/state`"
     )
-    greatest_pull_nn: float | None = Field(
+    greatest_pull_nn: Annotated[float | None, OfTip(("tip_force_n.2",), _greatest_pull_nn)] = Field(
         description="Most negative force F_s on the tip in the session, 0 if it was never pulled [nN]; null without "
         "`afm/state`"
     )
@@ -322,6 +342,25 @@ class Summary(_Part):
         "absent without one",
     )
     recording: RecordingSummary = Field(description="The account of the recording")
+
+
+def tip_columns() -> tuple[str, ...]:
+    """Return the columns of afm/state that figures of the summary are made of."""
+    return tuple(dict.fromkeys(name for figure in _figures_of_tip().values() for name in figure.columns))
+
+
+def tip_figures(tip: Mapping[str, npt.NDArray[Any]]) -> dict[str, float | None]:
+    """Return the figures that are made of columns of afm/state, those of `tip_columns`, each of shape (n,)."""
+    return {
+        name: figure.value(*columns) if (columns := [tip[each] for each in figure.columns])[0].size else None
+        for name, figure in _figures_of_tip().items()
+    }
+
+
+def _figures_of_tip() -> dict[str, OfTip]:
+    return {
+        name: part for name, field in Summary.model_fields.items() for part in field.metadata if isinstance(part, OfTip)
+    }
 
 
 def summary_schema() -> dict[str, Any]:

@@ -22,12 +22,14 @@ from typer.testing import CliRunner
 from telenano.cli.root import app
 from telenano.settings import DEMO_RECORDING
 
-# A recording stands for `{demo}`, a folder to work in for `{out}`, and what `given` makes for `{parts}` and `{log}`.
+# A recording stands for `{demo}`, a folder to work in for `{out}`; `given` makes what `{folder}`, `{parts}` (in it) and
+# `{log}` stand for.
 SHORT = "--duration 0.6 --set realtime.rate_hz=250"
 COMMANDS: Mapping[str, str] = {
     "simulate": f"simulate fig12 {SHORT} --out {{out}}",
     "report": "report {demo} --out {out}",
     "bag info": "bag info {demo}",
+    "bag list": "bag list {folder}",
     "bag cat": "bag cat {demo} --topics link/status",
     "bag filter": "bag filter {demo} --out {out}/made.mcap",
     "bag split": "bag split {demo} --out {out} --interval 1",
@@ -265,7 +267,7 @@ def given(folder: Path) -> dict[str, str]:
             f"{10 * tick},{'' if draw.random() < 0.01 else 20.0 + draw.expovariate(0.3):.6}" for tick in range(6000)
         ]
         log.write_text("sent_ms,delay_ms\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return {"parts": " ".join(map(str, sorted(parts.glob("*.mcap")))), "log": str(log)}
+    return {"folder": str(parts), "parts": " ".join(map(str, sorted(parts.glob("*.mcap")))), "log": str(log)}
 
 
 def words_of(command: str, folder: Path) -> list[str]:

@@ -9,8 +9,8 @@ from option_effects import COMMANDS, OF_A_RIG, WITHOUT, commands, effect_of
 
 SEED = 93
 WHAT_TO_DO = (
-    "changes nothing: use it, or give in tests/effects/option_effects.py a valid other value in VALUES or, in WITHOUT,"
-    " the reason"
+    "changes nothing: use it, or give in tests/effects/option_effects.py words in COMMANDS with which it acts, a valid"
+    " other value in VALUES or, in WITHOUT, the reason"
 )
 OPTIONS = [
     (name, option)

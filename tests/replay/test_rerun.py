@@ -121,13 +121,16 @@ def test_each_kind_of_change_is_told() -> None:
 @pytest.mark.check("takes 1.9 s")
 def test_the_digests_are_renewed_with_one_command_that_says_what_changed(tmp_path: Path) -> None:
     path = tmp_path / "digests.json"
-    _, kept = read_digests()
+    # A field that a message has besides is in no digest until they are renewed.
+    write_digests(read_digests()[1], path)
+    make(["wave"], path)
+    renewed = path.read_bytes()
+    _, kept = read_digests(path)
     write_digests({**kept, "wave": edited(kept["wave"], "force_n.0", [0.5]), "gone": {}}, path)
     (text, gone) = make(["wave"], path)
     assert text.startswith(f"wave: {HAND}: force_n.0 is not said any more")
     assert gone == "gone: is no reference any more"
-    if read_digests()[0] == c_library():
-        assert path.read_bytes() == DIGESTS.read_bytes()
+    assert path.read_bytes() == renewed
     assert make(["wave"], path) == []
 
 

@@ -6,17 +6,18 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import pytest
 from forged_files import copied
 from made_sessions import FORCE_SCALE, TIP, Made, hand_force_n
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from telenano.analysis import Session, session_judge, summary_of
+from telenano.analysis import summary as summary_module
 from telenano.analysis.holds import Hold
 from telenano.analysis.report import write_report
-from telenano.analysis.summary import Package, Summary, rows_of, summary_schema
+from telenano.analysis.summary import OfTip, Package, Summary, rows_of, summary_schema
 from telenano.analysis.verdict import Kind
 from telenano.recording.channel_filter import ALL
 from telenano.recording.multi_file import RecordingSource, open_recordings
@@ -124,6 +125,27 @@ def test_the_parts_of_the_age_of_the_loop_add_up_to_it_and_the_largest_is_named(
 def test_a_loop_that_cannot_be_followed_has_no_parts(summaries: dict[str, dict[str, Any]]) -> None:
     for name in ("stable", "without_answers", "without_tip"):
         assert not {"loop_age_parts_ms", "loop_age_largest"} & set(summaries[name])
+
+
+class Further(Summary):
+    """A summary with a figure more of what the tip did, which is declared here alone."""
+
+    pressed_share: Annotated[float | None, OfTip(("in_contact", "mode"), lambda touches, _: float(touches.mean()))] = (
+        Field(default=None, description="Share of the samples in which the tip touches, 0..1")
+    )
+
+
+def test_a_figure_of_the_tip_is_declared_in_one_place(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    monkeypatch.setattr(summary_module, "Summary", Further)
+    monkeypatch.setattr(session_judge, "Summary", Further)
+    made = {share: Made(in_contact=lambda time_s, share=share: time_s < 8.0 * share) for share in (0.0, 0.25)}
+    made[None] = MADE["without_tip"]
+    for share, session in made.items():
+        path = session.write(tmp_path_factory.mktemp("figure"))
+        said = summarised(open_recordings([path]))["pressed_share"]
+        assert said == (share if share is None else pytest.approx(share, rel=0.0, abs=1e-3))
 
 
 def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str, Any]]) -> None:
