@@ -14,8 +14,9 @@ from telenano.wire.errors import ConfigError
 
 # What a package can bring.
 Kind = Literal[
-    "law", "device", "instrument", "operator", "sample", "program", "task", "command", "analysis", "export", "check"
-]
+    "law", "device", "instrument", "operator", "sample", "program", "task", "command", "analysis", "export", "check",
+    "package",
+]  # fmt: skip
 _TRY_IT: dict[Kind, str] = {
     "law": "telenano law check $name\ntelenano up fig12 --set controller.law=$name",
     "operator": "telenano up fig12 --set 'haptic_node.operator={kind: $name}'",
@@ -28,11 +29,17 @@ _TRY_IT: dict[Kind, str] = {
     "analysis": "telenano $dashed out/fig12/session.mcap",
     "export": "telenano bag export out/fig12/session.mcap --to $name --out session.$name",
     "check": "telenano doctor",
+    "package": "telenano up $name",
 }
-# An instrument is a device of the AFM's node, and an analysis a command that reads recordings.
-_GROUPS = {"instrument": "devices", "analysis": "commands"}
+# An instrument is a device of the AFM's node, an analysis a command that reads recordings, a package begins with the
+# scenario of a laboratory.
+_GROUPS = {"instrument": "devices", "analysis": "commands", "package": "scenarios"}
 # A command is listed by a module of its own, which imports nothing.
-_MORE_FILES = {"command": {"command_body.py.txt": "command.py"}, "analysis": {"analysis_body.py.txt": "command.py"}}
+_MORE_FILES = {
+    "command": {"command_body.py.txt": "command.py"},
+    "analysis": {"analysis_body.py.txt": "command.py"},
+    "package": {"package.yaml.txt": "$name.yaml"},
+}
 
 
 def _taken(kind: Kind) -> Collection[str]:
@@ -55,6 +62,10 @@ def _taken(kind: Kind) -> Collection[str]:
         return LAZY_COMMANDS
     if kind == "check":
         return ()
+    if kind == "package":
+        from telenano.settings.included import known_scenarios
+
+        return known_scenarios()
     from telenano.sections.afm_section import TAKEN as TAKEN_AFM
 
     if kind == "sample":
@@ -78,7 +89,7 @@ def new_package(kind: Kind, name: str, folder: Path) -> list[Path]:
     if folder.exists():
         raise ConfigError(f"{folder}: exists already; give another name or --out")
     words = {
-        "kind": kind,
+        "kind": "scenario" if kind == "package" else kind,
         "group": _GROUPS.get(kind, f"{kind}s"),
         "name": name,
         "dashed": name.replace("_", "-"),
@@ -93,7 +104,7 @@ def new_package(kind: Kind, name: str, folder: Path) -> list[Path]:
         f"test_{kind}.py.txt": Path("tests") / f"test_{name}.py",
     }
     for template, file in _MORE_FILES.get(kind, {}).items():
-        targets[template] = Path(f"telenano_{name}") / file
+        targets[template] = Path(f"telenano_{name}") / Template(file).substitute(words)
     templates = files("telenano") / "templates"
     with whole_folder(folder) as made:
         for template, path in targets.items():

@@ -31,6 +31,7 @@ NAMES = {
     "task": "gentle",
     "analysis": "slopes",
     "export": "lines",
+    "package": "our_lab",
 }
 
 PROGRAM = """
@@ -273,7 +274,7 @@ def test_a_new_package_compiles_and_names_its_entry(kind: str, tmp_path: Path) -
     written = new_package(kind, "my_thing", tmp_path / "p")
     assert [path for path in written if not path.is_file()] == []
     document = tomllib.loads((tmp_path / "p" / "pyproject.toml").read_text())["project"]
-    group = {"instrument": "devices", "analysis": "commands"}.get(kind, f"{kind}s")
+    group = {"instrument": "devices", "analysis": "commands", "package": "scenarios"}.get(kind, f"{kind}s")
     assert document["entry-points"] == {f"telenano.{group}": {"my_thing": "telenano_my_thing:MY_THING"}}
     for path in written:
         text = path.read_text()
