@@ -2,8 +2,8 @@
 
 Run it: python examples/own_device.py [FOLDER]     takes: 20 s     needs: pip install 'telenano[rig]' hatchling
 You see: the force that your handle reads, and the force at the tip that answers it. `telenano new device` makes a
-package; here one line of it is changed, so that the handle is pressed once, and then twice as hard. Put the calls of
-your hardware in the same place. The processes of the rig find the package by its entry point.
+package; here one line of it is changed, so that the handle is pressed once, and then twice as hard. The calls of your
+hardware go into its class `Hardware`. The processes of the rig find the package by its entry point.
 """
 
 import os
@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 import telenano
 
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out/examples")
-LINE = "force_n = self._config.force_n if session_time_s >= 0.0 else 0.0"
-PRESS = "force_n = self._config.force_n * (session_time_s >= 1.0) + self._config.force_n * (session_time_s >= 4.0)"
+LINE = "sample.velocity_m_per_s, sample.force_n, False"
+PRESS = "sample.velocity_m_per_s, sample.force_n * ((session_time_s >= 1.0) + (session_time_s >= 4.0)), False"
+
 
 with tempfile.TemporaryDirectory() as name:
     package, site = Path(name) / "my_handle", Path(name) / "site"

@@ -256,10 +256,11 @@ def test_titles_of_scopes_are_one_line_and_the_name_of_the_profile_is_whole(
 
 
 _LINES = "[...document.querySelectorAll('.plot .words')].map((words) => words.getBoundingClientRect().height)"
-# The boxes of what is shown, by their ids; who holds control is said in other words during an act.
+# The boxes of what is shown, by their ids. Who holds control is said in other words during an act, and the banners have
+# the width that these leave.
 _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
   const { x, y, width, height } = element.getBoundingClientRect();
-  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control");
+  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control, #banners");
   return isFree ? [] : [[element.id, [x, y, width, height]]];
 }))"""
 
