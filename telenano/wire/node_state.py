@@ -50,12 +50,12 @@ class Part(NamedTuple):
         Raises:
             ValueError: The state does not have the same fields.
         """
-        _compare(self.names, _names(example))
+        _demand(self.names, _names(example), type(example))
         return cast(T, _made(self.values, example))
 
     def of_kind(self, kind: Any) -> Any:
         """Return the state as one of a class whose fields declare all kinds within; ValueError as in `like`."""
-        _compare(self.names, _declared(kind))
+        _demand(self.names, _declared(kind), kind)
         return msgspec.convert(self.values, kind, dec_hook=_object)
 
 
@@ -94,21 +94,22 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
             raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
-        optional = _optional(node.state_kind)
-        _compare(names, tuple(name for name in _declared(node.state_kind) if name in names or name not in optional))
-        _check_ends(frozenset(names), node.state_kind)
+        _demand(names, _declared(node.state_kind), node.state_kind)
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
 
 
-def _compare(recorded: tuple[str, ...], expected: tuple[str, ...]) -> None:
-    """Raise ValueError naming the fields that only one of two states has."""
+def _demand(recorded: tuple[str, ...], declared: tuple[str, ...], kind: Any) -> None:
+    """Raise ValueError naming the fields that only one of two states has; a default at an end may be missing."""
+    optional = _optional(kind)
+    expected = tuple(name for name in declared if name in recorded or name not in optional)
     if recorded != expected:
         missing, surplus = ([x for x in a if x not in b] for a, b in ((expected, recorded), (recorded, expected)))
         named = {"lacks": missing, "has in addition": surplus}
         faults = [f"{word} {', '.join(names)}" for word, names in named.items() if names]
         raise ValueError("it " + (" and ".join(faults) or "has the same fields in another order"))
+    _check_ends(frozenset(recorded), kind)
 
 
 def _check_ends(recorded: frozenset[str], kind: Any, within: str = "") -> None:
@@ -197,7 +198,11 @@ def _made(values: Any, example: Any) -> Any:
     is_open = _open_fields(kind)
     if not is_open:
         return msgspec.convert(values, kind, dec_hook=_object)
-    fields = zip(values, _hints(kind).items(), strict=True)
+    hints = list(_hints(kind).items())
+    # The last fields may be missing where they have defaults.
+    if not len(hints) - len(getattr(kind, "_field_defaults", ())) <= len(values) <= len(hints):
+        raise ValueError(f"it has {len(values)} values for {len(hints)} fields")
+    fields = zip(values, hints, strict=False)
     return kind(
         *(
             _made(value, getattr(example, field))

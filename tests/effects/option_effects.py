@@ -167,6 +167,7 @@ REFUSES: Mapping[str, str] = {
 # Options without an effect in these circumstances, each with the reason.
 WITHOUT: Mapping[str, str] = {
     "--out": "is where the files are",
+    "--same-session": "acts on several files; tests/unit/recording/test_session_identity.py",
     "--overwrite": "acts in a folder that has a session; tests/unit/cli/test_simulate_command.py",
     "--workers": "is how many processes compute; the result is the same",
     "--scheduler": "needs a cluster; the tests of the package of studies",

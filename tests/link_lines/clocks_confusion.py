@@ -135,8 +135,8 @@ def said_of(clocks: Clocks) -> Said:
         seen.record(*exchange)
         if number % HZ == 0:
             seen.estimate()
-            fell = fell or len(seen.blocks) < most
-            most = max(most, len(seen.blocks))
+            fell = fell or len(seen.state.blocks) < most
+            most = max(most, len(seen.state.blocks))
     return Said(any(part.line.drift != 0.0 for part in parts), len(parts) > 1, fell)
 
 

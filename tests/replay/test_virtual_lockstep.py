@@ -95,16 +95,16 @@ class ConstantRig(VirtualRig):
         assert isinstance(hand, HapticNode)
         hand._memory.guard = hand._memory.guard._replace(armed=True)
 
-    def carry(self, topic: str, message: Message, payload: bytes) -> None:
+    def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
         """Bring a message to its readers, and arm the AFM 1 ns before the command that follows the first position."""
         if isinstance(message, TeleopForward) and message.hand_seq in self.lost:
             return
-        super().carry(topic, message, payload)
+        super().carry(topic, message, payload, sent_ns)
         if isinstance(message, AfmCommand) and message.mode == "position" and not self._armed:
             self._armed = True
             arm = _arm(message.t_ns)
-            sent_ns = message.t_ns - EPOCH_OFFSET_NS + PERIOD_NS - 1
-            self._deliver("launcher@slave", "afm_node@slave", "session/control", encode(arm), sent_ns, arm)
+            armed_ns = message.t_ns - EPOCH_OFFSET_NS + PERIOD_NS - 1
+            self._deliver("launcher@slave", "afm_node@slave", "session/control", encode(arm), armed_ns, arm)
 
 
 def _arm(t_ns: int) -> SessionControl:

@@ -26,7 +26,7 @@ SAID = {
     "raising": "RuntimeError: no licence",
     "failing": "no licence",
     "number": "hollow.failing:NUMBER must be a function or a group of typer that can be imported",
-    "typo": "no such command 'typo'; table_absent of the package hollow 1.2 cannot be used: ModuleNotFoundError",
+    "typo": "table_absent of the package hollow 1.2 cannot be used: ModuleNotFoundError",
     "unfinished": "the package hollow returned NoneType, and must return a CopyResult; choose another format",
 }
 # what the entry `failing` of a kind leads to
@@ -77,6 +77,7 @@ ASKED = {
     "exports": ["bag export recorded/session.mcap --out written --to {0}"],
     "images": [],
     "readers": ["sample --out written --sample a.{0}"],
+    "functions": ["doctor"],
     "steps": ["doctor"],
     "topics": ["topic info wind/{0}"],
     "panels": ["doctor"],

@@ -43,6 +43,7 @@ RECIPES = {
     "study advise": Recipe("study advise --delay 40 --seeds 1 --workers 2 --out {out}"),
     "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
     "study push": Recipe("study push --law passivity --delay 50 --loss 0 --seeds 2 --workers 2 --out {out}"),
+    "study drift": Recipe("study drift --law passivity --speed 10 --time-constant 5 --seeds 1 --workers 2 --out {out}"),
     "study gallery": Recipe("study gallery --out {out}"),
     "benchmark": Recipe("benchmark --quick --law wave --workers 2 --out {out}"),
     "assemble": Recipe(
@@ -53,7 +54,7 @@ RECIPES = {
     "compare": Recipe("compare {recording} {other} --out {out}"),
     "bag export": Recipe("bag export {recording} --to hdf5 --out {out}", True),
     "bag filter": Recipe("bag filter {recording} --out {out}.mcap"),
-    "bag merge": Recipe("bag merge {recording} {other} --out {out}.mcap", True),
+    "bag merge": Recipe("bag merge {parts} --out {out}.mcap", True),
     "bag split": Recipe("bag split {recording} --interval 1 --out {out}"),
     "bag recover": Recipe("bag recover {recording} --out {out}.mcap"),
     "bag plot": Recipe("bag plot {recording} afm/state.tip_force_n.2 --out {out}.png"),
@@ -80,6 +81,7 @@ ELSEWHERE = {
     "study network": "reads a folder, and writes a few files at once at the end by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
     "sample import": "reads a file of another maker, and writes one file at the end by `atomic_file`",
+    "curve fit": "fits for a moment, and writes three files at once at the end by `results_in`",
     "particles": "reads an image, and writes one file at the end by `atomic_file`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "budget": "reads a recording, and writes two files at once at the end by `results_in`",
@@ -114,12 +116,21 @@ def test_every_command_with_a_result_is_in_the_table() -> None:
 
 
 @pytest.fixture
-def with_recordings(recording_of: Callable[[str], Path]) -> Callable[[str], str]:
+def with_recordings(
+    recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], str]:
     """Put the paths of recordings into a template, which keeps the place of its output."""
 
     def fill(template: str) -> str:
         recording, other = recording_of("wave"), recording_of("position_force")
-        return template.format(out="{out}", recording=recording, other=other)
+        parts = tmp_path_factory.mktemp("parts") / "of"
+        if "{parts}" in template:
+            words = ["bag", "split", str(recording), "--interval", "2", "--out", str(parts)]
+            subprocess.run(
+                [sys.executable, "-m", "telenano", *words], env=environment(), check=True, capture_output=True
+            )
+        names = " ".join(map(str, sorted(parts.glob("*.mcap"))))
+        return template.format(out="{out}", recording=recording, other=other, parts=names)
 
     return fill
 

@@ -54,9 +54,10 @@ READS = {
     "experiment plan": "delay_and_law --effect 1",
     "sample import": "curve.txt --out out/made.npz",
     "sample info": "curve.txt",
+    "curve fit": "curve.txt --model hertz --radius 30 --set stiffness_n_per_m=1 --out out/made.csv",
 }
 # Commands that are refused for another reason before they look at the option: a folder of an experiment that was run, a
-# page or an instrument that answers.
+# page or an instrument that answers. One of a small part is no share.
 MOST_REFUSED_BEFORE = 0.03
 
 
@@ -114,7 +115,7 @@ def test_a_wrong_value_is_refused_by_its_option_before_work_begins(every: int) -
             wrong.append(f"{' '.join(asked)}: {code}, {output[-200:]}")
             shutil.rmtree("out", ignore_errors=True)
     assert not wrong, "\n".join(wrong)
-    assert len(refused_before) < MOST_REFUSED_BEFORE * len(cases), refused_before
+    assert len(refused_before) < max(MOST_REFUSED_BEFORE * len(cases), 3), refused_before
 
 
 @pytest.mark.parametrize(

@@ -329,7 +329,7 @@ def test_a_part_with_more_or_fewer_values_is_refused() -> None:
             Part((), values).like(example)
     names, values = part(Law(None, 1.0))
     for wrong in ([None], [None, 1.0, 2.0]):
-        with pytest.raises(ValueError, match="argument 2 is"):
+        with pytest.raises(ValueError, match=f"it has {len(wrong)} values for 2 fields"):
             Part(names, wrong).like(Law(None, 1.0))
     assert Part(names, values).like(Law((), 0.0)) == Law(None, 1.0)
 
@@ -393,3 +393,24 @@ def test_an_array_that_is_none_is_refused(array: Any) -> None:
     state: Callable[[], Any] = lambda: Part((), array).like(np.zeros(1))  # noqa: E731
     with pytest.raises((ValueError, TypeError)):
         state()
+
+
+class Noise(NamedTuple):
+    drawn: int
+    base: tuple[float, float] = (0.0, 0.0)
+
+
+class Instrument(NamedTuple):
+    force_n: float
+    noise: Noise = Noise(0)
+
+
+def test_a_part_of_before_lacks_what_was_added_at_an_end_with_a_default_and_nothing_else() -> None:
+    names, values = part(Instrument(1.0, Noise(3, (1.0, 2.0))))
+    assert names == ("force_n", "noise", "noise.drawn", "noise.base")
+    for kept in (Part(names, values), Part(names[:3], (1.0, (3,))), Part(names[:1], (1.0,))):
+        expected = Instrument(*(Noise(*v) if isinstance(v, tuple) else v for v in kept.values))
+        assert kept.like(Instrument(0.0)) == kept.of_kind(Instrument) == expected
+    for lacking in ((), ("force_n", "noise", "noise.base"), ("noise", "noise.drawn")):
+        with pytest.raises(ValueError, match=r"it (lacks|has)"):
+            Part(lacking, values).like(Instrument(0.0))

@@ -17,6 +17,7 @@ from telenano.testing import invoke
 # What takes a network by its name; NAME stands for what a person gives.
 NETWORKS = {
     "advise": ["study", "advise", "--network", "NAME", "--sample", "ordinary", "--out", "OUT"],
+    "drift": ["study", "drift", "--network", "NAME", "--law", "wave", "--out", "OUT"],
     "validate": ["study", "validate", "--network", "NAME", "--law", "wave", "--out", "OUT"],
     "benchmark": ["benchmark", "--network", "NAME", "--quick", "--out", "OUT"],
     "profile": ["link", "profile", "NAME", "--show"],
