@@ -260,8 +260,8 @@ _LINES = "[...document.querySelectorAll('.plot .words')].map((words) => words.ge
 # the width that these leave.
 _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((element) => {
   const { x, y, width, height } = element.getBoundingClientRect();
-  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control, #banners");
-  return isFree ? [] : [[element.id, [x, y, width, height]]];
+  const isFree = width === 0 || element.closest("#answers, #events, #watch, #control");
+  return isFree ? [] : [[element.id, [x, y, element.id === "banners" ? 0 : width, height]]];
 }))"""
 
 

@@ -177,6 +177,7 @@ def test_a_command_that_asks_for_a_faulty_entry_ends_with_a_sentence(
     assert broken is None
     (said,) = err.splitlines()
     assert said.startswith("telenano: ") and "the package hollow" in said and SAID[fault] in said
+    assert fault != "typo" or said.startswith("telenano: no such command 'typo'; ")
     assert json.loads(out)["error"] in said
     # What raises when it is run fails; what cannot be read or imported is a fault of what names it.
     ran = fault in ("failing", "unfinished") and line.startswith(("{0}", "bag", "experiment"))

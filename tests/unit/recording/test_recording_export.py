@@ -41,7 +41,8 @@ def test_a_quantity_in_a_name_has_its_unit_in_the_contract() -> None:
 
 
 def test_what_matches_nothing_is_an_error(rich: Path, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="has no channel haptic: did you mean haptic/state"):
+    near = r"has no channel haptic: did you mean haptic/state\? Known are afm/scanline"
+    with pytest.raises(RecordingError, match=near):
         export_recording(rich, tmp_path / "x", "mcap-json", Selection.of(["haptic"]))
     assert not (tmp_path / "x").exists()
 
