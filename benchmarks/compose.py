@@ -38,6 +38,14 @@ def compose_command() -> list[str]:
     return [*command, "-p", PROJECT, "-f", "compose.yaml"]
 
 
+def said(*command: str) -> str:
+    """Run a command in the project and give what it prints."""
+    done = children.run(
+        command, cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
 def bare(*options: str) -> dict[str, Any]:
     """Give the summary of a session on the bare machine."""
     with tempfile.TemporaryDirectory() as folder:
@@ -50,17 +58,11 @@ def composed() -> dict[str, Any]:
     """Give the summary of a session of containers, which are made for it and taken away."""
     compose = compose_command()
 
-    def run(*arguments: str) -> str:
-        done = children.run(
-            [*compose, *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        return done.stdout
-
     try:
-        run("up", "-d", *NODES)
-        return dict(json.loads(run("run", "--rm", "-T", "session", "telenano", "up", "--attach", *SESSION)))
+        said(*compose, "up", "-d", *NODES)
+        return dict(json.loads(said(*compose, "run", "--rm", "-T", "session", "telenano", "up", "--attach", *SESSION)))
     finally:
-        run("down", "-v")
+        said(*compose, "down", "-v")
 
 
 def first() -> dict[str, Any]:
@@ -68,16 +70,11 @@ def first() -> dict[str, Any]:
     compose, out = compose_command(), ROOT / "out"
     before = set(out.glob("*/summary.json"))
 
-    def run(*command: str) -> str:
-        return children.run(
-            command, cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        ).stdout.strip()
-
     try:
-        run(*compose, "up", "-d")
-        run("docker", "wait", run(*compose, "ps", "-q", "session"))
+        said(*compose, "up", "-d")
+        said("docker", "wait", said(*compose, "ps", "-q", "session"))
     finally:
-        run(*compose, "down", "-v")
+        said(*compose, "down", "-v")
     (made,) = set(out.glob("*/summary.json")) - before
     found: dict[str, Any] = json.loads(made.read_text("utf-8"))
     shutil.rmtree(made.parent)

@@ -18,7 +18,7 @@ RADIUS_M = 1e-9 * (float(sys.argv[2]) if len(sys.argv) > 2 else 30.0)
 FILES = [Path(name) for name in sys.argv[3:]] or [Path(__file__).with_name("force_curve.txt")]
 LACKING = {"stiffness_n_per_m": 2.0}  # of the cantilever that measured force_curve.txt, which its head does not say
 
-# with a Poisson ratio of 0 the modulus is the reduced one
+# With a Poisson ratio of 0 the modulus is the reduced one.
 fitted = fit_files(FILES, ContactShape("hertz", radius_m=RADIUS_M, poisson=0.0), LACKING)
 for row in frame_of(fitted, "hertz").itertuples():
     name = f"{Path(row.file).name} {row.curve}" if row.curve else Path(row.file).name

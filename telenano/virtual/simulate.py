@@ -27,19 +27,22 @@ Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 
+def _abouts(function: Callable[..., object]) -> dict[str, str]:
+    """Return the first line of what the docstring of a function says of each argument."""
+    text = inspect.cleandoc(function.__doc__ or "").replace("\n    ", "\n        ")
+    names = inspect.signature(function).parameters
+    return {name: about for name, about in re.findall(r"^ {8}(\w+): (.*)$", text, re.M) if name in names}
+
+
 def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """Return a function that says of an argument that it has not which one is meant, as of any other wrong name."""
     signature = inspect.signature(function)
 
     @wraps(function)
     def called(*args: Given.args, **given: Given.kwargs) -> Result:
-        lines = re.findall(
-            r"^ {8}(\w+): (.*)$", inspect.cleandoc(function.__doc__ or "").replace("\n    ", "\n        "), re.M
-        )
-        abouts = {name: text for name, text in lines if name in signature.parameters}
         for name in given:
             if name not in signature.parameters:
-                raise TypeError(f"telenano.simulate: {_wrong_argument(name, given[name], abouts)}")
+                raise TypeError(f"telenano.simulate: {_wrong_argument(name, given[name], _abouts(function))}")
         positional = [one.name for one in signature.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
         if len(args) > len(positional):
             raise TypeError(
@@ -54,7 +57,7 @@ def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Re
 def _wrong_argument(name: str, value: object, abouts: Mapping[str, str]) -> str:
     """Return what is meant by an argument that there is none of: another one, or a key of the scenario."""
     text = f"has no argument {name!r}"
-    # what is said of settings is an example of one
+    # The text of settings has a key as its example, which is no argument.
     if meant := named_by(name, {each: text for each, text in abouts.items() if each != "settings"}):
         return f"{text}; did you mean {' or '.join(meant)}? There are {', '.join(abouts)}"
     if near := probably_meant(name, abouts):

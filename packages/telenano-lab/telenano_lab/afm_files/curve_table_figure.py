@@ -62,7 +62,7 @@ def _draw_map(axes: Axes, figure: Figure, grid: tuple[Array, Array, Places, Plac
     extent = (factor * float(x[0] - 0.5 * sides[0]), factor * float(x[-1] + 0.5 * sides[0]),
               factor * float(y[0] - 0.5 * sides[1]), factor * float(y[-1] + 0.5 * sides[1]))  # fmt: skip
     axes.set_facecolor("0.75")
-    # one curve that is far off must not take the colours of all others
+    # One curve that is far off must not take the colours of all others.
     sound = values[np.isfinite(values)]
     low, high = (np.percentile(sound, (1.0, 99.0)).tolist()) if len(sound) else (0.0, 1.0)
     shown = axes.imshow(image, origin="lower", extent=extent, cmap="viridis", vmin=low, vmax=max(high, low + 1e-12))

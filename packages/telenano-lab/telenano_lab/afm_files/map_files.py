@@ -14,7 +14,8 @@ curve counts from its own lowest point, so that no curve loses its contact, and 
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -91,6 +92,37 @@ class _Curves(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+@contextmanager
+def _faults_named(path: Path) -> Iterator[None]:
+    """Raise what is wrong with a file, or with reading it, as a ConfigError that names it."""
+    try:
+        yield
+    except ImportError as error:
+        text = f"{path}: needs {error.name} to be read: install telenano-lab with its dependencies"
+        raise ConfigError(text) from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _demand_content(path: Path) -> None:
+    """Raise OSError where a file cannot be opened, and MapError where it is empty."""
+    if not path.is_dir():
+        open_regular(path).close()
+        if path.stat().st_size == 0:
+            raise MapError("is empty")
+
+
+def _given_of(path: Path, wanted: Wanted) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what a person says of a file: its facts, and how its text table is read; MapError where it is no table."""
+    members = {name: value for name, value in wanted.given.items() if name not in TableOptions._fields}
+    options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
+    if options and path.suffix.lower() not in SUFFIXES:
+        raise MapError(f"--set {next(iter(options))}: is for a text table; this file states it itself")
+    return members, options
+
+
 def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) -> Imported:
     """Return the map in a file.
 
@@ -102,15 +134,10 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
     Raises:
         ConfigError: The file cannot be used; the message names it, the key and what would be right.
     """
-    try:
-        if not path.is_dir():
-            open_regular(path).close()
-            if path.stat().st_size == 0:
-                raise MapError("is empty")
-        members = {name: value for name, value in wanted.given.items() if name not in (*ASKED, *TableOptions._fields)}
-        options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
-        if options and path.suffix.lower() not in SUFFIXES:
-            raise MapError(f"--set {next(iter(options))}: is for a text table; this file states it itself")
+    with _faults_named(path):
+        _demand_content(path)
+        members, options = _given_of(path, wanted)
+        members = {name: value for name, value in members.items() if name not in ASKED}
         imported = _import(path, wanted._replace(given=members), json.dumps(options), watch)
         imported = _corrected(imported, wanted)
         imported = imported._replace(notes=(*_in_free_air(imported.map), *imported.notes))
@@ -120,13 +147,6 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
             "the force is computed from the frequency shift, whose mean in the farthest tenth of a curve is taken as 0"
         )
         return Imported(as_force(imported.map, dict(wanted.given)), (*imported.notes, text))
-    except ImportError as error:
-        text = f"{path}: needs {error.name} to be read: install telenano-lab with its dependencies"
-        raise ConfigError(text) from error
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError) as error:
-        raise ConfigError(f"{path}: {error}") from error
 
 
 class Curves(NamedTuple):
@@ -161,29 +181,16 @@ def read_curves(path: Path, wanted: Wanted, watch: Watch = lambda share: None) -
     if suffix in (".npz", ".3ds") or is_spectrum or is_grid_h5:
         imported = import_map(path, wanted._replace(level="common", correct="nothing"), watch)
         return _curves_of_map(path, imported)
-    try:
-        if not path.is_dir():
-            open_regular(path).close()
-            if path.stat().st_size == 0:
-                raise MapError("is empty")
+    with _faults_named(path):
+        _demand_content(path)
         if suffix not in (".dat", *_CURVE_SUFFIXES) and not path.is_dir() and not _is_bruker(path):
             raise MapError(f"is no file of force curves that can be read; these are {', '.join(MAP_SUFFIXES)}")
-        members = {name: value for name, value in wanted.given.items() if name not in TableOptions._fields}
-        options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
-        if options and suffix not in SUFFIXES:
-            raise MapError(f"--set {next(iter(options))}: is for a text table; this file states it itself")
+        members, options = _given_of(path, wanted)
         facts, (places, counts, heights, forces) = _load(
             path, wanted._replace(given=members), json.dumps(options), watch
         )
         given = members.get("stiffness_n_per_m", facts["stiffness_n_per_m"])
         stiffness = _positive_stiffness(given)
-    except ImportError as error:
-        text = f"{path}: needs {error.name} to be read: install telenano-lab with its dependencies"
-        raise ConfigError(text) from error
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError) as error:
-        raise ConfigError(f"{path}: {error}") from error
     ends = np.cumsum(counts.ravel()).reshape(-1, 2).tolist()
     branches = [
         [(heights[cut], forces[cut]) for cut in (slice(end - sizes[0], end), slice(end, stop))]
@@ -207,7 +214,7 @@ def _is_plain_grid(path: Path) -> bool:
     try:
         read_in_child("telenano_lab.afm_files.map_libraries:load_grid", path)
     except (ValueError, OSError, ImportError):
-        # what is wrong with it the reader of curves tells
+        # The reader of curves tells what is wrong with it.
         return False
     return True
 

@@ -187,7 +187,7 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
     bases = np.concatenate([x, turned])
     tilted = c.load_n * c.tilt_share * (bases - ends) / (pushed_m - ends)
     value = np.concatenate([there, held]) + zero + tilted + 0.02 * c.load_n * random.standard_normal() * time
-    # where the touch is on the way that is fitted
+    # The touch is here on the way that is fitted.
     if c.model in ("dmt", "jkr"):
         touch = speed * (2.0 * pushed_m - ends) / (1.0 + speed)
     else:

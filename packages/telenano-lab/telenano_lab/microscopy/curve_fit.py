@@ -241,7 +241,7 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         )
     if number in (HERTZ, SNEDDON):
         _refuse_dip(way, model_n, depth_m, noise_n, load_n)
-    change = _change_over_depth(problem, free, way, contact, jacobian, left)
+    change = _change_over_depth(problem, way, depth_m, jacobian, left)
     found = found._replace(modulus_change=change.share, modulus_change_error=change.error)
     if abs(change.share) > max(_LEAST_CHANGE, _CHANGE_ERRORS * change.error):
         more = "a thin layer on a hard ground (--thickness), a yielding sample or another shape of the tip"
@@ -250,7 +250,7 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
             f" model {shape.model} does not describe it; {more} may"
         )
     if abs(change.share) > _DOUBT_ERRORS * change.error:
-        # what the figures would be without the change is as likely
+        # The figures that a fit without the change would give are as likely.
         errors = [math.sqrt(error**2 + moved**2) for error, moved in zip(errors, change.moved, strict=True)]
         if not errors[1] < _GREATEST_SHARE:
             raise _RefusedError(
@@ -276,7 +276,7 @@ def _way(height_m: Array, force_n: Array, name: str) -> _Way:
         raise _RefusedError(f"its {name} has {len(base)} valid points; {4 * _LEAST_POINTS} are needed")
     over = -(-len(base) // _MOST_POINTS)
     count = len(base) // over
-    # what is left over is at the end away from the sample, where there is most
+    # Points that make no whole average are left out at the end away from the sample, where there are most.
     cut = slice(len(base) - count * over, None) if base[0] < base[-1] else slice(0, count * over)
     means = []
     for values in (base[cut], force[cut]):
@@ -537,7 +537,7 @@ def _start_of_push(number: int, shape: ContactShape, k: float, way: _Way, length
 @compiled
 def _contact(problem: _Problem, free: Array) -> Contact:
     scale = problem.force_scale_n
-    pull = math.exp(free[2]) * scale if problem.model == 3 else free[2] * scale
+    pull = math.exp(free[2]) * scale if problem.model == JKR else free[2] * scale
     return Contact(
         problem.model, problem.radius_m, problem.tangent, problem.stiffness_n_per_m, math.exp(free[1]), pull,
         problem.per_thickness_per_m,
@@ -578,6 +578,12 @@ def _slopes(
         moved[one] = free[one]
         for i in range(count):
             jacobian[i, column] = (ahead[i] - behind[i]) / (2.0 * step)
+
+
+@compiled
+def _is_of_a_sample(free: Array) -> bool:
+    """Return whether modulus and pull-off are such as a sample has."""
+    return bool(-10.0 < free[1] < 35.0 and abs(free[2]) < 50.0)
 
 
 @compiled
@@ -639,8 +645,7 @@ def _descend(
                 # a logarithm goes by no more than a factor of e, and the touch by a fifth of the way
                 most = 0.2 if one == 0 else 1.0
                 moved[one] += min(max(step[row], -most), most)
-            # moduli that no sample has
-            allowed = allowed and -10.0 < moved[1] < 35.0 and abs(moved[2]) < 50.0
+            allowed = allowed and _is_of_a_sample(moved)
             if allowed:
                 _predict(problem, moved, base_m, touching, model, depth)
                 new = 0.0
@@ -735,7 +740,7 @@ def _in_noise(
         before = move
         free = free.copy()
         free[places] += share * move
-        if not (-10.0 < free[1] < 35.0 and abs(free[2]) < 50.0):
+        if not compiled_form(_is_of_a_sample)(free):
             raise _RefusedError("the fit comes to no end: this model does not describe it")
         if np.all(np.abs(move) <= 0.05 * errors):
             break
@@ -751,13 +756,8 @@ class _Change(NamedTuple):
     moved: list[float]
 
 
-def _change_over_depth(
-    problem: _Problem, free: Array, way: _Way, contact: npt.NDArray[np.bool_], jacobian: Array, left_n: Array
-) -> _Change:
-    count = len(way.base_m)
-    model, depth = np.empty(count), np.empty(count)
-    compiled_form(_predict)(problem, free, way.base_m, contact, model, depth)
-    share = np.clip(depth, 0.0, None) / max(float(depth.max()), 1e-15)
+def _change_over_depth(problem: _Problem, way: _Way, depth_m: Array, jacobian: Array, left_n: Array) -> _Change:
+    share = np.clip(depth_m, 0.0, None) / max(float(depth_m.max()), 1e-15)
     columns = np.column_stack([jacobian, jacobian[:, 1] * share])
     noise = correlated_noise(left_n / problem.force_scale_n, columns, way.place, _OF_AVERAGES)
     *moved, change = noise.coefficients.tolist()

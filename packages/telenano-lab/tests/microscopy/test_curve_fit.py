@@ -68,7 +68,7 @@ def test_each_quantity_is_within_its_error_in_noise_of_each_kind(model: str, noi
     curves = [drawn_curve(model, 5000 + seed, noise=noise) for seed in range(200)]
     count, held = covered(curves)
     assert count >= (1.0 - MOST_REFUSED) * len(curves)
-    # what a random walk does while it is measured no record of one curve tells
+    # A record of one curve does not tell how far a random walk goes while it is measured.
     share = 0.9 if noise in ("walk", "flicker") else 0.95
     for name, _ in QUANTITIES:
         assert held[name] >= least_of(count, share), (name, held[name], count)
