@@ -306,7 +306,8 @@ def _check_path(path: object) -> None:
         return
     many = "; telenano.open_all takes many" if isinstance(path, Iterable) and not hasattr(path, "read") else ""
     raise TypeError(
-        f"a recording is named by its path, such as 'out/fig12/session.mcap', and not by a {type(path).__name__}{many}"
+        f"a recording is named by its path, such as 'out/fig12/session.mcap', and not by a value of the type"
+        f" {type(path).__name__}{many}"
     )
 
 

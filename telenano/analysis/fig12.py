@@ -1,7 +1,7 @@
 """The paper's Fig. 12 from the series of a session: forces, positions, and the force-distance path of the tip."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from textwrap import fill
@@ -127,6 +127,25 @@ def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SC
         if not paper:
             figure.suptitle("\n".join(fill(line, _TITLE_WIDTH) for line in title.splitlines()), fontsize=11)
         _mark_states(panels[2], series.tip_path())
+    return figure
+
+
+def draw_columns(
+    time_s: npt.NDArray[np.float64], columns: Mapping[str, tuple[npt.NDArray[Any], str]], title: str
+) -> "Figure":
+    """Draw columns, each given with its unit, over the time: a panel each, one below the other."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with ON_SCREEN.styled():
+        figure = Figure(figsize=(7.2, 1.2 + 2.2 * len(columns)), layout="constrained")
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, (values, unit)) in zip(panels, columns.items(), strict=True):
+            axes.plot(time_s, values, color=HAND, lw=1.0)
+            axes.set_ylabel(f"{name.removesuffix(f'_{unit.lower()}')} ({unit})" if unit else name)
+        panels[-1].set_xlabel("time (s)")
+        figure.suptitle(fill(title, _TITLE_WIDTH), fontsize=11)
     return figure
 
 

@@ -6,7 +6,7 @@
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -17,7 +17,7 @@ from telenano.analysis.figure_style import VERDICT_COLOURS
 from telenano.files.optional_modules import required_module
 from telenano.recording.column_table import Column, ColumnTable, no_attribute
 from telenano.settings.named_instruments import IDEAL
-from telenano.wire.errors import TelenanoError
+from telenano.wire.errors import TelenanoError, named_by
 
 if TYPE_CHECKING:
     import pandas
@@ -215,7 +215,14 @@ class Session(Mapping[str, Column]):
             if not name.startswith("_") and not hasattr(type(self), name):
                 with suppress(TelenanoError):
                     columns = self.course
+                if set_so := named_by(name, {one.name: "" for one in fields(Conditions)}):
+                    text = f"{type(self).__name__!r} object has no attribute {name!r}: what was set is in"
+                    raise AttributeError(f"{text} {', '.join(f'`.conditions.{one}`' for one in set_so)}")
             raise AttributeError(no_attribute(self, name, columns))
+
+    def __array__(self, *_args: Any, **_options: Any) -> npt.NDArray[Any]:
+        """Raise TypeError, because columns of numbers and of truth values are no array; NumPy and pandas ask for it."""
+        raise TypeError("a session is columns by name and no array: [name] is one, and `to_pandas()` has all")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.course)
@@ -242,16 +249,20 @@ class Session(Mapping[str, Column]):
         """Return the columns as an xarray Dataset over `time_s`."""
         return self.course.to_xarray()
 
-    def plot(self) -> "Figure":
-        """Draw the three panels of Fig. 12: the forces, the positions, and the force against the distance.
+    def plot(self, *columns: str) -> "Figure":
+        """Draw columns over the time, a panel each; without any the three panels of Fig. 12.
 
         Raises:
             ConfigError: matplotlib is not installed; the message says what adds it.
+            KeyError: There is no such column; the message names the one that was probably meant.
         """
         required_module("matplotlib", "a picture of a session: matplotlib is not installed", "viz")
-        from telenano.analysis.fig12 import draw_fig12
+        from telenano.analysis.fig12 import draw_columns, draw_fig12
 
-        return draw_fig12(*self._drawn())
+        if not columns:
+            return draw_fig12(*self._drawn())
+        drawn = {name: (self[name], self.units[name]) for name in columns}
+        return draw_columns(self["time_s"], drawn, self.conditions.title())
 
     def _repr_html_(self) -> str:
         try:

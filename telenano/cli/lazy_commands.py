@@ -244,9 +244,34 @@ _MOST_MEANT = 4
 # Commands by another name.
 ALIASES = {"run": "up"}
 # What people type who look for something that has another name.
-_MEANT = {
-    "stop": "Ctrl-C ends a session in its terminal, `telenano session stop` stops the hand of a running rig, and"
-    " `telenano estop` its devices at once",
+_ENDS = (
+    "Ctrl-C ends a session in its terminal, `telenano session stop` stops the hand of a running rig, and"
+    " `telenano estop` its devices at once"
+)
+_STATES = "`telenano status` shows the nodes of a running rig, and `telenano status --all` the rigs of this machine"
+_MAKES = "`telenano new KIND NAME` makes a package to fill in, and `telenano scenario new NAME` an experiment"
+_KEYS = "`telenano param list` has the keys of an experiment, and `telenano scenario show fig12` those of one"
+_AGES = "`telenano link show` says how long the link of a running rig takes, and `telenano status` how old inputs are"
+_PAGE = "`telenano view` serves the operator's page"
+MEANT = {
+    **dict.fromkeys(("stop", "down", "kill", "shutdown", "quit", "disarm"), _ENDS),
+    **dict.fromkeys(("ps", "top", "monitor", "health", "stats"), _STATES),
+    **dict.fromkeys(("init", "create"), _MAKES),
+    **dict.fromkeys(("config", "settings", "params"), _KEYS),
+    **dict.fromkeys(("ping", "latency", "delay"), _AGES),
+    **dict.fromkeys(("gui", "web", "ui", "page"), _PAGE),
+    "ls": "`telenano bag list` has the recordings of this folder, and `telenano scenario list` the experiments",
+    "logs": "each node of a session writes its log to the folder `logs` beside its recording",
+    "log": "each node of a session writes its log to the folder `logs` beside its recording",
+    "test": "`telenano doctor` tests this machine, and `telenano device trial` a device",
+    "head": "`telenano bag cat FILE` prints the messages of a recording",
+    "dump": "`telenano bag cat FILE` prints the messages of a recording",
+    "import": "`telenano sample import` reads a surface, and `telenano inspect FILE` says what is in a file",
+    **dict.fromkeys(
+        ("arm", "couple", "mark"),
+        "`telenano session --help` has the commands for a running rig, such as `telenano session arm`",
+    ),
+    "emergency-stop": "`telenano estop` stops the devices of a running rig at once",
     "start": "`telenano up fig12` starts a rig, and `telenano session start` the hand of a running one",
     "demo": "`telenano up fig12` runs the session of Fig. 12, and `telenano view --demo` shows a recorded one",
     "list": "`telenano scenario list` has the scenarios, `telenano law list` the laws, `telenano status --all` the"
@@ -283,6 +308,9 @@ class OpenGroup(TyperGroup):
         name = args[0] if args else ""
         if not name or name.startswith("-") or name in self.commands:
             return super().resolve_command(ctx, args)
+        if name == "help" and self.path:
+            typer.echo(ctx.get_help())
+            raise typer.Exit
         path = (*self.path, name)
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
@@ -327,8 +355,10 @@ class OpenGroup(TyperGroup):
         # a command of a group, and one of the root, may have the name or be what is said to do it
         abouts = {row: one.about for row, one in root.rows().items()}
         for row, group in groups.items():
-            for child in getattr(group, "commands", {}).values():
-                abouts[f"{row} {child.name}"] = child.short_help or ""
+            # A command of another group that has the name, such as `list`, does it to something else.
+            if not self.path or row == self.path[0]:
+                for child in getattr(group, "commands", {}).values():
+                    abouts[f"{row} {child.name}"] = child.short_help or ""
         exact = [each for each in abouts if each.split()[-1] == name and each != name] or (
             [name] if name in root.rows() else []
         )
@@ -339,12 +369,10 @@ class OpenGroup(TyperGroup):
             return ": " + " or ".join(
                 f"`telenano {'' if options[flag] is root else 'up fig12 '}{flag}`" for flag in flags[:_MOST_MEANT]
             )
-        meant = exact or named_by(name, abouts)
-        return (
-            ": " + "; ".join(f"`telenano {each}`: {abouts[each].rstrip('.')}" for each in meant[:_MOST_MEANT])
-            if meant
-            else ""
-        )
+        if not exact and len(by_text := named_by(name, abouts)) <= _MOST_MEANT:
+            exact = by_text
+        told = [f"`telenano {each}`: {abouts[each].rstrip('.')}" for each in exact[:_MOST_MEANT]]
+        return f": {'; '.join(told)}" if told else ""
 
 
 class LazyRoot(OpenGroup):
@@ -388,8 +416,8 @@ class LazyRoot(OpenGroup):
             raise typer.Exit
         if name == "help":
             return self.resolve_command(ctx, [*rest, "--help"])
-        if name in _MEANT and name not in self.rows():
-            ctx.fail(f"no such command {name!r}: {_MEANT[name]}")
+        if name in MEANT and name not in self.rows():
+            ctx.fail(f"no such command {name!r}: {MEANT[name]}")
         return super().resolve_command(ctx, [ALIASES.get(name, name), *rest])
 
     def invoke(self, ctx: Any) -> Any:

@@ -106,7 +106,17 @@ def system_error_text(error: OSError) -> str:
 
 
 # What people mean by options that a session has not.
+_CHECKS = "`telenano scenario check FILE` checks an experiment, and `telenano simulate` runs one without processes"
+_FILE = "an experiment is given by its name or its file, as in `telenano up my.yaml`"
 _MEANT = {
+    "--dry-run": _CHECKS,
+    "--dryrun": _CHECKS,
+    "--check": _CHECKS,
+    "--config": _FILE,
+    "--file": _FILE,
+    "-f": _FILE,
+    "--loss": "--set delay_node.forward.loss.probability=0.01 loses one message in a hundred one way",
+    "--jitter": "--set delay_node.forward.jitter.scale_s=0.005 makes one way uneven",
     "--delay": "--round-trip-ms 40 delays by 20 ms each way, and --set delay_node.forward.delay_s=0.04 one way alone",
     "--law": "--set controller.law=wave",
     "--rate": "--set realtime.rate_hz=500",
@@ -122,9 +132,19 @@ def usage_text(error: Any) -> str:
     option = getattr(error, "option_name", "") if message.lower().startswith("no such option") else ""
     if path in (" up", " simulate") and (meant := _MEANT.get(option) or _meant_option(error.ctx.command, option)):
         message = f"{message.partition('; ')[0]}: {meant}"
+    if not path and option in ("--verbose", "-v"):
+        message = f"{message}: {_MEANT[option]}"
+    elif not path and option in (of_up := _long_options(error.ctx.command.command_at("up"))):
+        message = f"{message.partition('; ')[0]}: it stands behind a command, as in `telenano up fig12 {of_up[option]}`"
     if path in (" up", " simulate") and (setting := re.search(r"extra argument\S* \(([\w.]+=\S*?)[ )]", message)):
         message = f"{message}: a key of the scenario is changed by --set {setting[1]}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
+
+
+def _long_options(command: Any) -> dict[str, str]:
+    """Return the long options of a command, by themselves and by the letter that others know them by."""
+    longs = [flag for one in command.params for flag in getattr(one, "opts", ()) if flag.startswith("--")]
+    return {**{"-q": "--quiet", "-o": "--out"}, **{flag: flag for flag in longs}}
 
 
 def _meant_option(command: Any, option: str) -> str:

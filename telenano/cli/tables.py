@@ -93,8 +93,11 @@ def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> T
     table = Table(
         *(Column(Text(one_line(name))) for name in rows[0]), title=None if title is None else Text(one_line(title))
     )
-    for column, value in zip(table.columns, rows[0].values(), strict=True):
-        column.justify = "left" if isinstance(value, str) else "right"
+    for column, name in zip(table.columns, rows[0], strict=True):
+        # Numbers stand under one another; a column that has a text as well would have it far from its name.
+        column.justify = (
+            "left" if any(isinstance(row.get(name), str | list | tuple | Mapping) for row in rows) else "right"
+        )
         column.overflow = "fold"
     for row in rows:
         table.add_row(*(_value_text(value) for value in row.values()))

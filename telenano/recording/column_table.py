@@ -92,4 +92,5 @@ def no_attribute(table: object, name: str, columns: Mapping[str, Any]) -> str:
     pandas = sys.modules.get("pandas")
     if pandas is not None and not name.startswith("_") and hasattr(pandas.DataFrame, name):
         return f"{text}: `to_pandas()` gives a DataFrame, which has it"
-    return text + probably_meant(name, [each for each in dir(type(table)) if not each.startswith("_")])
+    own = [each for each in dir(type(table)) if not each.startswith("_")]
+    return text + (probably_meant(name, own) or f"; it has {', '.join(own)}")

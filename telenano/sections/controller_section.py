@@ -78,6 +78,8 @@ class _OwnSections(Settings):
     @field_validator("law", mode="before")
     @classmethod
     def _usable_law(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
         refuse(PACKAGE_LAWS, value)
         if value not in KNOWN_LAWS and (where := where_it_is(f"law {value}")):
             raise ValueError(where)

@@ -14,20 +14,28 @@ def known_names(name: str, choices: Iterable[str]) -> str:
     return f"{meant} Known are {', '.join(names)}" if meant else f"known are {', '.join(names)}"
 
 
+# The least shares of letters in common, as `difflib` counts them, of a name that is meant by another one.
+_NEAR = 0.78
+_NEAR_OF_LENGTH = 0.7
+
+
 def probably_meant(name: str, choices: Iterable[str]) -> str:
     """Return `; did you mean NAME?` with the nearest of some names, empty where none is near.
 
     Of a name that is the first part of others, as `afm` is of `afm/state`, all of them are meant. Capitals do not
-    matter.
+    matter, nor do the dashes before an option. A short name has many others that share letters with it, so that
+    one of another length has to share more.
     """
     from difflib import get_close_matches
 
     others = [choice for choice in choices if choice != name]
-    typed = name.lower()
+    typed = name.lower().lstrip("-")
     if parts := [choice for choice in others if typed and choice.lower().startswith((f"{typed}.", f"{typed}/"))]:
         return f"; did you mean {' or '.join(parts)}?"
-    lowered = {choice.lower(): choice for choice in reversed(others)}
-    near = get_close_matches(typed, list(lowered), n=1, cutoff=0.7)
+    lowered = {choice.lower().lstrip("-"): choice for choice in reversed(others)}
+    near = get_close_matches(typed, list(lowered), n=1, cutoff=_NEAR) or get_close_matches(
+        typed, [each for each in lowered if len(each) == len(typed)], n=1, cutoff=_NEAR_OF_LENGTH
+    )
     return f"; did you mean {lowered[near[0]]}?" if near else ""
 
 

@@ -10,7 +10,7 @@ from telenano.analysis.report import write_report
 from telenano.cli.options import FormatOption, JsonOption, SameSessionOption, StyleOption
 from telenano.cli.output import fail_with_summary, print_summary, report_errors
 from telenano.recording.multi_file import recordings_of
-from telenano.wire.errors import ConfigError, ReportError
+from telenano.wire.errors import ConfigError, NoRecordingError, ReportError
 
 
 def report(
@@ -21,7 +21,7 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", help="Folder for fig12.png and summary.json; default: the folder that was given."
+            "--out", metavar="DIR", help="Folder for fig12.png and summary.json; default: that of the session."
         ),
     ] = None,
     formats: FormatOption = "png",
@@ -31,13 +31,24 @@ def report(
 ) -> None:
     """Write figure and summary of a recording again, and print it; exit code 3 if something is missing in it."""
     with report_errors(as_json):
-        folders = [path for path in files if path.is_dir()]
-        if out is None and len(folders) != 1:
-            raise ConfigError("--out: is needed, unless the folder of one session is given, where the report then goes")
-        out = out or folders[0]
+        out = out or _own_folder(files)
         files = [file for path in files for file in recordings_of(path)]
         try:
             summary = write_report(files, out, options=FigureOptions.of(formats, style), same_session=same_session)
         except ReportError as error:
             fail_with_summary(error, str(out), as_json=as_json)
     print_summary(summary, str(out), tables=True, as_json=as_json)
+
+
+def _own_folder(paths: list[Path]) -> Path:
+    """Return the folder of the session that is given, as itself or by its files; ConfigError where it is none."""
+    for path in paths:
+        if not path.exists():
+            raise NoRecordingError(f"{path}: cannot be read: No such file or directory")
+    folders = {path if path.is_dir() else path.parent for path in paths}
+    if len(folders) == 1 and (all(path.is_dir() for path in paths) or (min(folders) / "summary.json").is_file()):
+        return folders.pop()
+    raise ConfigError(
+        "--out: is needed, unless one session is given, by its folder or by its files beside their summary.json, where"
+        " the report then goes"
+    )

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import telenano
@@ -116,3 +117,43 @@ def test_a_part_of_the_name_of_a_channel_means_all_that_begin_with_it(simulated:
 def test_an_unknown_name_of_the_module_is_answered_with_those_there_are() -> None:
     with pytest.raises(AttributeError, match=r"it has .*open_all, simulate"):
         telenano.load  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("law", "`.conditions.law`"),
+        ("scenario", "`.conditions.scenario`"),
+        ("round_trip_ms", "`.conditions.round_trip_ms`"),
+        ("seed", "`.conditions.link_seed`"),
+        ("sample", "`.conditions.sample`"),
+        ("save", "it has "),
+        ("close", "it has "),
+        ("tables", "did you mean table?"),
+    ],
+)
+def test_an_unknown_attribute_is_answered_with_what_there_is(
+    name: str, says: str, simulated: telenano.SimulatedSession
+) -> None:
+    with pytest.raises(AttributeError) as raised:
+        getattr(simulated, name)
+    assert says in str(raised.value)
+
+
+@pytest.mark.parametrize("call", [np.asarray, pandas.DataFrame])
+def test_a_session_is_not_taken_for_the_names_of_its_columns(call: Any, simulated: telenano.SimulatedSession) -> None:
+    with pytest.raises(TypeError, match="to_pandas"):
+        call(simulated)
+
+
+@pytest.mark.parametrize("law", [["wave"], {"wave": 1}, 3])
+def test_a_law_of_a_wrong_type_is_answered_with_the_names(law: Any) -> None:
+    with pytest.raises(ConfigError, match=r"controller\.law: .*'wave'"):
+        telenano.simulate("fig12", law=law)
+
+
+def test_a_picture_of_columns_has_a_panel_for_each(simulated: telenano.SimulatedSession) -> None:
+    panels = simulated.plot("tip_force_n", "in_contact").axes
+    assert [axes.get_ylabel() for axes in panels] == ["tip_force (N)", "in_contact"]
+    with pytest.raises(KeyError, match="did you mean tip_force_n"):
+        simulated.plot("tip_force")

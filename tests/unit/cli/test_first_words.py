@@ -1,5 +1,7 @@
 """What people type first: other names of commands, options of other programs, numbers with their units."""
 
+import re
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -7,6 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 import telenano
+from telenano.cli.lazy_commands import MEANT
 from telenano.cli.model_options import options_of
 from telenano.cli.root import app
 from telenano.launcher.plan import SessionRequest, UpRequest
@@ -52,7 +55,7 @@ def test_the_version_has_a_short_option() -> None:
         ("simulate fig12 --duration 5nm", "is not a valid float"),
         ("stop", "telenano estop"),
         ("demo", "telenano up fig12"),
-        ("report session.mcap", "--out"),
+        ("report session.mcap", "session.mcap: cannot be read"),
         # a word that a group of commands has
         ("export x.mcap", "telenano bag export"),
         ("verify x.mcap", "telenano bag verify"),
@@ -70,6 +73,26 @@ def test_the_version_has_a_short_option() -> None:
         ("fig12", "`telenano up fig12` runs it"),
         # the plural, and what means nothing
         ("nodes", "did you mean node?"),
+        # the words of other programs
+        ("ps", "`telenano status`"),
+        ("top", "`telenano status`"),
+        ("kill", "`telenano estop`"),
+        ("logs afm", "the folder `logs`"),
+        ("gui", "`telenano view`"),
+        ("ping", "`telenano link show`"),
+        ("emergency-stop", "`telenano estop`"),
+        ("--verbose status", "OUT/logs"),
+        ("-q up fig12", "`telenano up fig12 --quiet`"),
+        ("up fig12 --dry-run", "`telenano scenario check FILE`"),
+        ("up --config fig12", "`telenano up my.yaml`"),
+        ("up fig12 --loss 0.1", "delay_node.forward.loss.probability"),
+        ("up fig12 --jitter 5", "delay_node.forward.jitter.scale_s"),
+        ("e-stop", "did you mean estop?"),
+        ("arm", "`telenano session --help`"),
+        # a group knows its own commands, and not those of others that have the name
+        ("link list", "there are show"),
+        ("study list", "there are "),
+        ("law info wave", "there are list, show"),
         ("laws", "did you mean law?"),
         ("zzz", "there are up, simulate"),
         ("bag zzz", "there are info"),
@@ -142,3 +165,44 @@ def test_completion_offers_what_there_is() -> None:
     assert {"open", "simulate", "live"} <= set(dir(telenano))
     assert not {"Any", "import_module", "TYPE_CHECKING"} & set(dir(telenano))
     assert all(hasattr(telenano, name) for name in dir(telenano))
+
+
+@pytest.mark.parametrize("line", ["arm", "top", "up fig12 --port 9999", "up fig12 --host 10.0.0.2", "up nosuch.yaml"])
+def test_nothing_is_meant_by_what_only_shares_letters_with_it(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "did you mean" not in typed(line)[1]
+
+
+@pytest.mark.parametrize("name", sorted(MEANT))
+def test_the_commands_that_are_meant_are_there(name: str) -> None:
+    code, text = typed(name)
+    assert code == 2
+    for command in re.findall(r"`telenano ([^`]+)`", text.partition(" (`telenano")[0]):
+        words = [*takewhile(lambda word: word.islower() and word[0] != "-" and word != "fig12", command.split())]
+        assert typed(" ".join([*words, "--help"]))[0] == 0, command
+
+
+@pytest.mark.parametrize("group", ["bag", "law", "study", "link"])
+def test_the_help_of_a_group_comes_by_its_word(group: str) -> None:
+    assert typed(f"{group} help") == typed(f"{group} --help")
+
+
+def test_a_report_goes_beside_the_summary_of_a_session(tmp_path: Path) -> None:
+    file = tmp_path / "session.mcap"
+    file.write_bytes(DEMO_RECORDING.read_bytes())
+    code, text = typed(f"report {file}")
+    assert code == 2 and "--out" in text
+    assert typed(f"report {tmp_path}")[0] == 0
+    before = (tmp_path / "summary.json").read_bytes()
+    (tmp_path / "fig12.png").unlink()
+    assert typed(f"report {file}")[0] == 0
+    assert (tmp_path / "summary.json").read_bytes() == before
+    assert (tmp_path / "fig12.png").is_file()
+    code, text = typed(f"report {tmp_path / 'nosuch.mcap'}")
+    assert code == 2 and "nosuch.mcap: cannot be read" in text
+
+
+def test_a_column_of_texts_and_numbers_begins_at_its_name_in_a_pipe() -> None:
+    assert CliRunner().invoke(app, ["param", "list"]).output.splitlines()[1].split("  ")[0] == "name"
