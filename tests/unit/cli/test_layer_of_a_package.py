@@ -1,4 +1,4 @@
-"""A layer and a hand of a package outside the tree: those of docs/extending/surfaces.md, as a stranger would copy them."""
+"""A layer and a hand of a package outside the tree: those of docs/extending/surfaces.md, as they stand there."""
 
 import re
 from pathlib import Path
