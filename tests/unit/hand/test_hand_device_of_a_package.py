@@ -1,4 +1,4 @@
-"""A simulated hand device of a package outside the tree: that of docs/extending/devices.md, as a stranger would copy it."""
+"""A simulated hand device of a package outside the tree: that of docs/extending/devices.md, as it stands there."""
 
 import re
 from pathlib import Path
