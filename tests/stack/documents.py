@@ -24,6 +24,7 @@ LONGEST_S = 1500
 # far beyond what is expected: only keeps what does not end from holding the suite
 PATIENCE_S = 60.0
 
+
 @pytest.fixture(scope="module")
 def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sessions that the pages speak of."""
@@ -42,14 +43,17 @@ def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPath
     write_tables(tidy(demo(1), describe), folder / "out" / "experiment" / "analysis")
     return folder
 
+
 def environment_of() -> dict[str, str]:
     # socket paths are short by law, pytest's folders are not
     sockets = f"/tmp/tn-{os.getpid()}-documents"
     return {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg", "TELENANO_RUNTIME_DIR": sockets}
 
+
 def run(command: list[str], place: Path, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     environment = environment or environment_of()
     return subprocess.run(command, env=environment, cwd=place, capture_output=True, text=True, timeout=LONGEST_S - 60)
+
 
 def shims(folder: Path, **others: str) -> dict[str, str]:
     """Return an environment in which a shell finds `telenano`, and other commands with a text of their own."""
@@ -60,12 +64,15 @@ def shims(folder: Path, **others: str) -> dict[str, str]:
     environment = environment_of()
     return {**environment, "PATH": f"{folder}{os.pathsep}{environment['PATH']}"}
 
+
 def shell(line: str, environment: dict[str, str], place: Path) -> subprocess.CompletedProcess[str]:
     """Run a line of a page as a shell does, which knows ~ and &&."""
     return run(["bash", "-ec", line], place, environment)
 
+
 def expanded(words: list[str], place: Path) -> list[str]:
     return [str(path) for word in words for path in (sorted(place.glob(word)) if "*" in word else [word])]
+
 
 def prepare(line: Line, place: Path) -> None:
     """Make what a line reads, and earlier lines of its page write."""
@@ -79,8 +86,10 @@ def prepare(line: Line, place: Path) -> None:
         done = run([sys.executable, *command], place)
         assert done.returncode == 0, done.stderr
 
+
 def lines_of(page: str) -> list[Line]:
     return [line for line in lines() if line.page == page]
+
 
 def once(found: list[Line]) -> list[Line]:
     """Return each command once, wherever pages have its results put."""
@@ -91,18 +100,22 @@ def once(found: list[Line]) -> list[Line]:
         unlike.setdefault((*words[:place], *words[place + 2 :]), line)
     return list(unlike.values())
 
+
 def named(part: object) -> str:
     return f"{part.page}: {part.text.strip().splitlines()[-1][:60]}" if isinstance(part, Line) else str(part)
+
 
 def block_of(page: str, part: str) -> list[Line]:
     """Return the lines of the one block of a page in which a line has a text."""
     (number,) = {line.block for line in lines_of(page) if part in line.text}
     return [line for line in lines_of(page) if line.block == number]
 
+
 def line_of(page: str, beginning: str) -> list[str]:
     """Return the words of the one command of a page that begins so, without `telenano`."""
     (found,) = [line.words for line in lines_of(page) if " ".join(line.words).startswith(beginning)]
     return found
+
 
 @contextlib.contextmanager
 def started(

@@ -37,11 +37,13 @@ __all__ = ["place"]
 
 LIVE = "telenano.live()"
 
+
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("line", [line for line in of_kind(PYTHON) if LIVE not in line.text], ids=named)
 def test_a_block_of_python_runs(line: Line, place: Path) -> None:
     done = run([sys.executable, "-c", line.text], place)
     assert done.returncode == 0, done.stderr
+
 
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("line", once(of_kind(ALONE)), ids=named)
@@ -63,6 +65,7 @@ def test_a_command_that_needs_no_rig_does_what_it_says(line: Line, place: Path) 
     if line.out:
         assert (place / line.out).exists()
 
+
 def test_what_the_lines_for_matlab_read_is_in_the_file(place: Path) -> None:
     (export,) = [line for line in of_kind(ALONE) if "--to hdf5" in line.text and line.page.endswith("howto.md")]
     (read,) = [line for line in lines() if line.language == "matlab"]
@@ -73,12 +76,14 @@ def test_what_the_lines_for_matlab_read_is_in_the_file(place: Path) -> None:
         assert len(paths) == 2
         assert len({file[path].shape for path in paths}) == 1
 
+
 def test_points_of_ones_own_lie_beside_a_session(place: Path) -> None:
     (line,) = [line for line in lines() if "my_points.csv" in line.text]
     (place / "my_points.csv").write_text((ROOT / "telenano" / "settings" / "paper" / "fig12.csv").read_text())
     done = run([sys.executable, "-m", "telenano", *line.words[:-1], "published"], place)
     assert done.returncode in (0, 3), done.stderr
     assert (place / "published" / "published.json").exists()
+
 
 def test_the_edges_of_the_tutorial_are_where_it_says(place: Path) -> None:
     (line,) = [
@@ -92,6 +97,7 @@ def test_the_edges_of_the_tutorial_are_where_it_says(place: Path) -> None:
     assert len(stated) == 2
     assert [f"{found[stiffness]:.1f}" for stiffness, _ in stated] == [delay_ms for _, delay_ms in stated]
 
+
 def rig_of(line: Line) -> tuple[str, ...]:
     """Return the options of the rig that a line is meant for: that of its block, or one that has what it names."""
     for other in of_kind(RIG):
@@ -99,9 +105,11 @@ def rig_of(line: Line) -> tuple[str, ...]:
             return tuple(other.words[1:])
     return ("--scenario", "assembly" if "program=push" in line.text else "fig12")
 
+
 BY_RIG: dict[tuple[str, ...], list[Line]] = {}
 for _line in of_kind(BESIDE):
     BY_RIG.setdefault(rig_of(_line), []).append(_line)
+
 
 @pytest.mark.parametrize("options", BY_RIG, ids=" ".join)
 def test_commands_beside_a_rig_do_what_they_say(options: tuple[str, ...], rig: Rig) -> None:
@@ -118,8 +126,10 @@ def test_commands_beside_a_rig_do_what_they_say(options: tuple[str, ...], rig: R
         assert done.returncode == 0, (line, done.stderr)
     assert rig.stop()[0] in (0, 3)
 
+
 def succeeds(rig: Rig, line: Line) -> bool:
     return rig.telenano(*line.words).returncode == 0
+
 
 def test_what_a_page_says_of_commands_beside_a_rig_is_so(rig: Rig) -> None:
     rig.start("--duration", "90")
@@ -152,6 +162,7 @@ def test_what_a_page_says_of_commands_beside_a_rig_is_so(rig: Rig) -> None:
     _, summary, _ = rig.stop()
     assert summary["law"] == ["virtual_impedance", "passivity"]
 
+
 @pytest.mark.parametrize("line", once(of_kind(RIG)), ids=named)
 def test_a_session_of_a_page_runs(line: Line, rig: Rig, place: Path) -> None:
     prepare(line, place)
@@ -170,6 +181,7 @@ def test_a_session_of_a_page_runs(line: Line, rig: Rig, place: Path) -> None:
     # the operator's force profile ran, and the tip was measured all the while
     assert summary["duration_s"] > 2.0
     assert summary["completeness"]["afm/state"] > 0.5
+
 
 @pytest.mark.parametrize("page", sorted({line.page for line in of_kind(KEYS)}))
 def test_the_commands_for_keys_of_a_page_are_carried_out(page: str, tmp_path: Path) -> None:
@@ -195,6 +207,7 @@ def test_the_commands_for_keys_of_a_page_are_carried_out(page: str, tmp_path: Pa
             made[folder, words[1]] = json.loads(keys(folder, *words, "--json"))["public_key"]
         else:
             keys(folder, *(public(folder, words[1]) if word.startswith("KEY") else word for word in words))
+
 
 def test_laws_of_the_tutorial_hold_the_contact_where_the_papers_does_not(rig: Rig) -> None:
     (line,) = [line for line in lines_of("docs/tutorial.md") if "controller.law=virtual_impedance," in line.text]
