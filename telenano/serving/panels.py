@@ -3,7 +3,7 @@
     PANEL = Panel("wind", "Wind", "watch", Path(__file__).with_name("wind.js"), {"wind/speed": ("speed_m_per_s",)})
 
 The module exports `make(root, api)`, which fills an element and returns what the page calls after that
-(docs/extending.md). It is served from the folder in which it lies, together with the other files of a page there.
+(docs/extending/io.md). It is served from the folder in which it lies, together with the other files of a page there.
 """
 
 import re

@@ -1,7 +1,7 @@
 """The table of topics: message, publishers, rate and delivery of each.
 
 `row_of("afm/state")` returns a row. A package declares rows of its own in the same form (`telenano.topics` in
-docs/extending.md); a process takes one into the table when a command, a recording or a message names it.
+docs/extending/io.md); a process takes one into the table when a command, a recording or a message names it.
 """
 
 import re

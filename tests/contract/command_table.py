@@ -1,4 +1,4 @@
-"""The table of commands in SPEC.md, from the nodes themselves."""
+"""The table of commands in proto/COMMANDS.md, from the nodes themselves."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +18,7 @@ from telenano.settings.config import flatten, nested
 from telenano.settings.hand_disturbances import HandDisturbanceConfig
 from telenano.settings.link_settings import LinkSettings
 
-SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"
+PAGE = Path(__file__).parents[2] / "proto" / "COMMANDS.md"
 START, END = "<!-- commands: written by make regenerate -->", "<!-- end of commands -->"
 NODES: dict[str, type[Node]] = {
     "haptic_node": HapticNode,
@@ -86,11 +86,11 @@ def table() -> str:
     return "\n".join(rows)
 
 
-def with_table(spec: str) -> str:
-    """Give SPEC.md with the table in its place."""
-    head, _, rest = spec.partition(START)
+def with_table(page: str) -> str:
+    """Give the page with the table in its place."""
+    head, _, rest = page.partition(START)
     _, end, tail = rest.partition(END)
-    assert end, f"SPEC.md needs the lines {START!r} and {END!r}"
+    assert end, f"{PAGE.name} needs the lines {START!r} and {END!r}"
     return f"{head}{START}\n\n{table()}\n\n{end}{tail}"
 
 

@@ -29,7 +29,7 @@ def of_everything() -> dict[Path, str]:
     from telenano.settings.included import SCHEMA_DIRECTORY
 
     files = wire_contract.artefacts(ROOT)
-    files[command_table.SPEC] = command_table.with_table(files[command_table.SPEC])
+    files[command_table.PAGE] = command_table.with_table(command_table.PAGE.read_text(encoding="utf-8"))
     files[command_page.PAGE] = command_page.with_page(command_page.PAGE.read_text(encoding="utf-8"))
     files[SCHEMA_DIRECTORY / "summary.json"] = json.dumps(summary_schema(), indent=2) + "\n"
     files[ROOT / "docs" / "summary.md"] = markdown()

@@ -1,4 +1,4 @@
-"""The table of commands in SPEC.md is what the nodes do, and its examples are obeyed."""
+"""The table of commands in proto/COMMANDS.md is what the nodes do, and its examples are obeyed."""
 
 import re
 from collections.abc import Iterator
@@ -33,8 +33,8 @@ from telenano.wire.messages import AfmState, SessionControl, SessionEvent
 from telenano.wire.topics import TOPICS
 
 COMMANDS = get_args(SessionControl.__annotations__["command"].__origin__)
-_SPEC = command_table.SPEC.read_text(encoding="utf-8")
-EXAMPLES = [yaml.safe_load(text) for text in re.findall(r"^```\n(\{seq:.*?\})\n```$", _SPEC, re.MULTILINE | re.DOTALL)]
+_PAGE = command_table.PAGE.read_text(encoding="utf-8")
+EXAMPLES = [yaml.safe_load(text) for text in re.findall(r"^```\n(\{seq:.*?\})\n```$", _PAGE, re.MULTILINE | re.DOTALL)]
 
 
 class Outside:
@@ -92,7 +92,7 @@ def answered(outside: Outside, node: Node, control: Message) -> SessionEvent:
 def test_a_node_knows_the_commands_of_the_table_and_no_other(name: str, command: str) -> None:
     kind = command_table.NODES[name]
     if command in (*kind.commands, *kind.named_commands):
-        assert f"| `{name}` | `{command}` |" in _SPEC
+        assert f"| `{name}` | `{command}` |" in _PAGE
         return
     node = object.__new__({"controller": MasterController}.get(name, kind))
     node.context = Outside(f"{name}@master").context

@@ -37,6 +37,8 @@ def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPath
         (folder / f"{name}.mcap").write_bytes(session)
     for name in ("killed", "session_1"):
         (folder / f"{name}.mcap").write_bytes(session[: len(session) // 2])
+    (folder / "examples").mkdir()
+    shutil.copy(ROOT / "examples" / "force_curve.txt", folder / "examples")
     (folder / "out" / "experiment" / "analysis").mkdir(parents=True)
     write_tables(tidy(demo(1), describe), folder / "out" / "experiment" / "analysis")
     return folder

@@ -1,6 +1,6 @@
 """A panel that a stranger wrote without a build step, in a real Chromium: it is there when what it shows is.
 
-The package is the one of docs/extending.md, word by word.
+The package is the one of docs/extending/io.md, word by word.
 """
 
 import os
@@ -18,7 +18,7 @@ from telenano.testing import environment_with, install_package
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(bool(missing()), reason=missing())]
 
-DOCUMENT = ROOT / "docs" / "extending.md"
+DOCUMENT = ROOT / "docs" / "extending" / "io.md"
 RECORD = """
 import sys
 from pathlib import Path

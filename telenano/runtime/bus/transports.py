@@ -1,4 +1,4 @@
-"""Ways between two machines beside TCP, which packages bring: entry points `telenano.transports` (docs/extending.md).
+"""Ways between two machines beside TCP, of packages: entry points `telenano.transports` (docs/extending/io.md).
 
 A site file names one in `link.transport`. Two names are of telenano itself: `stream`, everything over TCP; and `auto`,
 the transport that KNOWN_TRANSPORT names, where it is installed, and TCP where it is not.

@@ -1,4 +1,4 @@
-"""A way of your own between two machines, beside or in place of TCP; docs/extending.md has an example.
+"""A way of your own between two machines, beside or in place of TCP; docs/extending/io.md has an example.
 
 The entry of a package is an object of a subclass of `LinkTransport`. The runtime of a node and the launcher call it;
 two processes have an end of the link, and pass it a `LinkSide`.

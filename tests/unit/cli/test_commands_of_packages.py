@@ -250,7 +250,8 @@ def test_an_image_is_written_in_the_formats_of_packages_and_kept_where_one_fails
     assert "scan.raw was not written: the package painter 1.2 failed" in capsys.readouterr().err
 
 
-READER = re.search(r"## My files.*?```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL)
+PAGE = (ROOT / "docs" / "extending" / "surfaces.md").read_text("utf-8")
+READER = re.search(r"## My files.*?```python\n(.*?)```", PAGE, re.DOTALL)
 LIBRARY = """
 import numpy
 def read(path):

@@ -1,4 +1,4 @@
-"""A layer and a hand of a package outside the tree: those of docs/extending.md, as a stranger would copy them."""
+"""A layer and a hand of a package outside the tree: those of docs/extending/surfaces.md, as they stand there."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from test_package_commands import ROOT
 
 from telenano.testing import describe_package, said_with
 
-PAGE = (ROOT / "docs" / "extending.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "extending" / "surfaces.md").read_text("utf-8")
 BLOCKS = {
     "my_package": re.search(r"## My layer.*?```python\n(.*?)```", PAGE, re.DOTALL),
     "my_hand": re.search(r"## My hand across the sample.*?```python\n(.*?)```", PAGE, re.DOTALL),

@@ -61,7 +61,7 @@ def test_a_curve_without_a_pull_off_is_refused(curve):
 
 def test_both_models_have_the_same_points_of_the_curve():
     (row,) = compare_models((8.0,), points=150)
-    # the bounds that docs/instrument.md states
+    # the bounds that docs/force-curves.md states
     assert abs(row.pull_off_share) < 0.002
     assert abs(row.snap_in_difference_m) <= row.step_m
     assert abs(row.hysteresis_share) < 0.03
@@ -75,7 +75,7 @@ def test_a_measured_curve_is_fitted_with_uncertainties():
     # half of the way of the base goes into the sample: it is soft
     found = fit_adhesion(read_measured(DATA), config, 1e7)
     assert found.points > 50
-    # the figures of docs/instrument.md
+    # the figures of docs/force-curves.md
     assert (found.radius_m, found.radius_error_m) == pytest.approx((71.9e-9, 7.89e-9), rel=2e-3, abs=0)
     assert (found.work_of_adhesion_j_per_m2, found.work_of_adhesion_error_j_per_m2) == pytest.approx(
         (0.08363, 0.01734), rel=2e-3, abs=0
@@ -159,7 +159,7 @@ def disturbed(curve: Curve, kind: str, seed: int, size: float = 1.0) -> Curve:
 def covered(curve: Curve, config: AfmConfig, kind: str, seeds: int, size: float = 1.0) -> tuple[float, float]:
     """Return the shares of the intervals of 95 % that have the radius, and the work of adhesion, in them.
 
-    The intervals are those of the logarithms, as docs/instrument.md gives them, of the curves that are not refused.
+    The intervals are those of the logarithms, as docs/force-curves.md gives them, of the curves that are not refused.
     """
 
     def holds(value: float, error: float, truth: float) -> bool:
@@ -180,7 +180,7 @@ def covered(curve: Curve, config: AfmConfig, kind: str, seeds: int, size: float 
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_300_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str) -> None:
     shares = covered(curve, SOFT, kind, 300)
-    # what docs/instrument.md states
+    # what docs/force-curves.md states
     assert all(0.93 <= share <= 0.975 if kind == "white" else share >= 0.9 for share in shares), shares
 
 
@@ -190,7 +190,7 @@ def test_of_300_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str
 @pytest.mark.parametrize("sample", OTHERS)
 def test_the_intervals_cover_on_other_samples(sample: str, kind: str) -> None:
     config, curve = other(sample)
-    # docs/instrument.md states these shares
+    # docs/force-curves.md states these shares
     shares = covered(curve, config, kind, 200, 1.6)
     assert min(shares) >= 0.9, shares
 

@@ -96,7 +96,7 @@ def test_both_models_agree_at_every_stiffness_of_the_paper():
     rows = compare_models(points=200)
     assert [row.stiffness_n_per_m for row in rows] == [40.0, 8.0, 1.0]
     for row in rows:
-        # the bounds that docs/instrument.md states; a place is known to a step of the curve
+        # the bounds that docs/force-curves.md states; a place is known to a step of the curve
         assert abs(row.pull_off_share) < 2e-3
         assert abs(row.snap_in_difference_m) < 1.01 * row.step_m
         assert abs(row.hysteresis_share) < 0.03
