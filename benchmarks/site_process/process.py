@@ -54,13 +54,16 @@ from telenano.wire.nodes import DEVICES, HAND, LINK, STOP_ORDER, TIP, name_of, s
 from telenano.wire.received import Received
 
 # The nodes of each site, in the order in which they are built.
-MEMBERS = {"master": (f"{LINK}@master", "controller@master", HAND), "slave": (TIP, "controller@slave")}
+_LINK_NODE = f"{LINK}@master"
+MEMBERS = {"master": (_LINK_NODE, "controller@master", HAND), "slave": (TIP, "controller@slave")}
 # After one of these messages the tick is at the other site, or over, for the longest time.
 _IDLE_AFTER = {(HAND, "haptic/command"), ("controller@slave", "afm/state")}
 # After this number of turns that only memory has brought, the sockets are looked at again.
 _MOST_TURNS = 64
 # Of so many messages that the link has received the decoded form is at hand, beside their bytes.
 _KNOWN = 256
+# These are ten seconds of a kind of turn that comes six times a tick.
+_MOST_TRACED = 60_000
 # With this variable the time of each turn is written to the log at the end.
 TRACE_VARIABLE = "TELENANO_SITE_TRACE"
 
@@ -108,28 +111,34 @@ class SiteBus(ZmqBus):
         for reader in self.near:
             self.subscribers.insert(0, cast(Subscriber, reader))
             self.count(reader)
-        self.is_ready = False
+        # The sockets that are to be asked at the next `receive`, by their descriptors.
+        self.asked: list[int] = []
         self._site, self._key = site, key
 
     @property
     def own_descriptors(self) -> list[int]:
-        return [reader.descriptor for reader in self.sockets]
+        return [*(reader.descriptor for reader in self.sockets), *self._network_descriptors]
 
     def wait(self, deadline_ns: int) -> None:
         """Return at once: the process has waited."""
 
-    def wake(self, readable: Sequence[int]) -> None:
-        """Have the sockets asked at the next `receive`: those that are readable, or all where none is known to be."""
-        self._readable, self.is_ready = readable, True
+    def wake(self, descriptor: int) -> None:
+        """Have a socket asked at the next `receive`, or the network looked after."""
+        if descriptor in self._network_descriptors:
+            self._events_pending = True
+        self.asked.append(descriptor)
 
     def receive(self) -> Iterable[Received]:
-        received = [message for reader in self.near for message in reader.receive()]
-        if self.is_ready:
-            self.is_ready, readable, self._readable = False, self._readable, ()
+        received: list[Received] = []
+        for reader in self.near:
+            if reader.inbox:
+                received += reader.receive()
+        if self.asked:
+            asked, self.asked = self.asked, []
             for socket in self.sockets:
-                if socket.descriptor in readable:
-                    received += socket.receive(signalled=True)
-                elif not readable or socket.shared or not socket.drained:
+                if socket.descriptor in asked:
+                    received += socket.receive(signalled=socket.drained)
+                elif socket.shared:
                     received += socket.receive()
         if received:
             self._site.note_received(self._key, received)
@@ -239,15 +248,12 @@ class SiteWiring(Wiring):
         return context
 
 
-@dataclass
 class Member:
-    """A node of the site with its loop, and whether messages in memory wait for it."""
+    """A node of the site, with its bus and its loop."""
 
-    key: str
-    node: Node
-    bus: SiteBus
-    loop: NodeLoop
-    waits: bool = False
+    def __init__(self, key: str, node: Node, bus: SiteBus, loop: NodeLoop) -> None:
+        self.key, self.node, self.bus, self.loop = key, node, bus, loop
+        self.deadline_ns = node.deadline_ns
 
 
 class Site:
@@ -260,115 +266,117 @@ class Site:
         self.tasks = SiteTasks(clock)
         self.members: dict[str, Member] = {}
         self.publishers: dict[str, SitePublisher] = {}
-        self._clock = clock
+        self.trace: dict[str, list[int]] | None = defaultdict(list) if TRACE_VARIABLE in os.environ else None
+        self._monotonic_ns = clock.monotonic_ns
         self._routes: dict[tuple[str, str], list[tuple[str, MemoryReader]]] = defaultdict(list)
+        # The nodes that have messages in memory, in the order in which the first of each was published.
         self._pending: deque[str] = deque()
         # What sockets have brought of late, which the link sends on as it came.
         self._known: dict[bytes, Message] = {}
         self._was_last = False
+        self._order: list[Member] = []
         self._descriptors: list[int] = []
         self._owner: dict[int, Member] = {}
+        self._sockets: list[tuple[Subscriber, SiteBus]] = []
         self._readable: Sequence[int] = ()
-        self.trace: dict[str, list[int]] | None = defaultdict(list) if TRACE_VARIABLE in os.environ else None
+        self._wake = -1
 
     def connect(self, key: str, reader: MemoryReader, plan: Mapping[str, Sequence[str]]) -> None:
         for endpoint, topics in plan.items():
             for topic in topics:
                 self._routes[endpoint, topic].append((key, reader))
 
+    def open(self, members: Iterable[Member], wake_descriptor: int) -> None:
+        self.members = {member.key: member for member in members}
+        # A tick of the hand comes before what sockets have brought meanwhile.
+        self._order = sorted(self.members.values(), key=lambda member: member.key not in DEVICES)
+        self._owner = {number: member for member in self._order for number in member.bus.own_descriptors}
+        self._sockets = [(socket, member.bus) for member in self._order for socket in member.bus.sockets]
+        self._descriptors, self._wake = [*self._owner, wake_descriptor], wake_descriptor
+
     def deliver(self, endpoint: str, topic: str, payload: bytes, message: Message | None) -> None:
         """Hand a message that was just sent to the nodes of this process that read it."""
         if message is None:
             message = self._known.get(payload)
         for key, reader in self._routes.get((endpoint, topic), ()):
-            reader.inbox.append((0, 0, topic, payload, message))
-            if key not in self._pending:
+            if not reader.inbox:
                 self._pending.append(key)
+            reader.inbox.append((0, 0, topic, payload, message))
 
     def note_received(self, key: str, received: Sequence[Received]) -> None:
         """Note what a node has received: whether the idle gap begins, and what the link may send on."""
         if (key, received[-1].topic) in _IDLE_AFTER:
             self._was_last = True
-        if name_of(key) == LINK:
+        elif key == _LINK_NODE:
             if len(self._known) > _KNOWN:
                 self._known.clear()
-            self._known.update((one.payload, one.message) for one in received)
+            for one in received:
+                self._known[one.payload] = one.message
 
     def has_arrived(self) -> bool:
         """Return whether something may have arrived since the last wait, in memory or at a socket."""
         self._readable, _, _ = select.select(self._descriptors, (), (), 0)
         return bool(self._pending or self._readable)
 
-    def open(self, members: Iterable[Member], wake_descriptor: int) -> None:
-        self.members = {member.key: member for member in members}
-        self._owner = {number: member for member in self.members.values() for number in member.bus.own_descriptors}
-        network = self.members[self.keys[0]].bus._network_descriptors
-        self._owner |= dict.fromkeys(network, self.members[self.keys[0]])
-        self._wake = wake_descriptor
-        self._descriptors = [*self._owner, wake_descriptor]
-
     def next_ns(self) -> int:
         """Return the next deadline of a node, or report of one, on the monotonic clock [ns]."""
-        return min(min(one.node.deadline_ns(), one.loop._health_ns) for one in self.members.values())
+        next_ns = NEVER_NS
+        for member in self._order:
+            next_ns = min(next_ns, member.deadline_ns(), member.loop._health_ns)
+        return next_ns
 
     def turn(self) -> None:
         """Wait for what is next, and have every node that it concerns take its turn, and those that follow from it."""
         readable = self._wait()
-        woken_ns = self._clock.monotonic_ns()
-        due = self._due(readable, woken_ns)
-        self._was_last = False
-        for member in due:
-            self._take(member)
-        turns = 0
-        while self._pending and turns < _MOST_TURNS:
-            turns += 1
-            self._take(self.members[self._pending.popleft()])
-        if due:
-            self.tasks.note_event(woken_ns, self._clock.monotonic_ns(), is_last=self._was_last)
-        self._run_deferred()
+        woken_ns, all_wake, pending = self._monotonic_ns(), False, self._pending
+        for number in readable:
+            if number in self._owner:
+                self._owner[number].bus.wake(number)
+            else:
+                # A signal may stand for an emergency stop.
+                all_wake = True
+        for socket, bus in self._sockets:
+            if not socket.drained:
+                bus.wake(socket.descriptor)
+        self._was_last, is_event = False, False
+        for member in self._order:
+            if all_wake or member.bus.asked or member.deadline_ns() <= woken_ns or member.loop._health_ns <= woken_ns:
+                is_event = True
+                self._take(member)
+        for _ in range(_MOST_TURNS):
+            if not pending:
+                break
+            self._take(self.members[pending.popleft()])
+        if is_event:
+            self.tasks.note_event(woken_ns, self._monotonic_ns(), is_last=self._was_last)
+        if self.tasks.due_ns < NEVER_NS:
+            self._run_deferred()
 
     def _wait(self) -> Sequence[int]:
         if self._readable:
             readable, self._readable = self._readable, ()
             return readable
-        is_drained = all(socket.drained for one in self.members.values() for socket in one.bus.sockets)
-        due_ns = min(self.next_ns(), self.tasks.due_ns) if is_drained and not self._pending else 0
-        remaining_s = max(0, due_ns - self._clock.monotonic_ns()) * 1e-9
-        readable, _, _ = select.select(self._descriptors, (), (), remaining_s)
+        remaining_ns = 0
+        if not self._pending and all([socket.drained for socket, _ in self._sockets]):
+            remaining_ns = max(0, min(self.next_ns(), self.tasks.due_ns) - self._monotonic_ns())
+        readable, _, _ = select.select(self._descriptors, (), (), remaining_ns * 1e-9)
         return readable
-
-    def _due(self, readable: Sequence[int], now_ns: int) -> list[Member]:
-        """Return the nodes whose deadline has come, or that sockets have something for; deadlines come first."""
-        of: dict[str, list[int]] = {}
-        for number in readable:
-            if number in self._owner:
-                of.setdefault(self._owner[number].key, []).append(number)
-        due = []
-        for member in self.members.values():
-            is_late = min(member.node.deadline_ns(), member.loop._health_ns) <= now_ns
-            has_rest = any(not socket.drained for socket in member.bus.sockets)
-            if member.key in of or is_late or has_rest or self._wake in readable:
-                if member.key in of or has_rest:
-                    member.bus.wake(() if has_rest else of[member.key])
-                    member.bus._events_pending |= member.bus._network is not None
-                due.append((not is_late, member))
-        return [member for _, member in sorted(due, key=lambda one: one[0])]
 
     def _take(self, member: Member) -> None:
         if self.trace is None:
             member.loop.turn()
             return
         near = [row[2] for reader in member.bus.near for row in reader.inbox]
-        brought = near[-1] if near else "a socket" if member.bus.is_ready else "its deadline"
+        brought = near[-1] if near else "a socket" if member.bus.asked else "its deadline"
         begun_ns = time.perf_counter_ns()
         member.loop.turn()
         spent = self.trace[f"{member.key}, by {brought}"]
-        if len(spent) < 60_000:
+        if len(spent) < _MOST_TRACED:
             spent.append(time.perf_counter_ns() - begun_ns)
 
     def _run_deferred(self) -> None:
         """Run the tasks that are due, until a message comes."""
-        while not self._pending and (now_ns := self._clock.monotonic_ns()) >= self.tasks.due_ns:
+        while not self._pending and (now_ns := self._monotonic_ns()) >= self.tasks.due_ns:
             if (task := self.tasks.take(now_ns, self.next_ns())) is not None:
                 self.members[self.tasks.owners[task.run]].loop._run_task(task)
 
@@ -419,8 +427,8 @@ def opened(arguments: Any, keys: Sequence[str], wake_descriptor: int) -> Iterato
             wiring = SiteWiring(**values, site_file=site_file, scenario_file=scenario_file, site=site)
             node, bus = kind.build(wiring, loaded.section(kind.name, kind.config))
             for publisher in site.publishers.values():
-                # What is read in memory follows at once; only the other site waits for the thread of the sockets.
-                publisher.yields &= site_of(publisher.node) != site_of(device)
+                # The turns that a message brings in memory come first, and the process waits soon after.
+                publisher.yields = False
             alive = functools.partial(note_alive, key)
             loop = NodeLoop(node, bus, status, starting_period_ns=STARTING_PERIOD_NS, note_alive=alive)
             members.append(Member(key, node, cast(SiteBus, bus), loop))

@@ -1,7 +1,7 @@
 """The `telenano` command with a process a site: `python benchmarks/site_process/rig.py up --scenario fig12`.
 
-For `loop.py` it replaces how the launcher starts the nodes of a site (`process.py`); recorder, page and launcher stay as
-they are. The nodes of a site start, end and are started again together.
+For `loop.py` it replaces how the launcher starts the nodes of a site (`process.py`); recorder, page and launcher stay
+as they are. The nodes of a site start, end and are started again together.
 """
 
 import subprocess
