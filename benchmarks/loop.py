@@ -1,6 +1,6 @@
 """The age of the zero-delay loop, as a ratio to the same hops without the project's work in the same run.
 
-    python benchmarks/loop.py [--rounds N] [--duration S] [--json]
+    python benchmarks/loop.py [--rounds N] [--duration S] [--processes node|site|paired] [--json]
 
 The floors (`chains.py`): five processes pass bytes of the very sizes of our messages along the eight hops of the loop
 (hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, doing nothing else:
@@ -9,6 +9,10 @@ nodes ask for; and placed over `zeromq`, with a subscriber that drains everythin
 `telenano up fig12`, the age of the loop as its own recording has it, the processor time and memory of each
 process as the kernel has it, and the time to the first tick of the hand. A last run of each round with `hop_trace` in
 its nodes tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
+
+`--processes site` runs the rig with the nodes of each site in one process (`site_process/`), beside the same recorder
+and launcher. `--processes paired` compares both ways, with no floors: each round has a rig of either kind, and one more
+of either in the opposite order (A B B A); the ratio is that of the pairs.
 """
 
 import argparse
@@ -42,6 +46,10 @@ FLOORS = {
     "zeromq": ("ZeroMQ, placed", lambda ticks: measure_zeromq(ticks, placed=True)),
 }
 TRACED_NODE = Path(__file__).parent / "traced_node"
+# The command that runs a rig, by how its nodes are put into processes.
+COMMANDS = {"node": ("-m", "telenano"), "site": (str(Path(__file__).parent / "site_process" / "rig.py"),)}
+# How long each turn took, by a node and what brought it, is written to the log where this is set.
+TRACE_VARIABLE = "TELENANO_SITE_TRACE"
 FIGURES = ("p50", "p99", "max")
 # These topics are published once each millisecond.
 PACED = ("haptic/state", "afm/state")
@@ -52,7 +60,8 @@ class RigRun(NamedTuple):
 
     `start_s`: from the command to the first sample of the hand, and to the first tick of its programme. `parts_us`: by
     process, empty in a run without trace. `late_share`: of the messages of PACED, by topic. `cycles`: of the hand, in
-    the session.
+    the session. `age_parts_ms`: where the median age is spent. `turns_us`: of a traced process of a site, by a node and
+    what brought its turn.
     """
 
     age_ms: dict[str, float]
@@ -62,16 +71,25 @@ class RigRun(NamedTuple):
     parts_us: dict[str, dict[str, float]]
     late_share: dict[str, float]
     cycles: list[Cycle]
+    age_parts_ms: dict[str, float]
+    turns_us: dict[str, float]
 
 
-def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12")) -> RigRun:
-    """Run the rig of these words once, with the time of each part of a hop in its logs if `trace`."""
+def measure_rig(
+    duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12"), processes: str = "node"
+) -> RigRun:
+    """Run the rig of these words once, with the time of each part of a hop in its logs if `trace`.
+
+    `processes`: whether each node has a process, or each site.
+    """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
-        command = [sys.executable, "-m", "telenano", "up", *words, "--json"]
+        command = [sys.executable, *COMMANDS[processes], "up", *words, "--json"]
         command += ["--duration", str(duration_s), "--out", str(out)]
-        if trace:
+        if trace and processes == "site":
+            environment[TRACE_VARIABLE] = "1"
+        elif trace:
             before = environment.get("PYTHONPATH", "")
             environment["PYTHONPATH"] = os.pathsep.join([str(TRACED_NODE), *([before] if before else [])])
         begin_ns = time.time_ns()
@@ -84,8 +102,12 @@ def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--sc
         recording = Recording(out / "session.mcap")
         start_s, late = _start_s(recording, begin_ns), {topic: _late_share(recording, topic) for topic in PACED}
         share, memory = watch.while_running(duration_s)
-        age_ms, cycles = json.loads(printed)["loop_age_ms"], cycles_of(out, PERIOD_NS)
-        return RigRun(age_ms, share, memory, start_s, _traced(out / "logs"), late, cycles)
+        summary, cycles = json.loads(printed), cycles_of(out, PERIOD_NS)
+        parts_ms = {name: parts[0] for name, parts in summary.get("loop_age_parts_ms", {}).items()}
+        turns = _logged(out / "logs", "turns")
+        turns_us = {turn: us for rows in turns.values() for turn, (count, us) in rows.items() if count > 100}
+        traced = _logged(out / "logs", "parts")
+        return RigRun(summary["loop_age_ms"], share, memory, start_s, traced, late, cycles, parts_ms, turns_us)
 
 
 class ProcessWatch:
@@ -154,6 +176,7 @@ def _name_of(folder: Path) -> str:
     """Return the name of a process of a rig; OSError or IndexError where it has ended."""
     words = (folder / "cmdline").read_text().split("\0")
     name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
+    name = name or next(("site" for word in words if word.endswith("site_process/process.py")), "")
     site = words[words.index("--site") + 1] if "--site" in words else "master"
     return f"{name or 'launcher'}@{site}"
 
@@ -181,9 +204,10 @@ def _late_share(recording: Recording, topic: str) -> float:
     return sum(b - a > 1_500_000 for a, b in pairwise(sent_ns)) / max(len(sent_ns) - 1, 1)
 
 
-def _traced(logs: Path) -> dict[str, dict[str, float]]:
+def _logged(logs: Path, key: str) -> dict[str, Any]:
+    """Return what the entries of the logs have under a key, by node."""
     entries = [json.loads(line) for log in sorted(logs.glob("*.log")) for line in log.read_text().splitlines()]
-    return {entry["node"]: entry["parts"] for entry in entries if "parts" in entry}
+    return {entry["node"]: entry[key] for entry in entries if key in entry}
 
 
 def _medians(found: Iterable[Mapping[str, float]]) -> dict[str, float]:
@@ -192,8 +216,8 @@ def _medians(found: Iterable[Mapping[str, float]]) -> dict[str, float]:
     return {key: statistics.median(row[key] for row in rows if key in row) for key in keys}
 
 
-def measure(rounds: int, duration_s: float) -> dict[str, Any]:
-    """Return all figures, medians of the rounds."""
+def measure(rounds: int, duration_s: float, processes: str = "node") -> dict[str, Any]:
+    """Return all figures, medians of the rounds, of the rig with these `processes`."""
     ages: dict[str, list[dict[str, float]]] = {name: [] for name in (*FLOORS, "rig")}
     runs, traced = [], []
     for _ in range(rounds):
@@ -201,9 +225,9 @@ def measure(rounds: int, duration_s: float) -> dict[str, Any]:
             with shallow_idle():
                 found = ages_ms(floor(round(duration_s * 1000)))
             ages[name].append({"p50": statistics.median(found), "p99": found[int(0.99 * len(found))], "max": found[-1]})
-        runs.append(measure_rig(duration_s, trace=False))
+        runs.append(measure_rig(duration_s, trace=False, processes=processes))
         ages["rig"].append(runs[-1].age_ms)
-        traced.append(measure_rig(duration_s, trace=True))
+        traced.append(measure_rig(duration_s, trace=True, processes=processes))
     age_ms = {name: _medians(turns) for name, turns in ages.items()}
     ratio = {floor: {key: age_ms["rig"][key] / age_ms[floor][key] for key in FIGURES} for floor in FLOORS}
     nodes = sorted({node for run in traced for node in run.parts_us})
@@ -214,7 +238,68 @@ def measure(rounds: int, duration_s: float) -> dict[str, Any]:
         "memory_mb": _medians(run.memory_mb for run in runs),
         "start_s": _medians(run.start_s for run in runs),
         "parts_us": {node: _medians(run.parts_us[node] for run in traced if node in run.parts_us) for node in nodes},
+        "turns_us": _medians(run.turns_us for run in traced),
     }
+
+
+def compare(rounds: int, duration_s: float) -> dict[str, Any]:
+    """Return the figures of both ways, and of their pairs the ratios: site to node, A B B A in each round."""
+    runs: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
+    traced: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
+    loads = []
+    for _ in range(rounds):
+        for name in (*COMMANDS, *reversed(COMMANDS)):
+            loads.append(os.getloadavg()[0])
+            runs[name].append(measure_rig(duration_s, trace=False, processes=name))
+        for name in COMMANDS:
+            traced[name].append(measure_rig(duration_s, trace=True, processes=name))
+    totals = {name: [sum(run.processor_percent.values()) for run in found] for name, found in runs.items()}
+    pairs = list(zip(runs["site"], runs["node"], strict=True))
+    ratios: dict[str, list[float]] = {
+        key: [site.age_ms[key] / node.age_ms[key] for site, node in pairs] for key in FIGURES
+    }
+    ratios["processor"] = [site / node for site, node in zip(totals["site"], totals["node"], strict=True)]
+    return {
+        "age_ms": {name: _medians(run.age_ms for run in found) for name, found in runs.items()},
+        "ratio": {key: statistics.median(values) for key, values in ratios.items()},
+        "ratios": ratios,
+        "processor_percent": {name: _medians(run.processor_percent for run in found) for name, found in runs.items()},
+        "processor_together_percent": {name: statistics.median(values) for name, values in totals.items()},
+        "memory_mb": {name: _medians(run.memory_mb for run in found) for name, found in runs.items()},
+        "late_share": {name: _medians(run.late_share for run in found) for name, found in runs.items()},
+        "age_parts_ms": {name: _medians(run.age_parts_ms for run in found) for name, found in runs.items()},
+        "turns_us": {
+            "node": _medians({node: sum(us.values()) for node, us in run.parts_us.items()} for run in traced["node"]),
+            "site": _medians(run.turns_us for run in traced["site"]),
+        },
+        "load": loads,
+    }
+
+
+def print_pairs(found: Mapping[str, Any]) -> None:
+    """Print what `compare` returns."""
+    print(f"{'':28}" + "".join(f"{key:>11}" for key in (*FIGURES, "processor")))
+    for name, ages in found["age_ms"].items():
+        together = found["processor_together_percent"][name]
+        print(
+            f"{'a process a ' + name + ', ms, %':28}"
+            + "".join(f"{ages[key]:11.3f}" for key in FIGURES)
+            + f"{together:11.1f}"
+        )
+    print(f"{'site / node':28}" + "".join(f"{found['ratio'][key]:11.2f}" for key in (*FIGURES, "processor")))
+    for key, values in found["ratios"].items():
+        print(f"  {key} of the pairs: {', '.join(f'{value:.2f}' for value in values)}")
+    print(f"load before each run: {', '.join(f'{load:.1f}' for load in found['load'])}")
+    for title, key in (
+        ("processor, %", "processor_percent"),
+        ("part of the median age, ms", "age_parts_ms"),
+        ("turn, us", "turns_us"),
+        ("late share", "late_share"),
+    ):
+        print(f"\n{title}")
+        for name, rows in found[key].items():
+            for row, value in rows.items():
+                print(f"  a process a {name:6}{row:52}{value:10.3f}")
 
 
 def main() -> None:
@@ -224,12 +309,20 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, help="length of each turn [s]")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    about = "whether each node of the rig has a process, or each site, or both ways in turns"
+    parser.add_argument("--processes", choices=(*COMMANDS, "paired"), default="node", help=about)
     given = parser.parse_args()
     if given.smoke:
         given.rounds, given.duration = 1, 1.5
-    found = measure(given.rounds, given.duration)
+    if given.processes == "paired":
+        found = compare(given.rounds, given.duration)
+    else:
+        found = measure(given.rounds, given.duration, given.processes)
     if given.json:
         print(json.dumps(found))
+        return
+    if given.processes == "paired":
+        print_pairs(found)
         return
     print(f"{'':28}" + "".join(f"{key:>9}" for key in FIGURES))
     for name, label in (*((name, label) for name, (label, _) in FLOORS.items()), ("rig", "rig")):
@@ -239,6 +332,8 @@ def main() -> None:
     print(f"\n{'median of a hop, us':28}" + "".join(f"{part:>9}" for part in PARTS))
     for node, parts in found["parts_us"].items():
         print(f"{node:28}" + "".join(f"{parts.get(part, 0.0):9.1f}" for part in PARTS))
+    for turn, us in found["turns_us"].items():
+        print(f"{turn + ', us':60}{us:9.1f}")
     print(f"\n{'':28}{'processor, %':>14}{'memory, MB':>12}")
     for node, share in sorted(found["processor_percent"].items()):
         print(f"{node:28}{share:14.1f}{found['memory_mb'][node]:12.1f}")
