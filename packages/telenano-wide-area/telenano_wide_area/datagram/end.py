@@ -358,8 +358,11 @@ class DatagramEnd:
             self.outgoing.record_heard(report, now_ns)
             is_longer = self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
             if is_longer and monotonic_ns - self._silent_until_ns > _BEHIND_NS:
-                is_full = self._delivered.is_of_full_queue()
-                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns, back_is_full=is_full)
+                there, back = self.offset.present.by_and_by
+                is_full = self._delivered.is_of_full_queue() or (back and self._delivered.is_kept_full())
+                self.outgoing.record_jump(
+                    *self.offset.present.jumped_ns, now_ns, monotonic_ns, back_is_full=is_full, there_by_and_by=there
+                )
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)

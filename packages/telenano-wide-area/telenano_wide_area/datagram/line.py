@@ -22,6 +22,9 @@ _HALF_WINDOW_NS = 50_000_000
 _VARIATIONS = 16
 # A half window counts if it had this number of delays.
 _FEWEST_SEEN = 3
+# The least delay of a span stands for all of it: by the drift of usual clocks another one may be less [s/s].
+_USUAL_DRIFT = 1e-4
+_ROUNDED_NS = 50_000
 # Time stamps are as exact as the turns of a process [ns].
 _STAMPED_NS = 500_000
 # Least delays are kept for this number of spans of equal length. What is older than all of them (ten minutes) is
@@ -223,15 +226,16 @@ class Line:
         another rate, since then: the older half of the spans is forgotten.
         """
         while True:
+            self._least_both = min(span.both_ns for span in self._spans)
             line = ClockLine.through(
                 [span.there for span in self._spans],
                 [(at, -delay) for _, (at, delay), _ in self._spans],
                 self._expected_slope,
+                self._least_both + _USUAL_DRIFT * self._span_ns + _ROUNDED_NS,
             )
             self._slope = line.drift
             half, middle = 0.5 * line.round_trip_ns, line.at(0)
             self._there, self._back = half + middle, half - middle
-            self._least_both = min(span.both_ns for span in self._spans)
             if self._least_both - line.round_trip_ns <= STEP_NS:
                 return
             if self._shorter:
