@@ -12,6 +12,8 @@ OFF_MS = 300
 CAPACITY = 0.25
 # Of a line without a limit a capacity below this is wrong, as a sender of 1 kHz needs that [Mbit/s].
 FREE_MBIT = 10.0
+# A sample and what is around it takes so much of a line [kbit].
+_OWN_KBIT = 1.8
 # A figure is wrong of a line if more than this share of what was said of it is.
 FEW = 0.1
 
@@ -68,13 +70,19 @@ def _capacity(line: LineOf, seen: list[Seen], way: int) -> str:
 
 
 def _queue_inside(line: LineOf, seen: list[Seen], way: int) -> float | None:
-    """Return the share of the intervals of a queue that have a value in common with what datagrams waited."""
+    """Return the share of the intervals of a queue that have a value in common with what datagrams waited.
+
+    What a datagram itself takes of the line is in its time, and in that of every one before the queue as well.
+    """
+    rate_mbit = (line.there, line.back)[way].rate_mbit
     jitter_ms = 2.0 * (_scale_ms(line.there) + _scale_ms(line.back))
     held = []
     for one in seen:
         if (interval := one.queue_intervals_ms[way]) is not None:
             _, least, most = one.queues_ms[way]
-            held.append(interval[0] <= most + jitter_ms and interval[1] >= least)
+            mbit = at(rate_mbit, one.at_s)
+            own_ms = _OWN_KBIT / mbit if mbit else 0.0
+            held.append(interval[0] <= most + jitter_ms and interval[1] >= least - own_ms)
     return sum(held) / len(held) if held else None
 
 

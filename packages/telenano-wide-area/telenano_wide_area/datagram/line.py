@@ -225,18 +225,22 @@ class Line:
         Where it is further below the shortest round trip than jitter explains, the other clock was set, or runs at
         another rate, since then: the older half of the spans is forgotten.
         """
+        # The first exchange is zero here; with what it took, no line between the bounds means that a clock was set.
+        _, there_ns, back_ns = self._zero or (0, 0, 0)
+        took_ns = there_ns + back_ns
         while True:
             self._least_both = min(span.both_ns for span in self._spans)
             line = ClockLine.through(
-                [span.there for span in self._spans],
+                [(at, delay + took_ns) for (at, delay), _, _ in self._spans],
                 [(at, -delay) for _, (at, delay), _ in self._spans],
                 self._expected_slope,
-                self._least_both + _USUAL_DRIFT * self._span_ns + _ROUNDED_NS,
+                took_ns + self._least_both + _USUAL_DRIFT * self._span_ns + _ROUNDED_NS,
             )
             self._slope = line.drift
-            half, middle = 0.5 * line.round_trip_ns, line.at(0)
+            round_trip_ns = line.round_trip_ns - took_ns
+            half, middle = 0.5 * round_trip_ns, line.at(0) - 0.5 * took_ns
             self._there, self._back = half + middle, half - middle
-            if self._least_both - line.round_trip_ns <= STEP_NS:
+            if self._least_both - round_trip_ns <= STEP_NS:
                 return
             if self._shorter:
                 # A way that had seemed to be longer is not: what is older than that counts again.
