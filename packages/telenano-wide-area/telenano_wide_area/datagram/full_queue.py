@@ -12,6 +12,8 @@ import itertools
 from collections import deque
 from typing import NamedTuple
 
+# What the rig sends by TCP besides takes so much of the line, and is in no measurement [bit/s].
+BESIDE_BIT_PER_S = 100_000
 # Datagrams within this time are one point of the course [ns].
 _STEP_NS = 20_000_000
 # The course of this time is kept [ns].
@@ -118,4 +120,5 @@ def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> Measured 
     whole = (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)
     # Each part shows it by itself, to within a datagram at each of its ends.
     off = counted + max(abs(rate / whole - 1.0) for rate in rates)
-    return Measured(*(round(8e9 * whole * share) for share in (1.0, max(0.0, 1.0 - off), 1.0 + off)))
+    rate, low, high = (round(8e9 * whole * share) for share in (1.0, max(0.0, 1.0 - off), 1.0 + off))
+    return Measured(rate, low, high + BESIDE_BIT_PER_S)

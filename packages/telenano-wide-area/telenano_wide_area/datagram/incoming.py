@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from telenano_wide_area.datagram.body import ASKING_TRAIN, TRAIN
-from telenano_wide_area.datagram.full_queue import FullQueue, Measured
+from telenano_wide_area.datagram.full_queue import BESIDE_BIT_PER_S, FullQueue, Measured
 from telenano_wide_area.datagram.outgoing import TRAIN_DATAGRAMS
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 
@@ -182,5 +182,5 @@ def _spread(train: Sequence[Arrived]) -> Measured | None:
         return None
     # Each third shows it as well, by a third of the datagrams.
     shares = [third_ns / (took_ns / 3) for third_ns in thirds_ns]
-    highest = round(rate / min(shares))
+    highest = round(rate / min(shares)) + BESIDE_BIT_PER_S
     return Measured(rate, min(low, round(rate / max(shares))), highest if high is None else max(high, highest))
