@@ -247,6 +247,7 @@ class DelayNode(ImpairedLink):
         if self._spans_machines:
             self.memory.between = between_sites(self.offset)
             self._tell_change()
+            self._tell_clock()
         self._declare(self.forward)
 
     def _tell_change(self) -> None:
@@ -260,6 +261,17 @@ class DelayNode(ImpairedLink):
             "info",
             f"the way between the sites has become {word}: the round trip was {before_ms:.3g} ms and is {after_ms:.3g}"
             f" ms ({low_ms:.3g} to {high_ms:.3g} ms)",
+        )
+
+    def _tell_clock(self) -> None:
+        """Tell that the clock of the other site was set, which ages and stamps are corrected for from then on."""
+        if (changed := self.offset.take_change()) is None:
+            return
+        before, now = (f"{one.offset_s:.6g} s ± {1e3 * one.uncertainty_s:.3g} ms" for one in changed)
+        self.event(
+            "link",
+            "info",
+            f"the clock of the other site was set: it was ahead of this one by {before}, and is now by {now}",
         )
 
     def _ask(self) -> None:

@@ -512,17 +512,24 @@ def _blocked_s(reports: list[Mapping[str, Any]], begin_ns: int) -> list[list[flo
 
 def _line_figures(way: str, reports: list[Mapping[str, Any]], of_sender: list[Mapping[str, Any]]) -> dict[str, Any]:
     first, last = reports[0], reports[-1]
-    queues_ms = [1e3 * (report.get("queue_s") or 0.0) for report in reports]
+    longest = max(reports, key=lambda report: report.get("queue_s") or 0.0)
     settled, lost = (last.get("settled") or 0) - (first.get("settled") or 0), max(0, last["lost"] - first["lost"])
-    capacity = last.get("capacity_bit_per_s")
     return {
         "direction": way,
-        "queue_max_ms": round(max(queues_ms), 2),
+        "queue_max_ms": round(1e3 * (longest.get("queue_s") or 0.0), 2),
+        "queue_max_low_ms": _in_unit(longest.get("queue_low_s"), 1e3, 2),
+        "queue_max_high_ms": _in_unit(longest.get("queue_high_s"), 1e3, 2),
         "full_share": round(sum(report.get("line") == "full" for report in of_sender) / max(1, len(of_sender)), 3),
-        "capacity_mbit": None if capacity is None else round(capacity * 1e-6, 3),
+        "capacity_mbit": _in_unit(last.get("capacity_bit_per_s"), 1e-6, 3),
+        "capacity_low_mbit": _in_unit(last.get("capacity_low_bit_per_s"), 1e-6, 3),
+        "capacity_high_mbit": _in_unit(last.get("capacity_high_bit_per_s"), 1e-6, 3),
         "datagrams_per_s": round((last["sent"] - first["sent"]) / max(1e-9, (last["t_ns"] - first["t_ns"]) * 1e-9), 1),
         "lost_share": round(min(1.0, lost / settled), 4) if settled > 0 else None,
     }
+
+
+def _in_unit(value: float | None, unit: float, digits: int) -> float | None:
+    return None if value is None else round(value * unit, digits)
 
 
 def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:

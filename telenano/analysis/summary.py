@@ -174,9 +174,23 @@ class LineSummary(_Part):
 
     direction: str = Field(description="`forward`, from the master to the slave, or `backward`")
     queue_max_ms: float = Field(description="Longest queue that stood before the line [ms]")
+    queue_max_low_ms: float | None = Field(
+        default=None,
+        description="Lower end of the interval of `queue_max_ms` [ms]; null in recordings of before that have none",
+    )
+    queue_max_high_ms: float | None = Field(
+        default=None, description="Upper end of the interval of `queue_max_ms` [ms]; null like it"
+    )
     full_share: float = Field(description="Share of the time in which its sender took it for full, 0..1")
     capacity_mbit: float | None = Field(
         description="What the line carried, of a train of datagrams or while it was full [Mbit/s]; null if not measured"
+    )
+    capacity_low_mbit: float | None = Field(
+        default=None, description="Lower end of the interval of `capacity_mbit` [Mbit/s]; null like it"
+    )
+    capacity_high_mbit: float | None = Field(
+        default=None,
+        description="Upper end of the interval of `capacity_mbit` [Mbit/s]; null like it, and where nothing bounds it",
     )
     datagrams_per_s: float = Field(
         description="Datagrams sent in a second [1/s]; fewer than 1000 where the line was full"

@@ -1,6 +1,7 @@
 """Output of commands: errors as sentences and exit codes, results as JSON or tables."""
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -21,6 +22,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_IN
 from telenano.cli.tables import rows_table, summary_tables
 from telenano.cli.terminal import STREAMS
 from telenano.files.atomic_files import WRITE_ERRORS, new_folder, whole_results
+from telenano.files.optional_modules import optional_module
 from telenano.files.strict_json import finite
 from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
@@ -35,6 +37,8 @@ from telenano.wire.errors import (
 )
 from telenano.wire.printable import one_line, printable, quoted
 
+# Windows has no such module. It is loaded here because no file can be opened any more when it is needed.
+resource = optional_module("resource")
 # A pipe has no width, and a line of a table that is folded there could not be searched.
 _PIPE_COLUMNS = 10_000
 # Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
@@ -99,6 +103,8 @@ def print_error(*lines: str, as_json: bool, **facts: Any) -> None:
 def system_error_text(error: OSError) -> str:
     """Return in words what the system refused."""
     reason = error.strerror or str(error) or type(error).__name__
+    if error.errno == errno.EMFILE and resource is not None:
+        reason += f": this process may have {resource.getrlimit(resource.RLIMIT_NOFILE)[0]}; raise `ulimit -n`"
     # Standard output and standard error have their names in their errors (`telenano.cli.terminal`).
     if error.filename in STREAMS.values() or (error.filename is None and error.errno in WRITE_ERRORS):
         return f"{error.filename or 'a file'} cannot be written: {reason}"

@@ -52,7 +52,13 @@ class ClockLine(NamedTuple):
         return self.ahead_ns + self.drift * (time_ns - self.origin_ns)
 
     @classmethod
-    def through(cls, upper: Sequence[Bound], lower: Sequence[Bound], expected_drift: float = 0.0) -> "ClockLine":
+    def through(
+        cls,
+        upper: Sequence[Bound],
+        lower: Sequence[Bound],
+        expected_drift: float = 0.0,
+        most_ns: float = math.inf,
+    ) -> "ClockLine":
         """Return the line between bounds from above and from below, neither of them empty.
 
         The best of each second are enough points. A drift other than the expected one has to bring the lines apart by
@@ -62,6 +68,8 @@ class ClockLine(NamedTuple):
             upper: What the other clock is ahead by no more than.
             lower: What it is ahead by no less than.
             expected_drift: The drift where these points show no other one [s/s].
+            most_ns: No two lines are further apart than this [ns], as no round trip was longer; a drift that would
+                bring them so far apart comes from points that stand for others of their time.
         """
         origin_ns, base_ns = upper[0]
         # Both clouds become points above a line: those from below change their sign, and so does the slope.
@@ -73,6 +81,7 @@ class ClockLine(NamedTuple):
             return _least(highs, slope) + _least(lows, -slope)
 
         slopes = [slope for slope in (*_slopes(highs), *(-s for s in _slopes(lows))) if abs(slope) <= MOST_DRIFT]
+        slopes = [slope for slope in slopes if distance_ns(slope) <= most_ns]
         widest = max((expected_drift, *slopes), key=distance_ns)
         scatter_ns = _scatter(above, highs, widest) + _scatter(below, lows, -widest)
         expected_ns = distance_ns(expected_drift)

@@ -28,6 +28,8 @@ BLOCK_NS = 1_000_000_000
 # Parts of this number of seconds show a change of the rate.
 _LEAST_PART = 4
 _TURN_NS = 100_000_000
+# A clock that is ahead by so much more or less after it was set is worth telling of [s].
+_TOLD_S = 1e-3
 # The clock is looked at each second, mostly by the same exchanges: of an hour so many looks count.
 _LOOKS = 150
 
@@ -64,13 +66,15 @@ class Block(NamedTuple):
 class OffsetState(msgspec.Struct, array_like=True):
     """When the newest exchange was complete [ns], the drift shown last [s/s], the blocks in view, the line now.
 
-    The state of a recording of before may lack the last one.
+    replaced: what the other clock was ahead, and its uncertainty [s], before a change that was not told of yet. The
+    state of a recording of before may lack the last two.
     """
 
     newest_ns: int = 0
     drift: float = 0.0
     blocks: list[Block] = msgspec.field(default_factory=list)
     present: LinePresent = msgspec.field(default_factory=LinePresent)
+    replaced: tuple[float, float] | None = None
 
 
 class OffsetFilter:
@@ -112,6 +116,7 @@ class OffsetFilter:
             return False
         block = Block(sent_ns, there_ns - sent_ns, received_ns, back_ns - received_ns, 1)
         if self.state.blocks and self._is_of_another_clock(block):
+            self._note_replaced(self.line())
             self.state.blocks.clear()
             self.state.present = LinePresent(told_ns=self.present.told_ns)
         self._line = None
@@ -131,6 +136,7 @@ class OffsetFilter:
         if self._line is None and self.state.blocks:
             self._line = self._fitted(self.state.blocks)
             while len(self.state.blocks) > 1 and (newest := self._newest_apart(self._line)):
+                self._note_replaced(self._fitted(self.state.blocks[:-newest]))
                 del self.state.blocks[:-newest]
                 self._line = self._fitted(self.state.blocks)
             self.state.drift = self._line.drift
@@ -169,6 +175,23 @@ class OffsetFilter:
             round_trip_high_s=present.high_ns * 1e-9 if of_line else None,
             round_trip_since_ns=present.since_ns if of_line else None,
         )
+
+    def take_change(self) -> tuple[Offset, Offset] | None:
+        """Return what the other clock was ahead and is, where it was set and that was not told of yet."""
+        replaced, now = self.state.replaced, self.estimate()
+        # The estimate is what finds that a clock was set.
+        replaced = replaced or self.state.replaced
+        if replaced is None or now is None:
+            return None
+        self.state.replaced = None
+        if abs(now.offset_s - replaced[0]) < _TOLD_S:
+            return None
+        return Offset(*replaced, now.round_trip_s, 0), now
+
+    def _note_replaced(self, line: ClockLine | None) -> None:
+        if line is not None and self.state.replaced is None:
+            uncertainty_s = 0.5 * max(0.0, line.round_trip_ns * 1e-9)
+            self.state.replaced = (line.at(self.state.newest_ns) * 1e-9, uncertainty_s)
 
     def _is_of_another_clock(self, block: Block) -> bool:
         last = self.state.blocks[-1]

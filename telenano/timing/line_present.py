@@ -5,9 +5,10 @@ that takes longer may have met a queue, a stall or jitter, or the route may have
 how the delays go on. A queue fills and drains, and takes every value on its way; what was held up by a stall or by a
 lost packet arrives in one go, each later message less late than the one before. A route has one new least delay from
 one exchange to the next, and keeps it. So the exchanges since the line was last near its old least are held against one
-another: where the least of each third of them is the same, the line has become longer. A fast exchange is enough to end
-that, so that a queue which did stand still is forgotten as it drains. A delay that grows by more than about one
-millisecond in a second is never followed while it grows.
+another: where the least of each third of them is the same, the line has become longer. Of those that came in one go the
+last one alone counts, because something held the others up. A fast exchange is enough to end that, so that a queue
+which did stand still is forgotten as it drains. A delay that grows by more than about one millisecond in a second is
+never followed while it grows.
 
 This is the base delay of LEDBAT (RFC 6817) and the round trip of BBR (Cardwell and others, "BBR: congestion-based
 congestion control", ACM Queue 14, 2016), whose windows forget an old least after minutes and after ten seconds.
@@ -19,8 +20,11 @@ from typing import NamedTuple
 
 import msgspec
 
-# Messages within this time count as one, by the fastest of them [ns].
-_BIN_NS = 10_000_000
+# Messages within this time count as one, by the fastest of them [ns]: less than lies between two questions of a series,
+# so that each of them counts.
+_BIN_NS = 8_000_000
+# Messages of different times that arrive within this time came in one go [ns].
+_ONE_GO_NS = 500_000
 # For this time messages are kept [ns], and this number of them in any case.
 _KEPT_NS = 1_000_000_000
 _KEPT = 6
@@ -94,7 +98,7 @@ class Way(msgspec.Struct, array_like=True):
 
     least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so,
     by that clock; jumped_ns: by how much it became longer last; newest: when those of the last second were sent, and
-    what they took.
+    what they took; is_jump: whether it became longer at once then, and not by and by.
     """
 
     least_ns: int
@@ -102,6 +106,7 @@ class Way(msgspec.Struct, array_like=True):
     since_ns: int
     jumped_ns: int = 0
     newest: list[tuple[int, int]] = msgspec.field(default_factory=list)
+    is_jump: bool = True
 
     def record(self, sent_ns: int, took_ns: int) -> int:
         """Record a message and what it took; return by how much the way is seen with it to have become longer [ns].
@@ -119,6 +124,9 @@ class Way(msgspec.Struct, array_like=True):
                 if took_ns < before and sent_ns >= before_ns:
                     newest[-1] = (before_ns, took_ns)
                 return 0
+            if sent_ns >= before_ns and abs(sent_ns + took_ns - before_ns - before) <= _ONE_GO_NS:
+                # Both came in one go: something held the earlier one up, as a packet of TCP that is sent again does.
+                del newest[-1]
         newest.append((sent_ns, took_ns))
         while len(newest) > _KEPT and sent_ns - newest[0][0] > _KEPT_NS:
             del newest[0]
@@ -162,7 +170,7 @@ class Way(msgspec.Struct, array_like=True):
         self.least_ns, self.at_ns = self.least_ns + longer_ns, now_ns
         if rise_ns < _CHANGE_NS:
             return 0
-        self.since_ns, self.jumped_ns = run[0][0], longer_ns
+        self.since_ns, self.jumped_ns, self.is_jump = run[0][0], longer_ns, is_jump
         return longer_ns
 
     def _jumps(self, first: int, rise_ns: int) -> bool:
@@ -226,6 +234,12 @@ class LinePresent(msgspec.Struct, array_like=True):
         return RoundTrip(now_ns, max(0, low_ns - _SAME_NS), max(0, high_ns + _SAME_NS), self.since_ns)
 
     @property
+    def by_and_by(self) -> tuple[bool, bool]:
+        """Whether each way became longer by and by at the last change, there and back, and not at once."""
+        there, back = self.there, self.back
+        return there is not None and not there.is_jump, back is not None and not back.is_jump
+
+    @property
     def is_in_doubt(self) -> bool:
         """Whether the newest exchanges took longer than the line is believed to take: more of them would tell."""
         return any(way is not None and way.is_in_doubt for way in (self.there, self.back))
@@ -252,14 +266,8 @@ def _is_flat(run: Sequence[tuple[int, int]], rise_ns: int) -> bool:
 
     Of what grows or falls evenly the thirds are several such distances apart.
     """
-    begin_ns = run[0][0]
-    third_ns = (run[-1][0] - begin_ns) / 3 + 1
-    thirds: tuple[list[int], list[int], list[int]] = ([], [], [])
-    for at_ns, delay_ns in run:
-        thirds[int((at_ns - begin_ns) / third_ns)].append(delay_ns)
-    if not all(thirds):
-        return False
-    lowest = [min(third) for third in thirds]
+    ends = [round(len(run) * third / 3) for third in range(4)]
+    lowest = [min(delay_ns for _, delay_ns in run[begin:end]) for begin, end in itertools.pairwise(ends)]
     apart_ns = sorted(abs(after - before) for (_, before), (_, after) in itertools.pairwise(run))[len(run) // 2 - 1]
     same_ns = max(_NEIGHBOURS * apart_ns, min(_FLAT_NS, max(_FLAT_LEAST_NS, round(_FLAT_SHARE * rise_ns))))
     return max(lowest) - min(lowest) <= same_ns

@@ -104,3 +104,15 @@ class LinkNetwork(Message):
             "none arrives [ns]; absent while datagrams arrive, and where the other end sends none"
         ),
     ] = None
+    queue_low_s: Annotated[DurationS | None, about("Lower end of the interval of queue_s [s]; absent like it")] = None
+    queue_high_s: Annotated[DurationS | None, about("Upper end of the interval of queue_s [s]; absent like it")] = None
+    capacity_low_bit_per_s: Annotated[
+        Count | None, about("Lower end of the interval of capacity_bit_per_s [bit/s]; absent like it")
+    ] = None
+    capacity_high_bit_per_s: Annotated[
+        Count | None,
+        about(
+            "Upper end of the interval of capacity_bit_per_s [bit/s]; absent like it, and where a train was too fast "
+            "for anything to bound it"
+        ),
+    ] = None

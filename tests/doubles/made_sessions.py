@@ -228,7 +228,8 @@ class Made:
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
             if self.full_s is not None and tenth % 5 == 0:
                 counts = {"sent": 50 * (tenth + 10), "settled": 50 * tenth + 200, "lost": 5 * tenth + 20}
-                line = {"queue_s": self.full_s, "capacity_bit_per_s": 1_000_000}
+                line = {"queue_s": self.full_s, "queue_low_s": 0.8 * self.full_s, "queue_high_s": 1.2 * self.full_s}
+                line |= {"capacity_bit_per_s": 1_000_000, "capacity_low_bit_per_s": 900_000}
                 # Both ways are delayed as much, and the slave alone takes its own for full.
                 for source, way, sends in ((LINK, "backward", "free"), ("controller@slave", "forward", "full")):
                     add("link/network", source, 0.1 * tenth, direction=way, **counts, **line, line=sends)

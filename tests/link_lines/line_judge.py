@@ -12,6 +12,8 @@ OFF_MS = 300
 CAPACITY = 0.25
 # Of a line without a limit a capacity below this is wrong, as a sender of 1 kHz needs that [Mbit/s].
 FREE_MBIT = 10.0
+# A sample and what is around it takes so much of a line [kbit].
+_OWN_KBIT = 1.8
 # A figure is wrong of a line if more than this share of what was said of it is.
 FEW = 0.1
 
@@ -21,7 +23,9 @@ class Verdict(NamedTuple):
 
     in_interval: share of the intervals of the round trip that hold the truth; off_ms: for how long the hand was off
     after a step that is borne, None of other lines; over_ms: by how much the round trip that counts as the line's own
-    was above what every message took, at most: so much older a hand may be than it is taken for.
+    was above what every message took, at most: so much older a hand may be than it is taken for. queue_in_interval and
+    capacity_in_interval: shares of those intervals that hold the truth, None where nothing was said, or where the truth
+    has no value.
     """
 
     round_trip: bool
@@ -31,6 +35,8 @@ class Verdict(NamedTuple):
     in_interval: float
     off_ms: int | None
     over_ms: float
+    queue_in_interval: float | None = None
+    capacity_in_interval: float | None = None
 
 
 def _scale_ms(way: WayOf) -> float:
@@ -61,6 +67,33 @@ def _capacity(line: LineOf, seen: list[Seen], way: int) -> str:
     if wrong > FEW * len(said):
         return "wrong"
     return "null" if sum(mbit is None for mbit, _ in said) > 0.5 * len(said) else "right"
+
+
+def _queue_inside(line: LineOf, seen: list[Seen], way: int) -> float | None:
+    """Return the share of the intervals of a queue that have a value in common with what datagrams waited.
+
+    What a datagram itself takes of the line is in its time, and in that of every one before the queue as well.
+    """
+    rate_mbit = (line.there, line.back)[way].rate_mbit
+    jitter_ms = 2.0 * (_scale_ms(line.there) + _scale_ms(line.back))
+    held = []
+    for one in seen:
+        if (interval := one.queue_intervals_ms[way]) is not None:
+            _, least, most = one.queues_ms[way]
+            mbit = at(rate_mbit, one.at_s)
+            own_ms = _OWN_KBIT / mbit if mbit else 0.0
+            held.append(interval[0] <= most + jitter_ms and interval[1] >= least - own_ms)
+    return sum(held) / len(held) if held else None
+
+
+def _capacity_inside(seen: list[Seen], way: int) -> float | None:
+    """Return the share of the intervals of a capacity that hold it."""
+    held = []
+    for one in seen:
+        (_, truth), interval = one.capacities[way], one.capacity_intervals[way]
+        if truth and interval is not None:
+            held.append(interval[0] <= truth and (interval[1] is None or truth <= interval[1]))
+    return sum(held) / len(held) if held else None
 
 
 def _limits(line: LineOf, way: WayOf) -> bool:
@@ -103,6 +136,8 @@ def judge(session: Session) -> list[Verdict]:
                 in_interval=sum(inside) / max(1, len(inside)),
                 off_ms=off_ms,
                 over_ms=over_ms,
+                queue_in_interval=_queue_inside(line, settled, place),
+                capacity_in_interval=_capacity_inside(late, place),
             )
         )
     return found

@@ -180,7 +180,8 @@ class Seen(NamedTuple):
 
     round_trip_ms: what the link says, and the least of the line; queues_ms: of each way what was said and what the
     datagrams waited at least for a tenth of a second, and at most; capacities: what is said each way [Mbit/s], and the
-    truth, 0 for a line without a limit; on: whether the hand and the tip were on.
+    truth, 0 for a line without a limit; queue_intervals_ms, capacity_intervals: of each way the interval that is said,
+    None where nothing is, and None for an upper end that nothing bounds.
     """
 
     at_s: float
@@ -190,6 +191,8 @@ class Seen(NamedTuple):
     high_ms: float
     queues_ms: tuple[tuple[float | None, float, float], ...]
     capacities: tuple[tuple[float | None, float], ...]
+    queue_intervals_ms: tuple[tuple[float, float] | None, ...] = (None, None)
+    capacity_intervals: tuple[tuple[float, float | None] | None, ...] = (None, None)
 
 
 @dataclass
@@ -365,9 +368,19 @@ class _Run:
             (end.incoming.capacity * 1e-6 or None, at(way.of.rate_mbit, now_s))
             for way, end in ((self.there, ends[1]), (self.back, ends[0]))
         )
+        standing = [end.outgoing.line.ways[0] for end in ends]
+        within = [None if one is None else (one.low_ns / MS, one.high_ns / MS) for one in standing]
+        carried = [end.incoming.measured for end in reversed(ends)]
+        bounds = [
+            None
+            if one is None
+            else (one.low_bit_per_s * 1e-6, None if one.high_bit_per_s is None else one.high_bit_per_s * 1e-6)
+            for one in carried
+        ]
+        least_ms, low_ms, high_ms = known.now_ns / MS, known.low_ns / MS, known.high_ns / MS
         self.session.seen.append(
             Seen(
-                now_s, known.now_ns / MS, true_ns / MS, known.low_ns / MS, known.high_ns / MS, tuple(queues), capacities
+                now_s, least_ms, true_ns / MS, low_ms, high_ms, tuple(queues), capacities, tuple(within), tuple(bounds)
             )
         )
 

@@ -108,6 +108,10 @@ def main() -> int:
         f"round trip wrong: {whole.round_trip_wrong}; queue wrong: {whole.queue_wrong}; hand off too long: {whole.late}"
     )
     write(f"the round trip in its interval, after steps: {100 * sum(inside) / max(1, len(inside)):.1f} %")
+    ways = [way for lines in found.values() for line in lines for way in line]
+    for what in ("queue", "capacity"):
+        shares = [share for way in ways if (share := getattr(way, f"{what}_in_interval")) is not None]
+        write(f"the {what} in its interval: {100 * sum(shares) / max(1, len(shares)):.1f} % of what was said")
     return 0
 
 

@@ -132,7 +132,9 @@ def test_a_report_has_the_state_of_the_line(ends: Pair) -> None:
     for side in ends.sides:
         report = side.outlet.last("link/network")
         assert report.queue_s is not None
+        assert report.queue_low_s <= report.queue_s <= report.queue_high_s
         assert report.queue_s < 1e-3
+        assert report.capacity_low_bit_per_s <= report.capacity_bit_per_s
         # the train of the start, over the loopback
         assert report.capacity_bit_per_s > 1e7
         assert report.line == "free"
@@ -189,6 +191,45 @@ def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_f
     incoming.measure(at_ns + 500 * MS)
     assert incoming.capacity == pytest.approx(2e6, rel=0.1)
     assert incoming.wants_train
+
+
+def trains_of(incoming: Incoming, bit_per_s: float, from_ns: int) -> int:
+    """Let three trains come over a line of a rate; return when the last one was taken."""
+    for _ in range(3):
+        for place in range(TRAIN_DATAGRAMS):
+            from_ns += round(8e9 * (452 + NETWORK_BYTES) / bit_per_s)
+            incoming.record(452, from_ns, [TRAIN], 0, place)
+        from_ns += SECOND_NS
+        incoming.measure(from_ns)
+    return from_ns
+
+
+def test_what_the_line_carries_is_told_when_it_has_changed_for_good_and_no_other_time() -> None:
+    incoming = Incoming("slave")
+    now_ns = trains_of(incoming, 2e6, 0)
+    assert incoming.take_change(now_ns) is None
+    now_ns = trains_of(incoming, 2.1e6, now_ns)
+    assert incoming.take_change(now_ns) is None
+    # What trains of the last ten seconds showed holds until more, or only less, was measured.
+    now_ns = trains_of(incoming, 1e6, now_ns + 11 * SECOND_NS)
+    assert incoming.take_change(now_ns) is None
+    told = incoming.take_change(now_ns + SECOND_NS)
+    assert told is not None
+    assert [one.bit_per_s for one in told] == [pytest.approx(2e6, rel=0.1), pytest.approx(1e6, rel=0.1)]
+    assert all(one.low_bit_per_s <= one.bit_per_s <= (one.high_bit_per_s or 0) for one in told)
+    assert incoming.take_change(now_ns + 3 * SECOND_NS) is None
+
+
+@pytest.mark.parametrize("rate_mbit", [0.5, 3.0, 30.0, 1000.0])
+def test_the_interval_of_a_train_holds_what_the_line_carries(rate_mbit: float) -> None:
+    incoming = Incoming("slave")
+    trains_of(incoming, 1e6 * rate_mbit, 0)
+    measured = incoming.measured
+    assert measured is not None
+    assert measured.low_bit_per_s <= 1e6 * rate_mbit
+    # A train that is over before a clock shows it bounds nothing from above.
+    assert (measured.high_bit_per_s is None) == (rate_mbit > 300.0)
+    assert measured.high_bit_per_s is None or measured.high_bit_per_s >= 1e6 * rate_mbit
 
 
 @pytest.mark.parametrize("spread_ms", [30.0, 120.0])

@@ -136,9 +136,8 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     rows.append(_row("network: lost, of those known [%]", *map(_lost_percent, ways)))
     if any(way.get("blocked_since_ns") for way in ways):
         rows.append(_row("network: UDP blocked since", *map(_blocked_since, ways)))
-    queues_s = [way.get("queue_s") for way in ways]
-    rows.append(_row("network: queue [ms]", *("" if each is None else f"{1e3 * each:.1f}" for each in queues_s)))
-    rows.append(_row("network: line carries [Mbit/s]", *(_mbit(way.get("capacity_bit_per_s")) for way in ways)))
+    rows.append(_row("network: queue [ms]", *map(_queue_ms, ways)))
+    rows.append(_row("network: line carries [Mbit/s]", *map(_carries, ways)))
     # An end says of the other direction, which it sends, how much that is.
     for what, text in (("line", str), ("limit_bit_per_s", _mbit), ("unsent", str)):
         name = "limit [Mbit/s]" if what == "limit_bit_per_s" else what
@@ -158,6 +157,22 @@ def _lost_percent(way: dict[str, Any]) -> str:
 def _blocked_since(way: dict[str, Any]) -> str:
     since_ns = way.get("blocked_since_ns")
     return f"{datetime.fromtimestamp(since_ns * 1e-9, UTC):%H:%M:%S} UTC" if since_ns else ""
+
+
+def _queue_ms(way: dict[str, Any]) -> str:
+    """Return the queue before a way with its interval [ms]; a report of before has none."""
+    queue_s, *ends_s = (way.get(key) for key in ("queue_s", "queue_low_s", "queue_high_s"))
+    interval = (
+        "" if None in ends_s else " ({:.1f} to {:.1f})".format(*(1e3 * end_s for end_s in ends_s if end_s is not None))
+    )
+    return "" if queue_s is None else f"{1e3 * queue_s:.1f}{interval}"
+
+
+def _carries(way: dict[str, Any]) -> str:
+    """Return what a way carries with its interval [Mbit/s], of which the upper end may be open."""
+    low, high = way.get("capacity_low_bit_per_s"), way.get("capacity_high_bit_per_s")
+    interval = "" if low is None else f" ({_mbit(low)} {'or more' if high is None else f'to {_mbit(high)}'})"
+    return _mbit(way.get("capacity_bit_per_s")) + interval
 
 
 def _mbit(bit_per_s: float | str | None) -> str:

@@ -159,6 +159,9 @@ def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str,
     assert summaries["set"]["changed"]
     assert not summaries["cut_off"]["recording"]["complete"]
     figures = {"queue_max_ms": 50.0, "capacity_mbit": 1.0, "datagrams_per_s": 500.0, "lost_share": 0.1}
+    figures |= {"queue_max_low_ms": 40.0, "queue_max_high_ms": 60.0}
+    # Nothing bounds the capacity from above.
+    figures |= {"capacity_low_mbit": 0.9, "capacity_high_mbit": None}
     assert summaries["of_a_full_line"]["lines"] == [
         {"direction": "forward", "full_share": 0.0, "blocked_s": [], **figures},
         {"direction": "backward", "full_share": 1.0, "blocked_s": [], **figures},

@@ -165,7 +165,10 @@ def test_what_is_said_after_the_view_has_ended_is_printed(monkeypatch: pytest.Mo
 
 
 def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words() -> None:
-    assert output.system_error_text(OSError(errno.EMFILE, "Too many open files")) == "Too many open files"
+    no_more = output.system_error_text(OSError(errno.EMFILE, "Too many open files"))
+    limit = output.resource.getrlimit(output.resource.RLIMIT_NOFILE)[0]
+    assert no_more == f"Too many open files: this process may have {limit}; raise `ulimit -n`"
+    assert output.system_error_text(OSError(errno.EACCES, "Permission denied")) == "Permission denied"
     # standard output works here, so that something else could not be written
     assert output.system_error_text(OSError(errno.ENOSPC, "No space")) == "a file cannot be written: No space"
     assert output.system_error_text(FileNotFoundError(2, "No such file", "a.txt")) == "a.txt: No such file"

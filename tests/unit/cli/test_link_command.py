@@ -50,6 +50,13 @@ def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled()
     assert rows["network: line"] == ("full", "free")
     assert rows["network: limit [Mbit/s]"] == ("0.85", "6")
     assert rows["network: unsent"] == ("300", "0")
+    within = {"queue_low_s": 0.05, "queue_high_s": 0.06, "capacity_low_bit_per_s": 900_000}
+    open_above = {**forward, **within, "capacity_high_bit_per_s": None}
+    bounded = {**open_above, "capacity_high_bit_per_s": 1_200_000}
+    rows = {row["what"]: row for row in network_rows({"forward": open_above, "backward": bounded})}
+    assert rows["network: queue [ms]"]["forward"] == "52.0 (50.0 to 60.0)"
+    assert rows["network: line carries [Mbit/s]"]["forward"] == "1.04 (0.9 or more)"
+    assert rows["network: line carries [Mbit/s]"]["backward"] == "1.04 (0.9 to 1.2)"
     earlier = {key: forward[key] for key in ("receiving", "sent", "arrived", "late", "lost", "refused", "delay_valid")}
     shown = {row["what"]: row["forward"] for row in network_rows({"forward": earlier})}
     assert shown["network: queue [ms]"] == shown["network: line"] == shown["network: lost, of those known [%]"] == ""

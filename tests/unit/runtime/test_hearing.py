@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 import zmq
-from network_bench import AFM, TURN_NS, Machine, payload, two_machine_book, until
+from network_bench import payload
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
@@ -412,39 +412,3 @@ def test_the_beacon_is_no_input_of_a_node_that_does_not_read_it(
 
 def lost(reader: Reader, but: str = "") -> int:
     return sum(t.lost for r in reader.readers for (_, src), t in r.trackers.items() if src != but)
-
-
-def large_frame(slave: Machine) -> None:
-    slave.publishers[AFM].socket.send_multipart([b"afm/state", LARGE])
-
-
-def cut_by_the_kernel(slave: Machine) -> None:
-    """Have the system end the connection, as a firewall or an administrator does."""
-    port = slave.publishers[AFM].socket.get(zmq.LAST_ENDPOINT).rpartition(b":")[2].decode()
-    done = subprocess.run(["ss", "-K", "sport", "=", port], capture_output=True, text=True, check=False)
-    if "ESTAB" not in done.stdout:
-        pytest.skip("this system ends no connection for `ss -K`, which needs root")
-
-
-@pytest.mark.parametrize("way", [large_frame, cut_by_the_kernel])
-@pytest.mark.parametrize("insecure", [True, False])
-def test_a_connection_to_another_machine_is_made_again_as_soon(
-    tmp_path: Path, insecure: bool, way: Callable[[Machine], None]
-) -> None:
-    book = two_machine_book(tmp_path, insecure=insecure)
-    master, slave = (Machine(name, book, tmp_path) for name in SITES)
-    if not insecure:
-        master.knows(slave)
-        slave.knows(master)
-    with contextlib.closing(slave.open().bind(AFM)), contextlib.closing(master.open().subscribe({AFM: ["afm/state"]})):
-        until(lambda: master.received_from(AFM), master, slave)
-        way(slave)
-        until(lambda: "down" in [event.data.get("connection") for event in master.events], master, slave)
-        before, turns = master.received_from(AFM), 0
-        # At each turn the clocks advance by 20 ms, which pass here as well: libzmq has its own clock.
-        while master.received_from(AFM) == before:
-            master.turn()
-            slave.turn()
-            time.sleep(TURN_NS * 1e-9)
-            turns += 1
-            assert turns * TURN_NS < LOOKS * LOOK_NS

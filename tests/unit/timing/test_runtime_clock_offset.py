@@ -146,3 +146,27 @@ def test_a_state_goes_on_with_the_same_bits() -> None:
         elif turn == 237:
             rest = OffsetFilter(16)
             rest.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(whole.state), type=OffsetState))
+
+
+@pytest.mark.parametrize("step_ns", [3_000_000, -30_000_000, 10**12])
+def test_a_clock_that_was_set_is_told_of_once_with_what_it_was_and_is(step_ns: int) -> None:
+    draw, offsets, told = random.Random(3), OffsetFilter(64), []
+    for tick in range(600):
+        offset_ns = 10**9 + (step_ns if tick >= 300 else 0)
+        ways = (1_000_000 + draw.randrange(200_000) for _ in range(2))
+        offsets.record(*exchange(offset_ns, *ways, tick * 100_000_000))
+        told += [(tick, changed)] if (changed := offsets.take_change()) is not None else []
+    ((at, (before, now)),) = told
+    assert at >= 300
+    assert before.offset_s == pytest.approx(1.0, abs=before.uncertainty_s)
+    assert now.offset_s == pytest.approx(1.0 + step_ns * 1e-9, abs=now.uncertainty_s)
+
+
+def test_a_clock_that_goes_on_and_a_line_that_becomes_longer_tell_of_no_clock() -> None:
+    draw, offsets = random.Random(4), OffsetFilter(64)
+    for tick in range(1200):
+        at_ns = tick * 100_000_000
+        further_ns = 30_000_000 if tick >= 600 else 0
+        ways = (10_000_000 + further_ns + draw.randrange(3_000_000), 10_000_000 + draw.randrange(3_000_000))
+        offsets.record(*exchange(10**9 + round(5e-5 * at_ns), *ways, at_ns))
+        assert offsets.take_change() is None

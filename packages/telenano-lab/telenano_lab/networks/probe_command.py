@@ -77,13 +77,22 @@ def probe(
 
 
 def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
-    """Return the state of the line in a direction: what it carries and the longest queue; null where it is unknown."""
+    """Return the state of the line in a direction: what it carries and the longest queue, each with its interval.
+
+    A figure is null where it is unknown.
+    """
     own = [report for report in reports if report.direction == direction]
-    carried = [report.capacity_bit_per_s for report in own if report.capacity_bit_per_s is not None]
-    queues_ms = [1e3 * report.queue_s for report in own if report.queue_s is not None]
+    carries = next((report for report in reversed(own) if report.capacity_bit_per_s is not None), None)
+    longest = max(
+        (report for report in own if report.queue_s is not None), key=lambda report: report.queue_s or 0.0, default=None
+    )
+    mbit = {"capacity_mbit": "capacity", "capacity_low_mbit": "capacity_low", "capacity_high_mbit": "capacity_high"}
+    found_mbit = {name: getattr(carries, f"{key}_bit_per_s", None) for name, key in mbit.items()}
+    queues = {"queue_max_ms": "queue_s", "queue_max_low_ms": "queue_low_s", "queue_max_high_ms": "queue_high_s"}
+    found_s = {name: getattr(longest, key, None) for name, key in queues.items()}
     return {
-        "capacity_mbit": round(carried[-1] * 1e-6, 3) if carried else None,
-        "queue_max_ms": round(max(queues_ms), 2) if queues_ms else None,
+        **{name: None if value is None else round(value * 1e-6, 3) for name, value in found_mbit.items()},
+        **{name: None if value is None else round(1e3 * value, 2) for name, value in found_s.items()},
     }
 
 

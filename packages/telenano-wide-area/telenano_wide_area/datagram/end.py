@@ -31,6 +31,7 @@ from telenano_wide_area.datagram.body import (
     parse,
     short_report,
 )
+from telenano_wide_area.datagram.full_queue import Measured
 from telenano_wide_area.datagram.held_samples import HeldSamples
 from telenano_wide_area.datagram.incoming import Incoming
 from telenano_wide_area.datagram.outgoing import Outgoing
@@ -83,6 +84,13 @@ _NARROW = 600_000
 # payloads of the other end that a repetition is compared with
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
+
+
+def _told_of(machine: str, before: Measured, after: Measured) -> str:
+    """Return the sentence of an event: what the line from a machine carries now, and carried before."""
+    high = "or more" if after.high_bit_per_s is None else f"to {1e-6 * after.high_bit_per_s:.3g}"
+    carries = f"{1e-6 * after.bit_per_s:.3g} Mbit/s ({1e-6 * after.low_bit_per_s:.3g} {high})"
+    return f"the line from {machine} carries {carries}, and carried {1e-6 * before.bit_per_s:.3g} Mbit/s before"
 
 
 def _bound_socket(place: Place) -> socket.socket:
@@ -350,8 +358,11 @@ class DatagramEnd:
             self.outgoing.record_heard(report, now_ns)
             is_longer = self.offset.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
             if is_longer and monotonic_ns - self._silent_until_ns > _BEHIND_NS:
-                is_full = self._delivered.is_of_full_queue()
-                self.outgoing.record_jump(*self.offset.present.jumped_ns, now_ns, monotonic_ns, back_is_full=is_full)
+                there, back = self.offset.present.by_and_by
+                is_full = self._delivered.is_of_full_queue() or (back and self._delivered.is_kept_full())
+                self.outgoing.record_jump(
+                    *self.offset.present.jumped_ns, now_ns, monotonic_ns, back_is_full=is_full, there_by_and_by=there
+                )
 
     def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
         self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
@@ -391,7 +402,7 @@ class DatagramEnd:
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             if self.acknowledged:
-                self._send(mark(CARRIES, self.incoming.measured.to_bytes(8, "big")), now_ns)
+                self._send(mark(CARRIES, self.incoming.capacity.to_bytes(8, "big")), now_ns)
             if self._expected:
                 self.outgoing.adapt_repeats(*self._acknowledged_counts)
             self._weigh_tcp()
@@ -401,7 +412,7 @@ class DatagramEnd:
     def _publish_report(self) -> None:
         sending = "datagram" if self.acknowledged else "stream"
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
-        parts = self.offset, self.arrivals, self.outgoing, self.incoming.capacity
+        parts = self.offset, self.arrivals, self.outgoing, self.incoming.measured
         report = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
         self.side.report("link/network", **report, refused=dict(self.rejected))
 
@@ -431,13 +442,15 @@ class DatagramEnd:
             # A queue that stands is in the round trip as well.
             self.outgoing.update(now_ns, max(0, round_trip_ns - (line.there_ns or 0) - (line.back_ns or 0)))
         if self.acknowledged:
-            seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
+            seems_narrow = 0 < min(self.incoming.capacity, self._known) < _NARROW
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):
                 self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
         if self.incoming.wants_train:
             self.incoming.wants_train = False
             self.outgoing.send_train(now_ns, self._send)
         self.incoming.measure(now_ns)
+        if (changed := self.incoming.take_change(now_ns)) is not None:
+            self._tell("info", _told_of(self.machine, *changed))
         notice = self.outgoing.report_queue(now_ns, self.machine)
         if notice is not None:
             self._tell(*notice)
@@ -484,7 +497,7 @@ class DatagramEnd:
                 sent=0 if agreement.sealer is None else agreement.sealer.number,
                 arrived=arrived,
                 lost=expected - arrived,
-                capacity_bit_per_s=self.incoming.measured,
+                capacity_bit_per_s=self.incoming.capacity,
             )
 
     def _hear_offer(self, message: Message) -> None:

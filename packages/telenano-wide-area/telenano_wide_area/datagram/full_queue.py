@@ -12,6 +12,8 @@ import itertools
 from collections import deque
 from typing import NamedTuple
 
+# What the rig sends by TCP besides takes so much of the line, and is in no measurement [bit/s].
+BESIDE_BIT_PER_S = 100_000
 # Datagrams within this time are one point of the course [ns].
 _STEP_NS = 20_000_000
 # The course of this time is kept [ns].
@@ -38,6 +40,14 @@ class Point(NamedTuple):
     datagrams: int
 
 
+class Measured(NamedTuple):
+    """What a line carries and the interval in which that is [bit/s], with None for an end that nothing bounds."""
+
+    bit_per_s: int
+    low_bit_per_s: int
+    high_bit_per_s: int | None
+
+
 class FullQueue:
     """The course of the delay of a direction, and the rate at which a full queue was emptied."""
 
@@ -49,8 +59,8 @@ class FullQueue:
         """Forget the course: what comes next is not of the same line, or of another process."""
         self._points.clear()
 
-    def record(self, size_bytes: int, delay_ns: int, now_ns: int) -> float | None:
-        """Record a datagram of a size with its headers; return what the line carries [bit/s], None if that is unknown.
+    def record(self, size_bytes: int, delay_ns: int, now_ns: int) -> Measured | None:
+        """Record a datagram of a size with its headers; return what the line carries, None if that is unknown.
 
         Args:
             size_bytes: Its size [bytes].
@@ -69,7 +79,7 @@ class FullQueue:
             points.popleft()
         return self._measured()
 
-    def _measured(self) -> float | None:
+    def _measured(self) -> Measured | None:
         """Return the rate of the two newest parts that show it."""
         points = list(self._points)
         floor_ns = min(point.delay_ns for point in points) + _STANDS_NS
@@ -93,8 +103,8 @@ class FullQueue:
         return None
 
 
-def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> float | None:
-    """Return the rate of both parts [bit/s], None where they are too short, too alike in slope, or not of one rate."""
+def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> Measured | None:
+    """Return the rate of both parts, None where they are too short, too alike in slope, or not of one rate."""
     parts = ((first, turn), (turn, last))
     if any(end.at_ns - begin.at_ns < _LEAST_NS or end.datagrams - begin.datagrams < _FEWEST for begin, end in parts):
         return None
@@ -107,4 +117,8 @@ def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> float | N
     counted = sum(1.0 / (end.datagrams - begin.datagrams) for begin, end in parts)
     if abs(rates[0] / rates[1] - 1.0) > max(_SAME * apart, min(counted, 0.5 * apart)):
         return None
-    return 8e9 * (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)
+    whole = (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)
+    # Each part shows it by itself, to within a datagram at each of its ends.
+    off = counted + max(abs(rate / whole - 1.0) for rate in rates)
+    rate, low, high = (round(8e9 * whole * share) for share in (1.0, max(0.0, 1.0 - off), 1.0 + off))
+    return Measured(rate, low, high + BESIDE_BIT_PER_S)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from telenano_wide_area.datagram.body import ASKING_TRAIN, TRAIN
-from telenano_wide_area.datagram.full_queue import FullQueue
+from telenano_wide_area.datagram.full_queue import BESIDE_BIT_PER_S, FullQueue, Measured
 from telenano_wide_area.datagram.outgoing import TRAIN_DATAGRAMS
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 
@@ -34,6 +34,9 @@ _NOTED_NS = 10_000_000_000
 _QUEUE_NOTED_NS = 2_000_000_000
 # More than this multiple of what was measured shows that the line carries more.
 _MORE = 1.1
+# A change by this share that is in no interval of before is worth telling of, once it has lasted for so long [ns].
+_TOLD_SHARE = 0.25
+_LASTED_NS = 1_000_000_000
 
 
 class Arrived(NamedTuple):
@@ -45,16 +48,19 @@ class Arrived(NamedTuple):
 
 
 class Incoming:
-    """The line from another machine; `measured` is what it carries [bit/s], 0 until that is known."""
+    """The line from another machine."""
 
     def __init__(self, machine: str) -> None:
         self.machine = machine
-        self.measured = 0
         # Whether the other end has asked for a train, which is answered once.
         self.wants_train = False
         self._full = FullQueue()
         # What was measured lately, by its time [ns]; only by trains, or only by full queues.
-        self._shown: dict[int, int] = {}
+        self._shown: dict[int, Measured] = {}
+        # The best of it, what was told of last, and since when another one is measured [ns].
+        self._best: Measured | None = None
+        self._told: Measured | None = None
+        self._other_since_ns: int | None = None
         self._by_queue = False
         self._train: list[Arrived] = []
         self._span: tuple[int, int] | None = None
@@ -64,7 +70,28 @@ class Incoming:
     @property
     def capacity(self) -> int:
         """What the line carries [bit/s], 0 where no train and no full queue has shown it."""
-        return self.measured
+        return 0 if self._best is None else self._best.bit_per_s
+
+    @property
+    def measured(self) -> Measured | None:
+        """What the line carries with its interval, None where no train and no full queue has shown it."""
+        return self._best
+
+    def take_change(self, now_ns: int) -> tuple[Measured, Measured] | None:
+        """Return what the line carried and carries, where that has changed for good and was not told of yet."""
+        best, told = self._best, self._told
+        if best is None or told is None:
+            self._told = told or best
+            return None
+        if not _differ(told, best):
+            self._other_since_ns = None
+            return None
+        if self._other_since_ns is None:
+            self._other_since_ns = now_ns
+        if now_ns - self._other_since_ns < _LASTED_NS:
+            return None
+        self._told, self._other_since_ns = best, None
+        return told, best
 
     def record(self, size_bytes: int, now_ns: int, marks: Sequence[int], sent_ns: int, number: int) -> None:
         """Record a datagram that arrived.
@@ -85,7 +112,7 @@ class Incoming:
             # Trains come at times of their own, and a queue keeps the order.
             self._full.forget()
         elif (rate := self._full.record(size, now_ns - sent_ns, now_ns)) is not None:
-            self._show(now_ns, round(rate), by_queue=True)
+            self._show(now_ns, rate, by_queue=True)
         self._number = max(self._number, number)
         if is_train:
             if not self._train:
@@ -101,9 +128,9 @@ class Incoming:
         begin_ns, begin_bytes = self._span
         if now_ns - begin_ns >= _RATE_SPAN_NS:
             carried = 8e9 * (self._bytes - begin_bytes) / (now_ns - begin_ns)
-            if 0 < _MORE * self.measured < carried:
+            if 0 < _MORE * self.capacity < carried:
                 self._shown.clear()
-                self.measured = 0
+                self._best = None
             self._span = now_ns, self._bytes
 
     def _end_train(self, now_ns: int) -> None:
@@ -113,7 +140,7 @@ class Incoming:
             return
         self._show(now_ns, rate, by_queue=False)
 
-    def _show(self, now_ns: int, rate: int, *, by_queue: bool) -> None:
+    def _show(self, now_ns: int, rate: Measured, *, by_queue: bool) -> None:
         """Take a measurement; what others sent meanwhile makes it less than the line carries."""
         if by_queue != self._by_queue:
             self._shown.clear()
@@ -121,22 +148,39 @@ class Incoming:
         self._shown[now_ns] = rate
         lasts_ns = _QUEUE_NOTED_NS if by_queue else _NOTED_NS
         self._shown = {at_ns: shown for at_ns, shown in self._shown.items() if now_ns - at_ns <= lasts_ns}
-        self.measured = max(self._shown.values())
+        self._best = max(self._shown.values(), key=_rate)
 
 
-def _spread(train: Sequence[Arrived]) -> int | None:
-    """Return the rate at which a train came [bit/s]; None where something else than the line has spread it."""
+def _rate(measured: Measured) -> int:
+    return measured.bit_per_s
+
+
+def _differ(before: Measured, after: Measured) -> bool:
+    """Return whether two measurements are of different lines: by much, and without a common value."""
+    lower, upper = sorted((before, after), key=_rate)
+    apart = lower.high_bit_per_s is not None and lower.high_bit_per_s < upper.low_bit_per_s
+    return apart and abs(after.bit_per_s - before.bit_per_s) > _TOLD_SHARE * before.bit_per_s
+
+
+def _spread(train: Sequence[Arrived]) -> Measured | None:
+    """Return the rate at which a train came; None where something else than the line has spread it."""
     # The first one tells when the others began to arrive, and was itself carried before.
     count = len(train) - 1
     if count < _FEWEST:
         return None
     took_ns = train[-1].at_ns - train[0].at_ns
-    rate = round(8e9 * sum(one.size_bytes for one in train[1:]) / max(took_ns, _SHORTEST_NS))
+    bits = 8e9 * sum(one.size_bytes for one in train[1:])
+    rate = round(bits / max(took_ns, _SHORTEST_NS))
+    low = round(bits / (max(took_ns, _SHORTEST_NS) + _SHORTEST_NS))
+    high = round(bits / (took_ns - _SHORTEST_NS)) if took_ns > 2 * _SHORTEST_NS else None
     if took_ns < _EVEN_FROM_NS:
-        return rate
+        return Measured(rate, low, high)
     overtaken = sum(after.number < before.number for before, after in itertools.pairwise(train))
     ends = [train[round(count * third / 3)].at_ns for third in range(4)]
     thirds_ns = [end - begin for begin, end in itertools.pairwise(ends)]
     if overtaken > _OVERTAKEN or min(thirds_ns) < _EVEN * took_ns / 3:
         return None
-    return rate
+    # Each third shows it as well, by a third of the datagrams.
+    shares = [third_ns / (took_ns / 3) for third_ns in thirds_ns]
+    highest = round(rate / min(shares)) + BESIDE_BIT_PER_S
+    return Measured(rate, min(low, round(rate / max(shares))), highest if high is None else max(high, highest))

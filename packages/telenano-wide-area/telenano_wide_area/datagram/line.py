@@ -22,6 +22,11 @@ _HALF_WINDOW_NS = 50_000_000
 _VARIATIONS = 16
 # A half window counts if it had this number of delays.
 _FEWEST_SEEN = 3
+# The least delay of a span stands for all of it: by the drift of usual clocks another one may be less [s/s].
+_USUAL_DRIFT = 1e-4
+_ROUNDED_NS = 50_000
+# Time stamps are as exact as the turns of a process [ns].
+_STAMPED_NS = 500_000
 # Least delays are kept for this number of spans of equal length. What is older than all of them (ten minutes) is
 # forgotten, because routes change.
 _SPANS = 64
@@ -54,6 +59,17 @@ def _delay(point: Bound) -> int:
     return point[1]
 
 
+class Standing(NamedTuple):
+    """A queue that stands [ns], and the interval in which it is [ns].
+
+    A queue that has stood since the line began is in no interval: nothing shows it, and it counts as the line.
+    """
+
+    queue_ns: int
+    low_ns: int
+    high_ns: int
+
+
 class Line:
     """Both ways of a line; `there_ns` and `back_ns` are their standing queues [ns], None until they are known."""
 
@@ -75,8 +91,9 @@ class Line:
         self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
         self._most_back = 0.0
-        self._highest, self._last, self._seen = 0.0, 0.0, 0
-        self._varied: deque[float] = deque(maxlen=_VARIATIONS)
+        self._highest, self._last, self._seen = (0.0, 0.0), 0.0, 0
+        # By how much the delay of each way varied within the newest half windows.
+        self._varied: deque[tuple[float, float]] = deque(maxlen=_VARIATIONS)
         self._window_ends_ns = 0.0
         self._windows = 0
 
@@ -95,15 +112,35 @@ class Line:
         """The standing queue of what arrives here [ns]."""
         return self._standing(1)
 
-    def take_back_ns(self) -> int | None:
-        """Return the greatest standing queue of what arrived here since it was last asked [ns]."""
+    @property
+    def ways(self) -> tuple[Standing | None, Standing | None]:
+        """The standing queues of both ways, there and back, with their intervals."""
+        there_ns, back_ns = self.there_ns, self.back_ns
+        return (
+            None if there_ns is None else self._within(0, there_ns),
+            None if back_ns is None else self._within(1, back_ns),
+        )
+
+    def take_back(self) -> Standing | None:
+        """Return the greatest standing queue of what arrived here since it was last asked."""
         most_ns, self._most_back = round(self._most_back), 0.0
-        return None if self.back_ns is None else max(self.back_ns, most_ns)
+        return None if self.back_ns is None else self._within(1, max(self.back_ns, most_ns))
 
     @property
     def there_variation_ns(self) -> int:
         """By how much the delay of what is sent from here varies, in the calmest quarter of the last second [ns]."""
-        return round(sorted(self._varied)[len(self._varied) // 4]) if self._varied else 0
+        return self._variation_ns(0)
+
+    def _variation_ns(self, way: int) -> int:
+        varied = sorted(both[way] for both in self._varied)
+        return round(varied[len(varied) // 4]) if varied else 0
+
+    def _within(self, way: int, queue_ns: int) -> Standing:
+        """Return a queue with its interval: jitter is none, and the empty way may be longer than its line says."""
+        # No exchange has shown both ways empty at once by so much.
+        unseen_ns = round(max(0.0, self._least_both - self._there - self._back))
+        low_ns = max(0, queue_ns - unseen_ns - self._variation_ns(way) - _STAMPED_NS)
+        return Standing(queue_ns, low_ns, queue_ns + unseen_ns + _STAMPED_NS)
 
     def _standing(self, way: int) -> int | None:
         return None if self._windows < 2 else round(min(self._before[way], self._lowest[way]))
@@ -188,17 +225,22 @@ class Line:
         Where it is further below the shortest round trip than jitter explains, the other clock was set, or runs at
         another rate, since then: the older half of the spans is forgotten.
         """
+        # The first exchange is zero here; with what it took, no line between the bounds means that a clock was set.
+        _, there_ns, back_ns = self._zero or (0, 0, 0)
+        took_ns = there_ns + back_ns
         while True:
+            self._least_both = min(span.both_ns for span in self._spans)
             line = ClockLine.through(
-                [span.there for span in self._spans],
+                [(at, delay + took_ns) for (at, delay), _, _ in self._spans],
                 [(at, -delay) for _, (at, delay), _ in self._spans],
                 self._expected_slope,
+                took_ns + self._least_both + _USUAL_DRIFT * self._span_ns + _ROUNDED_NS,
             )
             self._slope = line.drift
-            half, middle = 0.5 * line.round_trip_ns, line.at(0)
+            round_trip_ns = line.round_trip_ns - took_ns
+            half, middle = 0.5 * round_trip_ns, line.at(0) - 0.5 * took_ns
             self._there, self._back = half + middle, half - middle
-            self._least_both = min(span.both_ns for span in self._spans)
-            if self._least_both - line.round_trip_ns <= STEP_NS:
+            if self._least_both - round_trip_ns <= STEP_NS:
                 return
             if self._shorter:
                 # A way that had seemed to be longer is not: what is older than that counts again.
@@ -213,12 +255,13 @@ class Line:
         if at >= self._window_ends_ns:
             self._window_ends_ns = at + _HALF_WINDOW_NS
             if self._seen >= _FEWEST_SEEN:
-                self._varied.append(self._highest - self._lowest[0])
+                self._varied.append((self._highest[0] - self._lowest[0], self._highest[1] - self._lowest[1]))
             if self._windows > 1:
                 self._most_back = max(self._most_back, min(self._before[1], self._lowest[1]))
-            self._before, self._lowest, self._highest = self._lowest, (there, back), there
+            self._before, self._lowest, self._highest = self._lowest, (there, back), (there, back)
             self._windows, self._seen = self._windows + 1, 1
         else:
             self._lowest = (min(self._lowest[0], there), min(self._lowest[1], back))
-            self._highest, self._seen = max(self._highest, there), self._seen + (there != self._last)
+            self._highest = (max(self._highest[0], there), max(self._highest[1], back))
+            self._seen += there != self._last
         self._last = there

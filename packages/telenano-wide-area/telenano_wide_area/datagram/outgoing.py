@@ -100,13 +100,24 @@ class Outgoing:
         self.line.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
         self._delivery.record(report.heard_ns, report.expected, report.arrived)
 
-    def record_jump(self, there_ns: int, back_ns: int, heard_ns: int, now_ns: int, *, back_is_full: bool) -> None:
+    def record_jump(
+        self,
+        there_ns: int,
+        back_ns: int,
+        heard_ns: int,
+        now_ns: int,
+        *,
+        back_is_full: bool,
+        there_by_and_by: bool = False,
+    ) -> None:
         """Record that each way takes longer, seen when something was heard [ns]: a longer route is no queue.
 
         Where much is lost as well it is no route but a queue that is full, of which `back_is_full` is told of the way
-        back.
+        back. A way there that became longer by and by, while less is sent because it is full, has to lose less than
+        that for a route.
         """
-        there_ns = 0 if self._delivery.is_of_full_queue() else there_ns
+        is_kept_full = there_by_and_by and self.control.mode != "free" and self._delivery.is_kept_full()
+        there_ns = 0 if is_kept_full or self._delivery.is_of_full_queue() else there_ns
         back_ns = 0 if back_is_full else back_ns
         if there_ns or back_ns:
             self.line.jump(heard_ns, there_ns, back_ns)

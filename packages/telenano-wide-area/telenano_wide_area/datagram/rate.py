@@ -23,6 +23,7 @@ GCC: the rate falls by half of the share that is lost beyond what is lost at the
 """
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 # From this on a queue may stand [ns].
@@ -88,6 +89,8 @@ _MUCH_LOST = 0.10
 _LOSS_PERIOD_NS = 500_000_000
 # A queue that is full loses more than this share, and this number of datagrams, over the time of the next line.
 _FULL_LOSES, _FEWEST_LOST = 0.08, 6
+# One that a sender keeps full with little more than the line carries loses this share, over the longer time [ns].
+_KEPT_FULL_LOSES, _LONG_SPAN_NS, _LONG_STEP_NS = 0.02, 1_500_000_000, 50_000_000
 # Over this time the delivered rate is judged.
 _SPAN_NS = 300_000_000
 
@@ -132,16 +135,23 @@ class Delivery:
 
     def __init__(self) -> None:
         self._marks: deque[tuple[int, int, int]] = deque()
+        # The same over a longer time, in steps.
+        self._long_marks: deque[tuple[int, int, int]] = deque()
 
     def record(self, heard_ns: int, expected: int, arrived: int) -> None:
         """Record that of this number of `expected` this number of had `arrived` when the newest came [ns]."""
         if self._marks and (expected < self._marks[-1][1] or heard_ns < self._marks[-1][0] - _SPAN_NS):
             # The other end, or its clock, is a new one.
             self._marks.clear()
+            self._long_marks.clear()
         if not self._marks or heard_ns > self._marks[-1][0]:
             self._marks.append((heard_ns, expected, arrived))
         while len(self._marks) > 2 and heard_ns - self._marks[1][0] >= _SPAN_NS:
             self._marks.popleft()
+        if not self._long_marks or heard_ns - self._long_marks[-1][0] >= _LONG_STEP_NS:
+            self._long_marks.append((heard_ns, expected, arrived))
+        while heard_ns - self._long_marks[0][0] > _LONG_SPAN_NS:
+            self._long_marks.popleft()
 
     def rate(self, bytes_each: float, sent_bytes_per_s: float) -> tuple[float, float] | None:
         """Return delivered bytes in a second and the share lost; None before there is a span.
@@ -163,12 +173,24 @@ class Delivery:
         A queue that drops what finds no room keeps one delay for as long as it is full, as a route does, but a route
         that has become longer loses no more than before.
         """
-        if len(self._marks) < 2:
-            return False
-        (_, expected, arrived), (_, *last) = self._marks[0], self._marks[-1]
-        sent = last[0] - expected
-        lost = sent - max(0, last[1] - arrived)
-        return lost >= _FEWEST_LOST and lost > _FULL_LOSES * sent
+        return _loses(self._marks, _FULL_LOSES)
+
+    def is_kept_full(self) -> bool:
+        """Return whether a delay that grew by and by, while less was sent on purpose, is that of a queue.
+
+        What a sender finds to be full it keeps nearly full, so that little is lost in a moment.
+        """
+        return _loses(self._long_marks, _KEPT_FULL_LOSES)
+
+
+def _loses(marks: Sequence[tuple[int, int, int]], share: float) -> bool:
+    """Return whether more than a share, and more than a few datagrams, were lost between the first and last mark."""
+    if len(marks) < 2:
+        return False
+    (_, expected, arrived), (_, *last) = marks[0], marks[-1]
+    sent = last[0] - expected
+    lost = sent - max(0, last[1] - arrived)
+    return lost >= _FEWEST_LOST and lost > share * sent
 
 
 class RateControl:

@@ -8,11 +8,16 @@ import numpy as np
 from telenano.timing import OffsetFilter
 from telenano.wire import Array
 from telenano_wide_area.datagram.arrivals import ArrivalRecord
+from telenano_wide_area.datagram.full_queue import Measured
 from telenano_wide_area.datagram.outgoing import Outgoing
 
 
 def network_report(
-    ways: Mapping[str, str], offset: OffsetFilter, arrivals: ArrivalRecord, outgoing: Outgoing, capacity: int
+    ways: Mapping[str, str],
+    offset: OffsetFilter,
+    arrivals: ArrivalRecord,
+    outgoing: Outgoing,
+    carries: Measured | None,
 ) -> dict[str, Any]:
     """Return the fields of link/network for the direction that an end receives.
 
@@ -21,9 +26,9 @@ def network_report(
         offset: What is known of the clock of the other end.
         arrivals: The datagrams of the direction; the fates that it has kept are taken.
         outgoing: The other direction.
-        capacity: What the line to here carries [bit/s], 0 until it is known.
+        carries: What the line to here carries, None until it is known.
     """
-    fates, queue_ns = arrivals.take_fates(), outgoing.line.take_back_ns()
+    fates, queue = arrivals.take_fates(), outgoing.line.take_back()
     # The sender added the lead of the other clock to the time of sending.
     clock = offset.report()
     ahead_ns = round(clock.offset_s * 1e9)
@@ -51,8 +56,12 @@ def network_report(
         "repeats": outgoing.repeats.count,
         "unsent": outgoing.unsent,
         "sent_bytes": outgoing.bytes,
-        "queue_s": None if queue_ns is None else queue_ns * 1e-9,
-        "capacity_bit_per_s": capacity or None,
+        "queue_s": None if queue is None else queue.queue_ns * 1e-9,
+        "queue_low_s": None if queue is None else queue.low_ns * 1e-9,
+        "queue_high_s": None if queue is None else queue.high_ns * 1e-9,
+        "capacity_bit_per_s": None if carries is None else carries.bit_per_s,
+        "capacity_low_bit_per_s": None if carries is None else carries.low_bit_per_s,
+        "capacity_high_bit_per_s": None if carries is None else carries.high_bit_per_s,
         "line": outgoing.control.mode,
         "limit_bit_per_s": round(8.0 * outgoing.control.bytes_per_s),
         "delay_valid": valid,

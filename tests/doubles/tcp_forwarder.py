@@ -1,0 +1,61 @@
+"""A cable of TCP within this machine that can fall silent: nothing passes, and neither end is told.
+
+with TcpForwarder({port: target_port}) as cable: cable.silent = True
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Mapping
+
+from loop_thread import LoopThread
+
+_LOOK_S = 0.01
+
+
+class TcpForwarder(LoopThread):
+    """Carries the connections to some ports, as long as it is not `silent`."""
+
+    def __init__(self, targets: Mapping[int, int]) -> None:
+        """Stand before ports (the targets) at other ports."""
+        super().__init__()
+        self.silent = False
+        self._targets = dict(targets)
+        self._open: list[asyncio.StreamWriter] = []
+
+    async def begin(self) -> None:
+        """Stand before the ports."""
+        self.servers += [
+            await asyncio.start_server(lambda near, out, port=target: self._join(near, out, port), "127.0.0.1", port)
+            for port, target in self._targets.items()
+        ]
+
+    async def ended(self) -> None:
+        """Abort every connection."""
+        for writer in self._open:
+            writer.transport.abort()
+        await asyncio.sleep(0.05)
+
+    async def _join(self, near: asyncio.StreamReader, to_near: asyncio.StreamWriter, target: int) -> None:
+        self._open.append(to_near)
+        await self._free()
+        try:
+            far, to_far = await asyncio.open_connection("127.0.0.1", target)
+        except OSError:
+            to_near.transport.abort()
+            return
+        self._open.append(to_far)
+        with contextlib.suppress(OSError):
+            await asyncio.gather(self._carry(near, to_far), self._carry(far, to_near))
+
+    async def _carry(self, source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
+        try:
+            while piece := await source.read(65_536):
+                await self._free()
+                target.write(piece)
+                await target.drain()
+        finally:
+            target.close()
+
+    async def _free(self) -> None:
+        while self.silent:
+            await asyncio.sleep(_LOOK_S)
