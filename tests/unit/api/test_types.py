@@ -56,6 +56,7 @@ def test_nothing_that_a_session_gives_is_any(tmp_path: Path) -> None:
 
 
 @pytest.mark.check("takes 10 s")
+@pytest.mark.drawn(0.0, "telenano/api/")
 def test_a_checker_finds_each_mistake(tmp_path: Path) -> None:
     text = "import telenano\n\n" + "\n".join(f"print({line})" for line in MISTAKES)
     found = checked(tmp_path / "program.py", text)

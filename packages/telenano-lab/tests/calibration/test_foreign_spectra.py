@@ -20,6 +20,7 @@ def outcomes(form: Form, seeds: range, folder: Path) -> list[Outcome]:
 
 
 @pytest.mark.check("fits 63 spectra")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/calibration/")
 @pytest.mark.parametrize("form", DETERMINED, ids=lambda form: form.__name__)
 def test_what_a_file_determines_is_not_accepted_wrongly(form: Form, tmp_path: Path) -> None:
     found = outcomes(form, range(FEW), tmp_path)

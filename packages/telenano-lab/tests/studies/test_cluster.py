@@ -22,7 +22,11 @@ from telenano.wire import ConfigError
 
 distributed = pytest.importorskip("dask.distributed")
 
-pytestmark = [pytest.mark.check("starts a scheduler and workers of Dask"), pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.check("starts a scheduler and workers of Dask"),
+    pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/studies/"),
+    pytest.mark.timeout(300),
+]
 
 DASK = Path(sys.executable).with_name("dask")
 CELLS = [WaitingCell(number) for number in range(60)]
