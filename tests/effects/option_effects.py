@@ -123,7 +123,7 @@ ACTS: Mapping[str, str] = {
     "curve fit --most-refused": "curve fit {flat} --model hertz --radius 30 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
     "experiment erase --yes": "experiment erase {out}/study P01",
-    "law balance --longest": "law balance passivity --cases 2 --longest 5 --kind hold --json",
+    "law balance --longest": "law balance position_force --cases 4 --longest 5 --kind off --json",
     "device accept --from": COMMANDS["device accept"],
 }
 # What is run first, in the emptied folder, by command, or by command and option.
@@ -301,8 +301,8 @@ VALUES: Mapping[str, Sequence[str]] = {
     "device accept --fault": ["scale=2.0"],
     "doctor --stage": ["{stage}"],
     "experiment new --from": ["delay_and_law"],
-    "--participant": ["P02"],
-    "experiment run --apparatus": ["live"],
+    "experiment run --participant": ["P02"],
+    "experiment resume --participant": ["P01"],
     "experiment analyse --measure": ["force_error_n"],
     "experiment analyse --category": ["delay_ms"],
     "experiment plan --category": ["round_trip_ms"],
@@ -393,9 +393,9 @@ REFUSES: Mapping[str, str] = {
     "device trial --calibration": "a device for the hand is tried",
     "device trial --port": "no handle is connected",
     "sample import --channel": "a curve in a text has no channels",
+    "particles --channel": "a table of numbers has no channels",
     "sample info --channel": "a map has no channels",
     "sample import --as": "the curve is one of force",
-    "experiment run --apparatus": "no rig runs",
     "link fit --unit": "the headings of the log name their units",
     "link fit --direction": "the log is no recording",
     "link fit --period": "the log has times",
@@ -418,6 +418,7 @@ WITHOUT: Mapping[str, str] = {
     "device trial --read": "reads the file of a trial; packages/telenano-devices/tests/acceptance/test_device_trial.py",
     "doctor --warm": "compiles all models, which takes minutes; tests/unit/doctor",
     "experiment publish --recordings": "a lockstep records nothing; test_experiment_publish.py",
+    "experiment run --apparatus": "a live one starts a rig for each participant; tests/stack/test_experiments.py",
     "experiment run --marks": "writes on a port that is connected; test_experiment_marks.py",
     "experiment run --baud": "is of a port that is connected; test_experiment_marks.py",
     "experiment resume --marks": "writes on a port that is connected; test_experiment_marks.py",

@@ -51,6 +51,7 @@ def checked(path: Path, text: str, *options: str) -> list[str]:
 
 
 @pytest.mark.check("takes 20 s")
+@pytest.mark.drawn(0.0, "telenano/api/", "telenano/analysis/")
 def test_nothing_that_a_session_gives_is_any(tmp_path: Path) -> None:
     assert checked(tmp_path / "program.py", PROGRAM, "--disallow-any-expr") == []
 

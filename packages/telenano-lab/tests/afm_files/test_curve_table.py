@@ -94,7 +94,6 @@ def test_a_folder_is_all_its_files_and_one_that_cannot_be_read_is_a_row(hertz_ma
 
 
 @pytest.mark.check("fits a map of curves")
-@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_more_refused_than_may_be_ends_the_command_with_a_failure_and_keeps_the_table(
     hertz_map: Path, tmp_path: Path
 ) -> None:
@@ -109,7 +108,6 @@ def test_more_refused_than_may_be_ends_the_command_with_a_failure_and_keeps_the_
 
 
 @pytest.mark.check("reads a map in a child process")
-@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

@@ -52,7 +52,6 @@ def least_of(count: int, share: float) -> int:
 
 
 @pytest.mark.check("fits 70 curves")
-@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_each_quantity_is_within_its_error_in_95_of_100() -> None:
     curves = [drawn_curve(model, 2000 + seed) for model in MODELS for seed in range(12)]
     curves += [drawn_curve(model, 2000 + seed, is_layer=True) for model in ("hertz", "dmt") for seed in range(10)]
