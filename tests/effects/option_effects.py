@@ -344,6 +344,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "sample import --baseline": ["30 --correct offset"],
     "sample import --as": ["force"],
     "sample info --set": ["stiffness_n_per_m=3"],
+    "curve fit --model": ["dmt", "jkr"],
     "curve fit --radius": ["20"],
     "curve fit --half-angle": ["30"],
     "curve fit --poisson": ["0.3"],
