@@ -62,6 +62,7 @@ def given(folder: Path) -> dict[str, str]:
         "image": image(made),
         "curve": ROOT / "examples" / "force_curve.txt",
         "flat": flat(made),
+        "cone": cone(made),
         "hard": hard(made / "hard.txt", 60.0),
         "other_hard": hard(made / "other_hard.txt", 50.0),
         "spectrum": spectrum(made),
@@ -145,6 +146,18 @@ def flat(folder: Path) -> Path:
     ]
     path = folder / "flat.txt"
     path.write_text("z [nm]\tforce [nN]\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def cone(folder: Path) -> Path:
+    """Write a curve on a soft sample without adhesion, into which a cone goes, approach and retraction alike."""
+    depth = np.maximum(np.linspace(-30.0, 25.0, 200), 0.0)
+    force = 0.05 * depth**2
+    way = 10.0 - np.linspace(-30.0, 25.0, 200) - force / 2.0
+    noise = np.random.default_rng(5).normal(0.0, 0.05, 400)
+    both = zip(np.concatenate([way, way[::-1]]), np.concatenate([force, force[::-1]]) + noise, strict=True)
+    path = folder / "cone.txt"
+    path.write_text("z [nm]\tforce [nN]\n" + "".join(f"{z:.3f}\t{f:.3f}\n" for z, f in both), encoding="utf-8")
     return path
 
 

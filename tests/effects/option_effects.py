@@ -118,7 +118,7 @@ ACTS: Mapping[str, str] = {
     "calibrate stiffness --record": "calibrate stiffness --rate 1e6 --sensitivity 60",
     "calibrate stiffness --rate": "calibrate stiffness --record {record} --rate 1e6 --sensitivity 60",
     "calibrate sensitivity --anyway": "calibrate sensitivity --curve {hard} --deflection-unit mV",
-    "curve fit --half-angle": "curve fit {curve} --model sneddon --half-angle 20 --set stiffness_n_per_m=2"
+    "curve fit --half-angle": "curve fit {cone} --model sneddon --half-angle 20 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
     "curve fit --most-refused": "curve fit {flat} --model hertz --radius 30 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
