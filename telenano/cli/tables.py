@@ -88,12 +88,13 @@ def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, S
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
-    """Draw rows that have the same keys."""
+    """Draw rows that have the same keys; of none the title alone."""
+    first = rows[0] if rows else {}
     # Cells are plain text, because the units in brackets would be taken for markup.
     table = Table(
-        *(Column(Text(one_line(name))) for name in rows[0]), title=None if title is None else Text(one_line(title))
+        *(Column(Text(one_line(name))) for name in first), title=None if title is None else Text(one_line(title))
     )
-    for column, name in zip(table.columns, rows[0], strict=True):
+    for column, name in zip(table.columns, first, strict=True):
         # Numbers stand under one another; a column that has a text as well would have it far from its name.
         column.justify = (
             "left" if any(isinstance(row.get(name), str | list | tuple | Mapping) for row in rows) else "right"

@@ -1,13 +1,18 @@
 """Each option of a command has an effect: a valid other value changes the exit code, the output or a file."""
 
+import inspect
 import random
 from pathlib import Path
 from typing import Any
 
 import pytest
-from option_effects import COMMANDS, OF_A_RIG, WITHOUT, commands, effect_of
+from changed_files import touches
+from option_effects import ACTS, BEFORE, COMMANDS, COSTLY, OF_A_RIG, WITHOUT, commands, effect_of
 
+ROOT = Path(__file__).parents[2]
 SEED = 93
+# Options of changed commands that `make check` tries at most.
+MOST_TOUCHED = 12
 WHAT_TO_DO = (
     "changes nothing: use it, or give in tests/effects/option_effects.py words in COMMANDS with which it acts, a valid"
     " other value in VALUES or, in WITHOUT, the reason"
@@ -30,6 +35,7 @@ def without_effect(tried: list[tuple[str, Any]], folder: Path) -> list[str]:
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / "keys"))
 
 
 @pytest.mark.endurance("takes 20 min")
@@ -40,11 +46,35 @@ def test_every_option_has_an_effect(command: str, tmp_path: Path) -> None:
     assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"
 
 
-@pytest.mark.check("takes 20 s")
-def test_a_twentieth_of_the_options_has_an_effect(tmp_path: Path) -> None:
-    found = without_effect(random.Random(SEED).sample(OPTIONS, len(OPTIONS) // 20), tmp_path)
+def file_of(command: str) -> str:
+    """Return where a command is written."""
+    code = inspect.unwrap(dict(commands())[command].callback).__code__
+    return Path(code.co_filename).relative_to(ROOT).as_posix()
+
+
+def drawn() -> list[tuple[str, Any]]:
+    """Return a tenth of the options of commands that take seconds, and some of commands whose file a change touches."""
+    cheap = [row for row in OPTIONS if row[0] not in COSTLY]
+    tenth = random.Random(SEED).sample(cheap, len(cheap) // 10)
+    touched = [row for row in cheap if row not in tenth and touches(file_of(row[0]))]
+    # A change of many commands has a part of them tried, as it has of keys.
+    some = random.Random(SEED).sample(touched, min(len(touched), MOST_TOUCHED))
+    # A command is run as it is once for all of its options.
+    return sorted([*tenth, *some], key=lambda row: row[0])
+
+
+@pytest.mark.check("takes 40 s")
+@pytest.mark.timeout(600)
+def test_a_tenth_of_the_options_and_those_that_a_change_touches_have_an_effect(tmp_path: Path) -> None:
+    found = without_effect(drawn(), tmp_path)
     assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"
 
 
-def test_every_command_with_known_words_is_a_command() -> None:
-    assert {name for name, _ in commands()} >= COMMANDS.keys() | OF_A_RIG.keys()
+def test_every_command_is_tried_or_has_its_reason() -> None:
+    every = {name for name, _ in commands()}
+    assert every == COMMANDS.keys() | OF_A_RIG.keys(), (
+        "give a row in COMMANDS of tests/effects/option_effects.py, or in OF_A_RIG the reason for none"
+    )
+    assert not COMMANDS.keys() & OF_A_RIG.keys()
+    options = {f"{name} {option.opts[0]}" for name, command in commands() for option in command.params}
+    assert every | options >= ACTS.keys() | BEFORE.keys() | set(COSTLY)

@@ -76,7 +76,7 @@ def test_a_program_is_short_has_its_picture_and_is_in_the_table(name: str) -> No
 
 
 @pytest.mark.check("runs a program that simulates and draws")
-@pytest.mark.drawn(0.5, "examples/")
+@pytest.mark.drawn(0.25, "examples/")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.endurance] if name in MINUTES else []) for name in FIGURES]
 )

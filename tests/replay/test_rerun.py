@@ -119,6 +119,7 @@ def test_each_kind_of_change_is_told() -> None:
 
 
 @pytest.mark.check("takes 1.9 s")
+@pytest.mark.drawn(0.0, "tests/replay/", "telenano/rerun/")
 def test_the_digests_are_renewed_with_one_command_that_says_what_changed(tmp_path: Path) -> None:
     path = tmp_path / "digests.json"
     # A field that a message has besides is in no digest until they are renewed.

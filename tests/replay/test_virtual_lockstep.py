@@ -207,7 +207,7 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 
 
 @pytest.mark.check("takes 1.7 s")
-@pytest.mark.drawn(0.5)
+@pytest.mark.drawn(0.25)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("tip_sample", 4.0)])
 @pytest.mark.grid(law="passivity")

@@ -20,6 +20,8 @@ def small(tmp_path: Path) -> Iterator[Rig]:
         yield rig
 
 
+@pytest.mark.check("fills a disk, takes 20 s")
+@pytest.mark.drawn(0.0, "telenano/recording/", "services/recorder/", "telenano/launcher/")
 def test_a_removed_recording_and_a_full_disk_are_reported_and_what_was_recorded_is_summarised(small: Rig) -> None:
     rig = small
     rig.start("--duration", "600")

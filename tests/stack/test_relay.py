@@ -58,6 +58,8 @@ def newest_report(site: Site) -> Any:
     return next(report for report in reports if report.src == ENDS[site.name]).fields()
 
 
+@pytest.mark.check("two sites dial out, takes 20 s")
+@pytest.mark.drawn(0.0, "services/relay/", "packages/telenano-wide-area/")
 def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, tmp_path: Path) -> None:
     rig.start_relay()
     rig.start("--duration", "600")

@@ -282,6 +282,8 @@ def test_a_listener_reads_what_is_not_encrypted(rig: TwoSites, tmp_path: Path) -
     assert [text for text in IN_THE_CLEAR if text not in seen] == []
 
 
+@pytest.mark.check("takes 11 s")
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/", "services/delay_node/")
 def test_late_start_of_the_slave_is_waited_for(rig: TwoSites) -> None:
     rig.master.start("--duration", "3600", "--set", CONSTANT_PUSH)
     reported_s = rig.wait_until(
@@ -412,6 +414,8 @@ def rates_of_both(rig: TwoSites, first_ns: int, last_ns: int) -> dict[str, float
 TRIED = 500
 
 
+@pytest.mark.check("takes 8 s")
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/", "services/delay_node/")
 def test_half_open_connections_are_closed_and_counted_and_the_loop_goes_on(rig: TwoSites) -> None:
     doors = (
         (rig.master, "delay_node@master", rig.slave, MASTER, LINK_PORT),
@@ -440,6 +444,8 @@ def test_half_open_connections_are_closed_and_counted_and_the_loop_goes_on(rig: 
     record("500 half-open connections", f"accepted {ports}, all closed after 5 s; the loop went on")
 
 
+@pytest.mark.check("takes 3 s")
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/", "services/delay_node/")
 def test_a_huge_frame_takes_no_memory(rig: TwoSites) -> None:
     outs = []
     for site, host, port in ((rig.slave, MASTER, LINK_PORT), (rig.master, SLAVE, AFM_PORT)):

@@ -120,6 +120,7 @@ def assert_sound(rig: Given) -> None:
 
 
 @pytest.mark.check("takes 15 s")
+@pytest.mark.drawn(0.0, "telenano/launcher/", "telenano/signals/", "telenano/files/")
 def test_all_that_a_rig_was_started_with_vanishes_and_each_of_its_processes_comes_back(tmp_path: Path) -> None:
     for rig in begun(tmp_path):
         book = AddressBook.load(rig.given / "site.yaml")

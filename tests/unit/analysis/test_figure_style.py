@@ -42,6 +42,7 @@ def test_a_figure_for_paper_is_a_column_wide_with_letters_of_8_points_and_no_tit
 
 
 @pytest.mark.check("takes 3.3 s")
+@pytest.mark.drawn(0.0, "telenano/analysis/")
 def test_every_format_is_written_and_the_same_figure_gives_the_same_bytes() -> None:
     options = FigureOptions.of("svg, pdf,png", "screen")
     files = fig12_files(series(), "title", options, "wave, K_f 20 µ, seed 3")

@@ -21,6 +21,7 @@ def test_a_hand_that_trembles_slowly_has_no_interval_within_a_third_of_a_second(
 
 
 @pytest.mark.check("makes hundreds of records")
+@pytest.mark.drawn(0.0, "telenano/analysis/")
 @pytest.mark.parametrize("name", ["1/f", "1/f^2"])
 def test_power_laws_have_no_interval_in_ten_seconds_either(name: str) -> None:
     known, _ = covered(name, 10.0, 100, 3)

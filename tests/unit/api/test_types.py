@@ -51,11 +51,13 @@ def checked(path: Path, text: str, *options: str) -> list[str]:
 
 
 @pytest.mark.check("takes 20 s")
+@pytest.mark.drawn(0.0, "telenano/api/", "telenano/analysis/")
 def test_nothing_that_a_session_gives_is_any(tmp_path: Path) -> None:
     assert checked(tmp_path / "program.py", PROGRAM, "--disallow-any-expr") == []
 
 
 @pytest.mark.check("takes 10 s")
+@pytest.mark.drawn(0.0, "telenano/api/")
 def test_a_checker_finds_each_mistake(tmp_path: Path) -> None:
     text = "import telenano\n\n" + "\n".join(f"print({line})" for line in MISTAKES)
     found = checked(tmp_path / "program.py", text)

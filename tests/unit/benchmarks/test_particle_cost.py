@@ -6,7 +6,10 @@ from collections.abc import Callable
 import pytest
 from particles import instrument, sweep
 
-pytestmark = pytest.mark.check("compares the time of steps, takes 13 s")
+pytestmark = [
+    pytest.mark.check("compares the time of steps, takes 13 s"),
+    pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/assembly/", "telenano/afm/"),
+]
 
 
 @pytest.mark.parametrize(("y_m", "most"), [(0.5e-6, 1.6), (0.0, 2.5)])

@@ -24,7 +24,7 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
 
 
 @pytest.mark.check("takes 4.5 s")
-@pytest.mark.drawn(0.15)
+@pytest.mark.drawn(0.08)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.grid(law="passivity")

@@ -233,11 +233,16 @@ def _curves_of_map(path: Path, imported: Imported) -> Curves:
 def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     suffix = path.suffix.lower()
     source = {"source": path.name}
+    has_channels = suffix == ".3ds" or (suffix == ".dat" and is_spectroscopy(str(path)))
+    if wanted.channel is not None and not has_channels:
+        raise MapError(
+            f"channel {wanted.channel!r}: this file has one quantity, and no channels to choose from: leave it out"
+        )
     if suffix == ".npz":
         members, values = read_members(path)
         assert values is not None
         return Imported(checked_map({**source, **members, **wanted.given}, values), ())
-    if suffix == ".3ds" or (suffix == ".dat" and is_spectroscopy(str(path))):
+    if has_channels:
         read = _read_3ds if suffix == ".3ds" else _read_dat
         return _on_one_grid(read(path, wanted.channel), wanted, source)
     if suffix not in (".dat", *_CURVE_SUFFIXES) and not path.is_dir() and not _is_bruker(path):

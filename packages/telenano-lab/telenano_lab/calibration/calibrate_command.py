@@ -180,6 +180,12 @@ def stiffness(
 
         if (spectrum is None) == (record is None):
             raise ConfigError("--spectrum, --record: give one of them")
+        of_spectra = {
+            "--sides": sides, "--noise-bandwidth": noise_bandwidth, "--frequency-unit": frequency_unit or None,
+            "--columns": columns,
+        }  # fmt: skip
+        if record is not None and (unused := [name for name, value in of_spectra.items() if value is not None]):
+            raise ConfigError(f"{', '.join(unused)}: is of a spectrum, and a record is given: leave it out")
         is_of_metres, window = False, None
         if spectrum is not None:
             found_spectrum = spectrum_of(

@@ -274,6 +274,11 @@ def _per_hertz(
                 f"{where}: its head says that it has the power of lines, and the unit of its column is that of a"
                 f" density: --unit says which, one of {', '.join((*DENSITIES, *LINES))}"
             )
+        if options.noise_bandwidth_hz is not None:
+            raise ConfigError(
+                f"{where}: --noise-bandwidth: is of a file with the power of lines, and this one has a density:"
+                f" leave it out, or give --unit, one of {', '.join(LINES)}"
+            )
         return power, ""
     width = options.noise_bandwidth_hz or bandwidth_hz(said, spacing_hz)
     if width is None:

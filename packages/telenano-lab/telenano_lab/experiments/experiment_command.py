@@ -256,7 +256,8 @@ def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
         from telenano_lab.experiments.people import People, shown
 
         rows = shown(People(folder).known)
-    print_answer({"participants": rows}, rows, as_json=as_json)
+    nobody = "nobody is known yet: `telenano experiment people add` adds a participant"
+    print_answer({"participants": rows}, rows or nobody, as_json=as_json)
 
 
 def _balance_rows(plan: "Plan") -> list[dict[str, Any]]:

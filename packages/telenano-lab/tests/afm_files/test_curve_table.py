@@ -30,6 +30,7 @@ def hertz_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.check("fits a map of curves")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_a_map_is_a_table_whose_rows_are_its_curves(hertz_map: Path) -> None:
     frame = telenano.curves(hertz_map, "hertz", radius_m=RADIUS_M)
     assert list(frame.columns) == list(UNITS) == list(frame.attrs["units"])
@@ -45,6 +46,7 @@ def test_a_map_is_a_table_whose_rows_are_its_curves(hertz_map: Path) -> None:
 
 
 @pytest.mark.check("fits a map of curves")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_the_command_writes_the_table_of_the_function_and_two_pictures(hertz_map: Path, tmp_path: Path) -> None:
     out = tmp_path / "out" / "table.csv"
     words = ["curve", "fit", str(hertz_map), "--model", "hertz", "--radius", "1000", "--out", str(out), "--json"]
@@ -62,6 +64,7 @@ def test_the_command_writes_the_table_of_the_function_and_two_pictures(hertz_map
 
 
 @pytest.mark.check("fits a map of curves")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_a_grid_of_numpy_is_fitted_as_the_curves_that_it_was_made_of(tmp_path: Path) -> None:
     made = made_map("hertz", 2, 3)[0][0]
     z = made.approach_m
@@ -78,6 +81,7 @@ def test_a_grid_of_numpy_is_fitted_as_the_curves_that_it_was_made_of(tmp_path: P
 
 
 @pytest.mark.check("fits a map of curves")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_a_folder_is_all_its_files_and_one_that_cannot_be_read_is_a_row(hertz_map: Path, tmp_path: Path) -> None:
     shutil.copy(hertz_map, tmp_path / "a.h5")
     (tmp_path / "b.txt").write_text("no curve at all\n")
@@ -148,6 +152,7 @@ print(hashlib.sha256(text.encode()).hexdigest())
 
 
 @pytest.mark.check("compiles the steps for a processor that can less")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/afm_files/")
 def test_the_table_is_the_same_on_a_processor_that_can_less(hertz_map: Path, tmp_path: Path) -> None:
     less = {
         "OPENBLAS_CORETYPE": "Haswell",

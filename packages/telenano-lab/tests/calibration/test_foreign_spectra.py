@@ -20,6 +20,7 @@ def outcomes(form: Form, seeds: range, folder: Path) -> list[Outcome]:
 
 
 @pytest.mark.check("fits 63 spectra")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/calibration/")
 @pytest.mark.parametrize("form", DETERMINED, ids=lambda form: form.__name__)
 def test_what_a_file_determines_is_not_accepted_wrongly(form: Form, tmp_path: Path) -> None:
     found = outcomes(form, range(FEW), tmp_path)
@@ -124,3 +125,13 @@ def test_a_person_says_what_a_file_does_not(tmp_path: Path) -> None:
     assert doubled.density_per_hz[6] == pytest.approx(4e-10)
     answer = invoke(["calibrate", "stiffness", "--spectrum", str(path), "--sensitivity", "50", "--json"])
     assert answer.exit_code == 2 and "--noise-bandwidth" in answer.output
+
+
+def test_what_a_file_or_a_record_has_no_use_for_is_refused_by_its_option(tmp_path: Path) -> None:
+    density = made(tmp_path, "f [Hz]\tPSD [V^2/Hz]")
+    with pytest.raises(ConfigError, match="--noise-bandwidth: is of a file with the power of lines"):
+        spectrum_of(density, noise_bandwidth_hz=5.0)
+    record = ["calibrate", "stiffness", "--record", str(density), "--rate", "1e6", "--sensitivity", "50"]
+    for words in (["--sides", "two"], ["--noise-bandwidth", "5"], ["--frequency-unit", "kHz"], ["--columns", "1", "2"]):
+        answer = invoke([*record, *words])
+        assert answer.exit_code == 2 and f"{words[0]}: is of a spectrum" in answer.output

@@ -151,6 +151,7 @@ def test_a_guard_that_acted_does_not_hide_the_force():
 
 
 @pytest.mark.check("runs a row of the benchmark whole")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/benchmark/")
 def test_what_came_to_rest_after_5_n_was_not_held():
     struck = run(run_of("smith", "touch", "transatlantic"))
     assert struck.verdict == "struck"
@@ -314,6 +315,8 @@ def small(laws, *, quick, networks=(), settings=(), instruments=(), steadiness=(
     return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings, ("ideal",), ("scripted",))
 
 
+@pytest.mark.check("runs a benchmark by its command, takes 5 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/benchmark/")
 def test_the_command_writes_page_figure_and_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(plan_module, "plan_of", small)
     command = ["benchmark", "--law", "wave", "--workers", "1", "--out", str(tmp_path / "out")]

@@ -64,6 +64,13 @@ def test_a_scenario_of_ones_own_is_copied_with_its_files_where_they_are(file: Pa
     assert yaml.safe_load((out / "scenario.yaml").read_text())["name"] == "own"
 
 
+def test_of_an_experiment_that_nobody_is_known_of_it_is_said(file: Path, tmp_path: Path) -> None:
+    telenano("run", file, "--out", tmp_path / "study", "--participant", "P01")
+    (tmp_path / "study" / "people.json").unlink(missing_ok=True)
+    assert "nobody is known yet" in telenano("people", "list", tmp_path / "study").stdout
+    assert json.loads(telenano("people", "list", tmp_path / "study", "--json").stdout) == {"participants": []}
+
+
 def test_a_torn_journal_is_told(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "study"
     telenano("run", file, "--out", out, "--participant", "P01")

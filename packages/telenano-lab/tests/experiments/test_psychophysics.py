@@ -332,6 +332,7 @@ def named_as_learning(settings: dict[str, Any], number: int, fall: float) -> boo
 
 
 @pytest.mark.check("a hundred and eighty tracks of drawn observers")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/psychophysics/")
 def test_an_observer_whose_threshold_does_not_fall_is_seldom_said_to_learn_by_any_method() -> None:
     methods = made_observers.METHODS.values()
     named = [named_as_learning(settings, number, 0.0) for number in range(30) for settings in methods]
@@ -340,6 +341,7 @@ def test_an_observer_whose_threshold_does_not_fall_is_seldom_said_to_learn_by_an
 
 
 @pytest.mark.check("tracks of observers who learn, of 40 and 80 trials")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/psychophysics/")
 @pytest.mark.parametrize(("trials", "fall", "least"), [(40, 0.02, 5), (80, 0.02, 15)])
 def test_an_observer_whose_threshold_falls_is_named_the_oftener_the_longer_the_track(
     trials: int, fall: float, least: int

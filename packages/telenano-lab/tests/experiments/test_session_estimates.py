@@ -137,6 +137,7 @@ def contact_shares(seeds: range) -> Counter[str]:
 
 
 @pytest.mark.check("draws 600 lines of ten minutes")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/")
 def test_made_lines_are_rarely_warned_of_wrongly_and_rarely_missed() -> None:
     found = line_shares(range(70_000, 70_600))
     assert found["inside"] > 100 and found["twice"] > 100
@@ -147,6 +148,7 @@ def test_made_lines_are_rarely_warned_of_wrongly_and_rarely_missed() -> None:
 
 
 @pytest.mark.check("draws 150 contacts of 40 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/experiments/")
 def test_made_contacts_are_rarely_warned_of_wrongly_and_rarely_missed() -> None:
     found = contact_shares(range(80_000, 80_150))
     assert min(found["K inside"], found["K twice"], found["v inside"], found["v twice"]) > 300

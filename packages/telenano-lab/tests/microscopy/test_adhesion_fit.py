@@ -215,6 +215,7 @@ def test_a_line_in_noise_that_may_wander_is_covered(kind: str) -> None:
 
 
 @pytest.mark.check("regressions in 300 random walks")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_a_line_in_a_random_walk_is_covered() -> None:
     """Errors that do not allow for the least favourable of the likely walks miss 42 of these 300."""
     assert missed("walk", 300) <= 30
@@ -247,6 +248,7 @@ def test_the_innovations_are_those_of_the_whole_covariance() -> None:
 
 
 @pytest.mark.check("fits from many starts")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_a_fit_that_ends_at_a_bound_is_refused_and_the_bound_named(curve):
     for modulus in (1e4,):
         with pytest.raises(

@@ -75,6 +75,7 @@ def test_each_quantity_is_within_its_error_in_noise_of_each_kind(model: str, noi
 
 
 @pytest.mark.check("compiles the steps")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_the_error_is_no_more_than_what_the_noise_asks_for() -> None:
     # an interval that is wide enough for anything covers as well
     made = [drawn_curve("hertz", 3000 + seed, noise="white") for seed in range(6)]
@@ -84,6 +85,7 @@ def test_the_error_is_no_more_than_what_the_noise_asks_for() -> None:
 
 
 @pytest.mark.check("fits 30 curves")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_a_thin_layer_that_is_not_told_is_refused_or_the_error_says_so() -> None:
     silent, refused = 0, 0
     made = [drawn_curve("hertz", 4000 + seed, is_layer=True, noise="white") for seed in range(30)]
@@ -145,6 +147,7 @@ def test_a_shape_that_lacks_something_is_refused_by_its_name() -> None:
 
 
 @pytest.mark.check("computes a curve in Python")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_jkr_ends_where_no_spring_holds_it_and_pulls_most_with_its_pull_off() -> None:
     contact = Contact(JKR, 1e-6, 0.0, 1e6, 1e6, 1e-8, 0.0)
     base = np.linspace(2e-7, -2e-7, 20_000)
@@ -157,6 +160,7 @@ def test_jkr_ends_where_no_spring_holds_it_and_pulls_most_with_its_pull_off() ->
 
 
 @pytest.mark.check("compiles the steps")
+@pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
 def test_a_stiff_lever_that_comes_off_without_a_jump_has_its_greatest_pull() -> None:
     random, height = np.random.default_rng(5), np.linspace(-30e-9, 40e-9, 400)
     pushed = np.clip(-height, 0.0, None)

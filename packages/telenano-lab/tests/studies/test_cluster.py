@@ -22,7 +22,10 @@ from telenano.wire import ConfigError
 
 distributed = pytest.importorskip("dask.distributed")
 
-pytestmark = [pytest.mark.check("starts a scheduler and workers of Dask"), pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.check("starts a scheduler and workers of Dask"),
+    pytest.mark.timeout(300),
+]
 
 DASK = Path(sys.executable).with_name("dask")
 CELLS = [WaitingCell(number) for number in range(60)]
@@ -88,6 +91,8 @@ def sweep_of(tmp_path: Path, address: str, **more: Any) -> Sweep:
     return Sweep(Journal(tmp_path / "journal.jsonl", KIND), 1, address, **more)
 
 
+@pytest.mark.check("starts a scheduler and workers of Dask, takes 9 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/")
 def test_a_worker_that_is_killed_in_mid_study_costs_no_cell(tmp_path: Path, cluster: Cluster) -> None:
     cluster.start_workers(2)
     killed: list[int] = []
@@ -107,6 +112,8 @@ def test_a_worker_that_is_killed_in_mid_study_costs_no_cell(tmp_path: Path, clus
     assert len(lines) == len(CELLS)
 
 
+@pytest.mark.check("starts a scheduler and workers of Dask, takes 9 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/")
 def test_a_scheduler_that_is_lost_is_named_and_the_study_goes_on_from_its_journal(
     tmp_path: Path, cluster: Cluster
 ) -> None:

@@ -32,6 +32,8 @@ def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
     assert cell("tip_sample").key != cell("tip_sample", "drift").key
 
 
+@pytest.mark.check("compiles a disturbed loop, takes 9 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/", "telenano/afm/")
 def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(request: pytest.FixtureRequest) -> None:
     def course(seed: int, *disturbed: str) -> Any:
         cell = Cell(

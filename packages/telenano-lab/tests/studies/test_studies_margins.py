@@ -85,6 +85,7 @@ def test_the_margins_of_the_paper_are_those_of_the_document() -> None:
 
 
 @pytest.mark.check("long sessions of every variant")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/")
 def test_beyond_its_margin_a_variant_is_not_stable() -> None:
     rows = {row.changed: row for row in margins("position_force", 40.0, 20.0, 15.0)}
     assert rows[""].verdict == "stable"

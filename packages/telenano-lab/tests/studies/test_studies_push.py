@@ -63,6 +63,7 @@ def placed_by(seed: int, delay_ticks: int, **changes: float) -> tuple[float, np.
 
 
 @pytest.mark.check("a simulated hand pushes for a minute, twice")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/", "packages/telenano-lab/telenano_lab/assembly/")
 def test_a_hand_places_a_particle_and_takes_longer_over_a_delay() -> None:
     near_m, state, soon = placed_by(1, 0)
     far_m, later_state, later = placed_by(1, 50)

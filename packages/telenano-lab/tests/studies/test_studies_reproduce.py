@@ -62,6 +62,7 @@ def stand_ins(monkeypatch, tmp_path):
 
 
 @pytest.mark.check("makes all figures of the paper")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/")
 def test_one_page_has_every_figure_and_the_table(stand_ins, tmp_path):
     seen = set()
     summary = reproduce(FIGURES, tmp_path, 8, lambda name, n, of: seen.add(name))

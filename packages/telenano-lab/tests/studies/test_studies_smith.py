@@ -45,6 +45,7 @@ def with_ideal_device(cell: Cell) -> CellResult:
 
 
 @pytest.mark.check("long sessions until a slow cycle shows")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/", "telenano/laws/", "packages/telenano-laws/")
 @pytest.mark.parametrize(("round_trip_ms", "peak_n"), [(50.0, 6.9), (120.0, 15.2)])
 def test_smith_cycles_on_a_wall_because_its_model_comes_back_slowly(round_trip_ms: float, peak_n: float) -> None:
     wall = cell_of("wall", 80.0, round_trip_ms)

@@ -274,6 +274,8 @@ def test_cell_that_cannot_be_run_says_why(tmp_path: Path, changes: dict[str, Any
     assert not (tmp_path / "journal.jsonl").exists()
 
 
+@pytest.mark.check("runs a sweep in two processes, takes 15 s")
+@pytest.mark.drawn(0.0, "packages/telenano-lab/telenano_lab/studies/")
 def test_two_workers_give_what_one_gives(tmp_path: Path, results: list[LineResult]) -> None:
     two = Sweep(Journal(tmp_path / "journal.jsonl"), workers=2)
     cells = [cell.cell for result in results for cell in result.cells]
