@@ -51,7 +51,7 @@ class SaidRig:
         if self.is_silent:
             return []
         pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
-        health = {"state": "running", "overruns": 0, "replay": False}
+        health = {"state": "running", "overruns": 0, "replay": False, "force_limit_n": None}
         rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}
         said: list[tuple[str, str, dict[str, Any]]] = [
             (
@@ -66,7 +66,7 @@ class SaidRig:
             ),
             ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **self.way}),
             ("node/health", HAND, health),
-            ("node/health", TIP, health),
+            ("node/health", TIP, {**health, "force_limit_n": 2e-7}),
         ]
         said[0][2]["operator_force_n"] = (0.0, 0.0, -pushed_n)
         said[0][2].update(self.hand)
