@@ -27,7 +27,8 @@ class SaidRig:
     `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
     neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes;
     `way_s`: how long a way back takes, which is `way` in afm/state, where it stays wanted; `words`: the
-    parameters of each arm; `hand` and `tip`: what their states say otherwise; `program`: what afm/program says.
+    parameters of each arm; `hand` and `tip`: what their states say otherwise; `program`: what afm/program says;
+    `event`: what session/event says once.
     """
 
     def __init__(self) -> None:
@@ -38,6 +39,7 @@ class SaidRig:
         self.hand: dict[str, Any] = {}
         self.tip: dict[str, Any] = {}
         self.program: dict[str, Any] = {}
+        self.event: dict[str, Any] = {}
         self.words: list[Mapping[str, Any]] = []
         self._force_n = 0.0
 
@@ -73,6 +75,9 @@ class SaidRig:
         said[1][2].update(self.tip)
         if self.program:
             said.append(("afm/program", TIP, self.program))
+        if self.event:
+            said.append(("session/event", TIP, {**self.event, "data": {}}))
+            self.event = {}
         # what comes back at the hand's scale
         felt_n = said[1][2]["tip_force_n"][2] * 1e8
         said.append(("haptic/command", "controller@master", {"force_n": (0.0, 0.0, felt_n)}))

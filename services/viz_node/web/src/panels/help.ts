@@ -8,7 +8,7 @@ const TASKS: readonly (readonly [title: string, steps: readonly string[]])[] = [
   ["Hold for 5 s", ["Touch the sample as above, with Keep holding pressed: the hand then stays by itself.", "Wait until Force on the tip has come to rest, and watch it for 5 s. If the top line turns red, press softer or choose another law.", "Press Let go."]],
   ["Find the softest of three places", ["At Tip to enter x and y of the first place, and press Move.", "Hold the hand and lower it until you feel 1 N; read Hand. Lower it until you feel 2 N; read Hand again.", "Let go, and do the same at the other places. The softest is where the hand went furthest from 1 N to 2 N."]],
   ["Take an image and go to a particle", ["Press Image. Lines appear beside the scene; wait until all are there.", "Press By hand, and then what is filled at the top: the tip goes back.", "Choose Move tip above the scene, and press on the particle: the tip goes there at the height that it has."]],
-  ["Say why it feels late", ["At Link read Largest part of the latency: it names what takes most of the time.", "Rest the pointer on it to see all parts. The yellow DELAYED at the top is what the link alone adds.", "If your network is the largest, come nearer or take a cable; if it is the link, choose a law that is made for delay."]],
+  ["Say why it feels late", ["At Link read Largest part of the latency: it names what takes most of the time.", "Press it to see all parts. The yellow DELAYED at the top is what the link alone adds.", "If your network is the largest, come nearer or take a cable; if it is the link, choose a law that is made for delay."]],
 ];
 
 const WORDS: readonly (readonly [word: string, meaning: string])[] = [
