@@ -54,7 +54,8 @@ class SaidRig:
             return []
         pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
         health = {"state": "running", "overruns": 0, "replay": False, "force_limit_n": None}
-        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}
+        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 6e-9, "deflection_m": 0.0}
+        apart = {"in_contact": False, "meniscus": False}
         said: list[tuple[str, str, dict[str, Any]]] = [
             (
                 "haptic/state",
@@ -66,7 +67,7 @@ class SaidRig:
                     "reference_m": (0.0, 0.0, 0.0),
                 },
             ),
-            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **self.way}),
+            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **apart, **self.way}),
             ("node/health", HAND, health),
             ("node/health", TIP, {**health, "force_limit_n": 2e-7}),
         ]
