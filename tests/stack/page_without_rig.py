@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import msgspec
-from browser_page import PAGE_FOLDER
+from browser_page import PAGE_FOLDER, until
 
 from telenano.testing import free_ports
 from telenano.testing.filled_messages import examples
@@ -131,6 +131,7 @@ def served(rig: SaidRig) -> Iterator[tuple[SaidRig, str]]:
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
+        until(lambda: server.listens, "a server that listens")
         yield rig, f"http://127.0.0.1:{port}/"
     finally:
         server.end()
