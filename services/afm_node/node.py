@@ -371,6 +371,10 @@ class AfmNode(DeviceNode):
         self._publish_state(step)
         return step.allowed
 
+    def device_health(self) -> Mapping[str, float | str]:
+        """Return what node/health has of the device, and the limit that the guard really has."""
+        return {**super().device_health(), "force_limit_n": self._limits.force_limit_n}
+
     def _add_offset(self, step: Step, reference_m: float) -> None:
         """Add to afm/state how far the hand is set off, and the way back that an `arm` would let the base go."""
         memory, allowed = self._memory, step.allowed

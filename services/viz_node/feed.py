@@ -29,6 +29,8 @@ _MOST_LINE_BYTES = 1 << 20
 # All lines together are kept up to this size.
 _MOST_IMAGE_BYTES = 1 << 26
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
+# Of a node whose guard has one.
+_LIMIT_KEY = "force_limit_n"
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
     "afm/state": ("mode", "limited", "in_contact", "meniscus"),
@@ -159,6 +161,8 @@ class Feed:
         facts["lost"] = total(row["lost"] for row in inputs)
         facts["rejected"] = total(n for reason, n in seen.fields["rejected"].items() if reason != "superseded")
         facts["beat"] = seen.t_ns
+        if (limit_n := seen.fields.get(_LIMIT_KEY)) is not None:
+            facts[_LIMIT_KEY] = limit_n
         self._set_node(seen.src, facts)
 
     def _record_event(self, seen: Seen) -> None:

@@ -618,6 +618,12 @@ class NodeHealth(Message):
         Annotated[str, Meta(max_length=128)] | None,
         about("Device and date of the calibration that is in use; absent if simulated"),
     ] = None
+    force_limit_n: Annotated[
+        ForceN | None,
+        about(
+            "Force on the tip above which the guard of this node withdraws it [N]; absent where it has no such guard"
+        ),
+    ] = None
     deaf_s: Annotated[
         Annotated[dict[str, DurationS], Meta(max_length=MAX_KEYS)] | None,
         about(

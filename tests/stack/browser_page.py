@@ -139,6 +139,18 @@ class Page:
         # the pad is 25 mm high
         self.page.mouse.move(x, y + down_mm / 25.0 * box["height"], steps=8)
 
+    def lower_until(self, felt_n: float) -> None:
+        """Hold the hand and lower it until so much is felt [N], as a person does with the buttons of what is next.
+
+        A machine that is held up may lose the hand for a moment, and the page then says why: it is held again.
+        """
+        end = time.monotonic() + PATIENCE_S
+        while not (felt := self.last("command", "tip_force")) >= felt_n:
+            said = [self.page.inner_text(name) for name in ("#next-says", "#hand-text")]
+            assert time.monotonic() < end, f"{felt} N are felt, and not {felt_n}; the page says {said}"
+            self.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(1e-3), 0")
+            self.page.wait_for_timeout(500.0)
+
     def follow(self) -> None:
         """Let the tip follow the hand, again where a server that was held up has refused it, which the page says."""
         end = time.monotonic() + PATIENCE_S

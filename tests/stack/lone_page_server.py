@@ -74,5 +74,10 @@ class LonePageServer:
     def run(self) -> None:
         self._server.run()
 
+    @property
+    def listens(self) -> bool:
+        """Return whether a page can be opened."""
+        return self._server.started
+
     def end(self) -> None:
         self._server.should_exit = True

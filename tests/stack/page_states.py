@@ -1,4 +1,4 @@
-"""Ten states of the page in three widths, light and dark, as pictures to look at, without a rig.
+"""States of the page in three widths, light and dark, as pictures to look at, without a rig.
 
     python tests/stack/page_states.py out/states
     python tests/stack/page_states.py out/states armed pressing      # of these states alone
@@ -6,11 +6,16 @@
 A change of the page is looked at with these before and after. `states` has what the rig says in each.
 """
 
+import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+# A program that is run by itself finds what the tests share as they do.
+sys.path.append(str(Path(__file__).resolve().parents[1] / "doubles"))
 
 from browser_page import Page, View, browser, keep, open_page
 from page_without_rig import OBSERVER_TOKEN, TOKEN, SaidRig, served
@@ -21,11 +26,16 @@ _WAY = {"offset_m": 1.0e-7, "return_place_m": 1.05e-8, "return_speed_m_per_s": 1
 
 
 class State(NamedTuple):
-    """What the rig says, as fields of `SaidRig`, and what is done on the page before the picture."""
+    """What the rig says, as fields of `SaidRig`, and what is done on the page before the picture.
+
+    held_by_other: another window has taken control before; is_cut: the server of the page ends before the picture.
+    """
 
     said: dict[str, Any]
     act: Callable[[Page], object] = lambda page: None
     token: str = TOKEN
+    held_by_other: bool = False
+    is_cut: bool = False
 
 
 def _take(page: Page) -> None:
@@ -78,39 +88,58 @@ STATES: dict[str, State] = {
         _take,
     ),
     "observer": State({"tip": _FAR}, token=OBSERVER_TOKEN),
+    "waiting": State({"is_silent": True}),
+    "held": State({"tip": _FAR}, held_by_other=True),
+    "guarded": State(
+        {
+            "tip": {**_FAR, "mode": "retracted", "separation_m": 1.1e-7},
+            "event": {"kind": "mode", "level": "warning", "text": "the AFM is in mode retracted: force_limit"},
+        },
+        _take,
+    ),
+    "disconnected": State({"tip": _FAR}, is_cut=True),
 }
 
 
-def look(
-    found: Any,
-    address: str,
-    name: str,
-    act: Callable[[Page], object],
-    folder: Path,
-    end: Callable[[], None] = lambda: None,
-) -> None:
+def look(found: Any, served_page: Callable[[], Any], name: str, state: State, folder: Path) -> None:
     """Keep a picture of a state at each width, light and dark."""
     for width, height in WIDTHS.items():
-        for scheme in ("light", "dark"):
-            size = {"width": width, "height": height}
-            page = open_page(found, address, viewport=size, color_scheme=scheme, has_touch=width < 1000)
-            act(page)
-            page.page.wait_for_timeout(1500.0)
-            end()
-            keep(page.page.screenshot(), folder / f"{name}-{width}-{scheme}.png")
-            if page.faults:
-                sys.stderr.write(f"{name}, {width} px, {scheme}: {page.faults}\n")
-            page.page.context.close()
+        with served_page() as (address, end):
+            other = open_page(found, address) if state.held_by_other else None
+            if other:
+                _take(other)
+            for scheme in ("light",) if state.is_cut else ("light", "dark"):
+                size = {"width": width, "height": height}
+                page = open_page(found, address, viewport=size, color_scheme=scheme, has_touch=width < 1000)
+                state.act(page)
+                if state.is_cut:
+                    end()
+                page.page.wait_for_timeout(1500.0)
+                keep(page.page.screenshot(), folder / f"{name}-{width}-{scheme}.png")
+                if page.faults and not state.is_cut:
+                    sys.stderr.write(f"{name}, {width} px, {scheme}: {page.faults}\n")
+                page.page.context.close()
+            if other:
+                other.page.context.close()
 
 
 @contextmanager
-def recorded() -> Iterator[str]:
-    """Serve the recording that comes with the project."""
-    import os
+def said(state: State) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Serve the page of a rig that says what a state has."""
+    rig = SaidRig()
+    for key, value in state.said.items():
+        setattr(rig, key, value)
+    with ExitStack() as stack:
+        _, address = stack.enter_context(served(rig))
+        yield f"{address}#{state.token}", stack.close
 
+
+@contextmanager
+def recorded() -> Iterator[tuple[str, Callable[[], None]]]:
+    """Serve the recording that comes with the project."""
     view = View(dict(os.environ), "--demo")
     try:
-        yield view.operator
+        yield view.operator, lambda: None
     finally:
         view.close()
 
@@ -119,16 +148,10 @@ def main(folder: Path, names: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with browser() as found:
         for name, state in STATES.items():
-            if names and name not in names:
-                continue
-            rig = SaidRig()
-            for key, value in state.said.items():
-                setattr(rig, key, value)
-            with served(rig) as (_, address):
-                look(found, f"{address}#{state.token}", name, state.act, folder)
+            if not names or name in names:
+                look(found, partial(said, state), name, state, folder)
         if not names or "recording" in names:
-            with recorded() as address:
-                look(found, address, "recording", lambda page: page.page.wait_for_timeout(4000.0), folder)
+            look(found, recorded, "recording", State({}, lambda page: page.page.wait_for_timeout(4000.0)), folder)
 
 
 if __name__ == "__main__":

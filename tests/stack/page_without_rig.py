@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import msgspec
-from browser_page import PAGE_FOLDER
+from browser_page import PAGE_FOLDER, until
 
 from telenano.testing import free_ports
 from telenano.testing.filled_messages import examples
@@ -27,7 +27,8 @@ class SaidRig:
     `is_stopped`: both are in emergency stop; `is_deaf`: the hand is not pushed by the force of the page; `is_silent`:
     neither says anything; `asked`: the commands that came, with `estop` among them; `delay_s`: how long one takes;
     `way_s`: how long a way back takes, which is `way` in afm/state, where it stays wanted; `words`: the
-    parameters of each arm; `hand` and `tip`: what their states say otherwise; `program`: what afm/program says.
+    parameters of each arm; `hand` and `tip`: what their states say otherwise; `program`: what afm/program says;
+    `event`: what session/event says once.
     """
 
     def __init__(self) -> None:
@@ -38,6 +39,7 @@ class SaidRig:
         self.hand: dict[str, Any] = {}
         self.tip: dict[str, Any] = {}
         self.program: dict[str, Any] = {}
+        self.event: dict[str, Any] = {}
         self.words: list[Mapping[str, Any]] = []
         self._force_n = 0.0
 
@@ -51,8 +53,9 @@ class SaidRig:
         if self.is_silent:
             return []
         pushed_n = 0.0 if self.is_deaf or self.is_stopped else self._force_n
-        health = {"state": "running", "overruns": 0, "replay": False}
-        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 2e-9, "deflection_m": 0.0}
+        health = {"state": "running", "overruns": 0, "replay": False, "force_limit_n": None}
+        rests = {"tip_force_n": (0.0, 0.0, 0.0), "separation_m": 6e-9, "deflection_m": 0.0}
+        apart = {"in_contact": False, "meniscus": False}
         said: list[tuple[str, str, dict[str, Any]]] = [
             (
                 "haptic/state",
@@ -64,15 +67,18 @@ class SaidRig:
                     "reference_m": (0.0, 0.0, 0.0),
                 },
             ),
-            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **self.way}),
+            ("afm/state", TIP, {"mode": "estop" if self.is_stopped else "follow", **rests, **apart, **self.way}),
             ("node/health", HAND, health),
-            ("node/health", TIP, health),
+            ("node/health", TIP, {**health, "force_limit_n": 2e-7}),
         ]
         said[0][2]["operator_force_n"] = (0.0, 0.0, -pushed_n)
         said[0][2].update(self.hand)
         said[1][2].update(self.tip)
         if self.program:
             said.append(("afm/program", TIP, self.program))
+        if self.event:
+            said.append(("session/event", TIP, {**self.event, "data": {}}))
+            self.event = {}
         # what comes back at the hand's scale
         felt_n = said[1][2]["tip_force_n"][2] * 1e8
         said.append(("haptic/command", "controller@master", {"force_n": (0.0, 0.0, felt_n)}))
@@ -125,6 +131,7 @@ def served(rig: SaidRig) -> Iterator[tuple[SaidRig, str]]:
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
+        until(lambda: server.listens, "a server that listens")
         yield rig, f"http://127.0.0.1:{port}/"
     finally:
         server.end()

@@ -251,7 +251,7 @@ def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_
         operator.fill(f"#program-scan-{key}", value)
     assert "acknowledged" in operator.answered(lambda: operator.click("#program-scan"))
     rig.wait_until(lambda: force_n() == 0.0, "a hand that has let go")
-    operator.until(has("#hand-text", "Let go: the instrument runs a scan"), "why")
+    operator.until(has("#hand-text", "Let go: the program Image runs"), "why")
     assert operator.page.get_attribute("#hand-keep", "aria-pressed") == "false"
     rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "the end of the image")
     operator.follow()

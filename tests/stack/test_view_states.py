@@ -20,7 +20,7 @@ STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
 def test_the_states_of_a_running_rig(chromium: Any, tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
+        rig.start("--duration", "900", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:
@@ -46,10 +46,7 @@ def states(rig: Rig, chromium: Any, view: View) -> None:
     page.fill("#tip-x", "0")
     page.fill("#tip-y", "0")
     assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
-    page.click("#hand-keep")
-    page.press(14.0)
-    page.page.mouse.up()
-    until(lambda: page.last("command", "tip_force") > 0.5, "the sample felt")
+    page.lower_until(0.7)
     page.page.wait_for_timeout(4000.0)
     look(page, "live")
     observer = open_page(chromium, view.observer)

@@ -65,9 +65,11 @@ def test_a_replayed_session_arms_nothing_but_may_stop_everything(bench: Any) -> 
 
 def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_samples(bench: Any) -> None:
     node = device_node(bench)
-    assert node.device_health() == {}
+    # the limit of its guard is there without a device
+    limit = {"force_limit_n": AfmConfig().safety.force_limit_n}
+    assert node.device_health() == limit
     node.has_device(3e-3, "stage 7")
-    declared = {"device_latency_s": 3e-3, "calibration": "stage 7"}
+    declared = {"device_latency_s": 3e-3, "calibration": "stage 7", **limit}
     assert node.device_health() == declared
     for status, age_s in (("ok", 0.25), ("lost", 9.0), ("stale", 0.75)):
         node.process_report(SimpleNamespace(status=status, age_s=age_s, text=""))

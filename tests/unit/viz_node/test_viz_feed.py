@@ -290,3 +290,16 @@ def test_a_tip_that_is_placed_or_withdrawn_does_not_follow(mode: str, placed: bo
     feed = Feed()
     feed.record(seen("afm/state", "afm_node@slave", mode=mode, placed=placed))
     assert columns(feed.take(), "tip")["follows"].tolist() == [follows]
+
+
+def test_the_limit_of_a_guard_comes_with_the_node_that_has_one_and_with_no_other() -> None:
+    feed = Feed()
+    for src, limit_n in (("afm_node@slave", 1.5e-7), ("haptic_node@master", None)):
+        feed.record(seen("node/health", src, force_limit_n=limit_n))
+    nodes = feed.take()["nodes"]
+    assert nodes["afm_node@slave"]["force_limit_n"] == 1.5e-7
+    assert "force_limit_n" not in nodes["haptic_node@master"]
+    # what was recorded before the key was there has none
+    old = {key: value for key, value in golden("node/health").items() if key != "force_limit_n"}
+    feed.record(Seen("node/health", "afm_node@slave", START_NS, old))
+    assert "force_limit_n" not in feed.take()["nodes"]["afm_node@slave"]

@@ -11,7 +11,7 @@ const KEY_STEP = 0.02;
 /** The image seen from above, x to the right and y up; dragging over it draws the line of the profile. */
 export class Flat {
   readonly canvas = make("canvas", { role: "img", tabindex: 0, "aria-label": "The image from above, coloured by height: drag a line for its profile, or move it with the arrow keys, its end with Shift" });
-  private readonly note = make("div", { class: "over" }, "No image yet: Scan takes one");
+  private readonly note = make("div", { class: "over" }, "No image yet: the button Image takes one");
   readonly element = make("div", { class: "flat", hidden: true }, this.canvas, this.note);
   onPlace: (x: number, y: number) => void = () => {};
   tool: () => string = () => "profile";

@@ -1,5 +1,5 @@
 import { colour, make } from "./dom";
-import { arrowShare, GAP_TICKS, gapShare, gapWords } from "./gapscale";
+import { arrowShare, GAP_TICKS, gapShare, gapWords, limitWords } from "./gapscale";
 import type { Store } from "./store";
 
 const NM = 1e9;
@@ -19,8 +19,8 @@ const ARROW_PX = 56;
 /** Tip and sample from the side, and their distance on a scale that shows 0.1 nm as well as 100 nm. */
 export class GapPicture {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
-  private readonly words = { gap: make("b"), force: make("span", { class: "force" }), speed: make("span", { class: "quiet" }) };
-  readonly root = make("div", { id: "gap", role: "img" }, this.canvas, make("div", { class: "says" }, this.words.gap, this.words.force, this.words.speed));
+  private readonly words = { gap: make("b"), force: make("span", { class: "force" }), speed: make("span", { class: "quiet" }), limit: make("span", { class: "quiet", title: "Above this force the guard withdraws the tip: the line at the end of the force's scale" }) };
+  readonly root = make("div", { id: "gap", role: "img" }, this.canvas, make("div", { class: "says" }, this.words.gap, this.words.force, this.words.limit, this.words.speed));
   private drawn = "";
 
   constructor(private readonly store: Store) {
@@ -40,16 +40,18 @@ export class GapPicture {
     const force = store.last("tip", "force") * NM;
     const [touches, meniscus] = [store.fact(AFM, "in_contact") === true, store.fact(AFM, "meniscus") === true];
     const speed = this.speed();
-    const words = gapWords(separation, force, speed, touches, meniscus);
+    // what is felt in the place of a force has no limit in newtons
+    const limit = typeof store.fact(AFM, "felt_channel") === "string" ? NaN : store.forceLimit_n * NM;
+    const words = { ...gapWords(separation, force, speed, touches, meniscus), limit: limitWords(limit) };
     const top = ABOVE_PX;
     const bottom = height - BELOW_PX;
     const toY = (nm: number): number => bottom - gapShare(nm) * (bottom - top);
     const apex = Number.isNaN(separation) ? toY(100) : toY(separation);
     // half a pixel is not seen
-    const key = [width, height, Math.round(2 * apex), Math.round(arrowShare(force) * 2 * ARROW_PX), touches, meniscus, words.gap, words.force, words.speed].join();
+    const key = [width, height, Math.round(2 * apex), Math.round(arrowShare(force, limit) * 2 * ARROW_PX), touches, meniscus, ...Object.values(words)].join();
     if (key === this.drawn) return;
     this.drawn = key;
-    const label = `From the side: the tip is ${words.gap}; ${words.force}; it ${words.speed.replace(/^(?=\d)/, "moves ")}`;
+    const label = `From the side: the tip is ${words.gap}; ${words.force}${words.limit && `, ${words.limit}`}; it ${words.speed.replace(/^(?=\d)/, "moves ")}`;
     if (this.root.getAttribute("aria-label") !== label) this.root.setAttribute("aria-label", label);
     const ratio = devicePixelRatio;
     if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) Object.assign(this.canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
@@ -63,7 +65,8 @@ export class GapPicture {
     // in contact the water stands around the tip
     if (meniscus) drawBridge(pen, x, Math.min(apex, toY(0) - 6), toY(0), colour("water"));
     drawTip(pen, x, apex, width, Number.isNaN(separation) ? colour("line") : colour("quiet"));
-    drawArrow(pen, x, apex, arrowShare(force) * ARROW_PX, colour("tip"));
+    if (words.limit) drawLimit(pen, x, apex);
+    drawArrow(pen, x, apex, arrowShare(force, limit) * ARROW_PX, colour("tip"));
     for (const [name, text] of Object.entries(words)) {
       const line = this.words[name as keyof typeof words];
       if (line.textContent !== text) line.textContent = text;
@@ -144,6 +147,12 @@ function drawBridge(pen: CanvasRenderingContext2D, x: number, apex: number, surf
   pen.lineTo(x + 20, bottom);
   pen.quadraticCurveTo(x + 4, middle, x + 9, top);
   pen.fill();
+}
+
+/** Where the arrow of a force ends that the guard withdraws the tip for. */
+function drawLimit(pen: CanvasRenderingContext2D, x: number, apex: number): void {
+  pen.fillStyle = colour("text");
+  pen.fillRect(x - TIP_PX - 4, apex - ARROW_PX - 1, 2 * TIP_PX + 8, 2);
 }
 
 /** The force on the tip: up where the sample pushes, down where it pulls. */

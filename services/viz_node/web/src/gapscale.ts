@@ -5,7 +5,7 @@ export const DEEPEST_NM = 10;
 export const HIGHEST_NM = 100;
 /** Distances that are named beside the scale [nm]. */
 export const GAP_TICKS: readonly number[] = [100, 10, 1, 0.1, 0, -1, -10];
-/** A force of this size and more has the longest arrow, and one of this size or less none [nN]. */
+/** A force of this size and more has the longest arrow where no limit is known, and one of this size or less none [nN]. */
 const LONGEST_NN = 100;
 const LEAST_NN = 0.05;
 /** A tip that moves more slowly than this rests, as far as an eye can tell [nm/s]. */
@@ -22,11 +22,16 @@ export function gapShare(nm: number): number {
   return Math.min(1, Math.max(0, (symlog(nm) - low) / (high - low)));
 }
 
-/** The length of the arrow of a force, from -1 (pulls down) to 1 (pushes up), each factor of ten by the same length. */
-export function arrowShare(nn: number): number {
+/** The length of the arrow of a force, from -1 (pulls down) to 1 (pushes up, at the limit), each factor of ten by the same length. */
+export function arrowShare(nn: number, limit_nn = NaN): number {
   if (!(Math.abs(nn) >= LEAST_NN)) return 0;
-  const share = Math.log10(Math.abs(nn) / LEAST_NN) / Math.log10(LONGEST_NN / LEAST_NN);
+  const share = Math.log10(Math.abs(nn) / LEAST_NN) / Math.log10((limit_nn > LEAST_NN ? limit_nn : LONGEST_NN) / LEAST_NN);
   return Math.sign(nn) * Math.min(1, Math.max(0.12, share));
+}
+
+/** The limit of the guard in words, in nN; empty where none is known. */
+export function limitWords(limit_nn: number): string {
+  return limit_nn > 0 && Number.isFinite(limit_nn) ? `limit ${Number(limit_nn.toPrecision(3))} nN` : "";
 }
 
 /** What the picture of the gap says in words: distance, force, and speed. Distances in nm, force in nN, speed in nm/s. */

@@ -4,6 +4,7 @@ import { colour, make } from "./dom";
 import { Pressing } from "./pressing";
 import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
+import { programName } from "./programs";
 import type { Store } from "./store";
 
 /** Height of the pad in the travel of the arm [m]. */
@@ -39,7 +40,7 @@ export function rumbleStrength(back_n: number): number {
 
 /** Why a hand that is held has to let go, by the mode of the instrument, its program, and whether a session runs. */
 export function whyLetGo(mode: unknown, program: string, runs: boolean): string {
-  if (program) return `the instrument runs a ${program}`;
+  if (program) return `the program ${programName(program)} runs`;
   if (!runs) return "the session has ended";
   return mode === "follow" || mode === "hold" ? "" : "the tip was withdrawn";
 }
@@ -319,7 +320,7 @@ export class Hand {
   private freeText(): string {
     const now = performance.now();
     if (now - this.creepAt > CREEP_LOOK_MS) [this.creepAt, this.creepShown] = [now, this.creep];
-    return this.creepShown || (this.isOffered ? "Drag down, here or in the scene" : "");
+    return this.creepShown || (!this.isOffered ? "" : this.followed ? "Drag down, here or in the scene" : "The tip does not follow the hand now");
   }
 
   private creepAt = -Infinity;

@@ -1,4 +1,5 @@
 import type { LinkState } from "./connection";
+import { programName } from "./programs";
 import type { Role } from "./protocol";
 
 /** What an operator does one after the other. */
@@ -66,6 +67,9 @@ export interface Next {
 const offer = (act: Act, label: string, key = "n", isReady = true): Offer => ({ act, label, key, isReady });
 const nothing = (step: Next["step"], says: string): Next => ({ step, says, offer: undefined, other: undefined });
 
+/** What an instrument does that runs a program. */
+const busy = (program: string): string => `The program ${programName(program)} runs, and the hand rests until it ends`;
+
 /** What is next, why, and which button does it. */
 export function nextOf(now: Situation): Next {
   if (now.link === "connecting") return nothing("connect", "Connecting to the rig.");
@@ -77,7 +81,7 @@ export function nextOf(now: Situation): Next {
   const isUrgent = now.isControlFree && (now.isStopped || now.isHeld || now.going !== "" || now.wayBack !== "");
   if (!now.holdsControl && !isUrgent) {
     const isFree = now.isControlFree;
-    const says = isFree ? "Nobody holds control: take it, and no other window can act meanwhile." : `${now.lease}.`;
+    const says = now.program ? `${busy(now.program)}. ${now.lease}.` : isFree ? "Nobody holds control: take it, and no other window can act meanwhile." : `${now.lease}.`;
     return { step: "control", says, offer: now.leaseAction ? offer("take", isFree ? "Take control" : `${now.leaseAction} for control`, "h") : undefined, other: undefined };
   }
   if (now.going) return { step: "approach", says: `${now.going}. Any key or press ends it, and the tip stays where it is.`, offer: offer("end way", "End it here"), other: undefined };
@@ -88,7 +92,7 @@ export function nextOf(now: Situation): Next {
 function armed(now: Situation): Next | undefined {
   const arm = (says: string): Next => ({ step: "arm", says, offer: offer("arm", "Arm", "n", now.mayArm), other: undefined });
   if (now.isStopped) return arm("Stopped. Arm hand and tip: both stay where they are, and then you choose whether the tip goes back.");
-  if (now.program) return nothing("arm", `The instrument runs a ${now.program}: the hand rests until it ends.`);
+  if (now.program) return nothing("arm", `${busy(now.program)}.`);
   if (now.tipMode === "retracting") return nothing("arm", "The tip moves away from the sample: wait until it is away.");
   if (now.tipMode === "retracted") return arm(now.tipArmed ? "The tip is armed and waits for an armed hand." : "The tip is withdrawn. Arm hand and tip: both stay where they are.");
   if (now.tipMode !== "follow" && now.tipMode !== "hold") return nothing("arm", "Waiting for the instrument to report what it does.");

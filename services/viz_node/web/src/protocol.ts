@@ -33,6 +33,8 @@ export interface NodeFacts {
   lost: number;
   rejected: number;
   beat: number;
+  /** The force above which the guard of the node withdraws the tip [N]; absent where it has no such guard. */
+  force_limit_n?: number;
 }
 
 export interface EventFacts {

@@ -1,5 +1,6 @@
 import type { LinkState } from "./connection";
 import { oscillationIn } from "./oscillation";
+import { programName } from "./programs";
 import type { Store } from "./store";
 
 export type Kind = "good" | "warn" | "bad";
@@ -49,7 +50,7 @@ export function roundTripOf(store: Store): number {
 function doingOf(store: Store): string {
   const program = store.state.get("afm/program/slave") as { program: string; state: string; done_percent: number } | undefined;
   if (program && ["running", "paused"].includes(program.state)) {
-    return `${program.program} ${program.state === "paused" ? "paused" : "runs"}, ${program.done_percent.toFixed(0)} %`;
+    return `${programName(program.program)} ${program.state === "paused" ? "paused" : "runs"}, ${program.done_percent.toFixed(0)} %`;
   }
   const mode = String(store.fact("afm/state/slave", "mode") ?? "");
   if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits for an armed hand";

@@ -148,6 +148,12 @@ export class Store {
     return [...this.nodes].filter(isLost).map(([name]) => name);
   }
 
+  /** The force above which the guard withdraws the tip [N]; NaN where no node has reported one. */
+  get forceLimit_n(): number {
+    for (const { force_limit_n } of this.nodes.values()) if (force_limit_n !== undefined) return force_limit_n;
+    return NaN;
+  }
+
   /** Newest time of all streams [s]. */
   get newest(): number {
     return Math.max(...[...this.rings.values()].map((ring) => ring.newest));

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { countdown } from "../src/countdown";
 import { creepText } from "../src/creep";
-import { arrowShare, DEEPEST_NM, GAP_TICKS, gapShare, gapWords, HIGHEST_NM } from "../src/gapscale";
+import { arrowShare, DEEPEST_NM, GAP_TICKS, gapShare, gapWords, HIGHEST_NM, limitWords } from "../src/gapscale";
 
 describe("the scale of the gap", () => {
   it("shows 0.1 nm as well as 100 nm, in order and without a step, and keeps what lies beyond at its edge", () => {
@@ -24,6 +24,16 @@ describe("the scale of the gap", () => {
     lengths.slice(1).forEach((length, i) => expect(length).toBeGreaterThanOrEqual(lengths[i]!));
     expect(lengths.at(-1)).toBe(1);
     for (const force of forces) expect(arrowShare(-force)).toBe(-arrowShare(force));
+  });
+
+  it("has its longest arrow at the limit of the guard, whatever that is, and says the limit where one is known", () => {
+    for (const limit of [1, 20, 100, 500, 2000]) {
+      expect(arrowShare(limit, limit)).toBeCloseTo(1, 9);
+      expect(arrowShare(10 * limit, limit)).toBe(1);
+      expect(arrowShare(limit / 2, limit)).toBeLessThan(1);
+    }
+    expect([arrowShare(100, 0), arrowShare(100, NaN)]).toEqual([1, 1]);
+    expect([200.00000000000003, 99.5, NaN, Infinity, 0].map(limitWords)).toEqual(["limit 200 nN", "limit 99.5 nN", "", "", ""]);
   });
 
   it("says distance, force and speed with rounded units, and 0 for what is none", () => {

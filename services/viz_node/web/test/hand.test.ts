@@ -12,7 +12,7 @@ it("lets go where the tip ceases to follow it: in a program, withdrawn, after a 
   expect(whyLetGo("follow", "", true)).toBe("");
   // the guard waits for the next command, and follows again
   expect(whyLetGo("hold", "", true)).toBe("");
-  expect(whyLetGo("follow", "scan", true)).toBe("the instrument runs a scan");
+  expect(whyLetGo("follow", "scan", true)).toBe("the program Image runs");
   for (const mode of ["retracting", "retracted", "estop"]) expect(whyLetGo(mode, "", true)).toBe("the tip was withdrawn");
   expect(whyLetGo("follow", "", false)).toBe("the session has ended");
 });

@@ -48,7 +48,7 @@ export class ImagePanel implements Panel {
     const extent = surface.extent;
     const text = extent
       ? `${surface.points} × ${surface.lines} points, ${+extent.width.toPrecision(3)} × ${+extent.depth.toPrecision(3)} nm, ${surface.measuredLines} lines measured. Heights from 0 to ${+(surface.range[1] - surface.base).toPrecision(3)} nm. Drag over the flat image for a profile.`
-      : "No image yet. Scan takes one; Both and Flat in the scene show it from above.";
+      : "No image yet. The button Image takes one; Both and Flat in the scene show it from above.";
     if (this.about.textContent !== text) this.about.textContent = text;
   }
 

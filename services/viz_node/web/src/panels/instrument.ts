@@ -1,6 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
+import { programAbout, programName } from "../programs";
 import { programsOf } from "../schema";
 import { INSTRUMENT, place } from "../tip";
 
@@ -18,13 +19,6 @@ const REASONS: Record<string, string> = {
   force_limit: "The force on the tip was above its limit: the tip is away. Arm it, and then let it go back.",
   force_invalid: "The force on the tip is not known: the tip is away.",
   device_lost: "The instrument does not answer: the tip is away.",
-};
-/** What the programs of the instrument are called, and what each does. */
-const PROGRAMS: Record<string, readonly [string, string]> = {
-  scan: ["Image", "The instrument takes an image of the sample by itself, line by line"],
-  curve: ["Curve", "The tip goes to the sample and back once, and the force is drawn over the distance"],
-  tactile: ["Feel along", "The tip goes along a line by itself, and the hand feels its height"],
-  push: ["Push", "The tip pushes what lies on the sample along a line by itself"],
 };
 const FARTHEST_NM = 1e5;
 
@@ -58,7 +52,7 @@ export class InstrumentPanel implements Panel {
     const programs = programsOf(store.forms[INSTRUMENT] as Record<string, unknown>);
     this.modes.replaceChildren(
       button("mode-bilateral", "By hand", () => tip.followHand()),
-      ...programs.map(({ name, title }) => explained(button(`program-${name}`, PROGRAMS[name]?.[0] ?? short(title), () => image.begin(name)), PROGRAMS[name]?.[1] ?? title)),
+      ...programs.map(({ name, title }) => explained(button(`program-${name}`, programName(name, short(title)), () => image.begin(name)), programAbout(name, title))),
     );
     const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => commands.command(name, "set", INSTRUMENT, { program: name }));
     this.modes.firstElementChild!.setAttribute("title", "The tip follows the hand, which feels it");
@@ -82,7 +76,7 @@ export class InstrumentPanel implements Panel {
     this.run.parentElement!.hidden = !running;
     let shown = MODES[mode] ?? "";
     if (mode === "follow" && commands.wayBack) shown = "The tip stays where it was armed, and the hand moves it from there.";
-    if (program && running) shown = `${program.program}: ${program.state}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
+    if (program && running) shown = `${programName(program.program)} ${program.state === "paused" ? "is paused" : "runs"}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
     else if (mode.startsWith("retract")) shown = this.whyAway() ?? (program?.text ? `${program.text[0]!.toUpperCase()}${program.text.slice(1)}. Arm it, and then let it go back.` : shown);
     if (this.state.textContent !== shown) this.state.textContent = shown;
   }

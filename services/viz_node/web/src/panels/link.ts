@@ -18,7 +18,9 @@ export class LinkPanel implements Panel {
   private readonly measured = make("div", { class: "quiet linkline", id: "measured" });
   /** What an adviser of an installed package warns of, such as the table of the benchmark. */
   private readonly advice = make("div", { class: "warning linkline", id: "advice", role: "status", hidden: true });
-  private readonly age = make("div", { class: "quiet linkline", id: "age" });
+  /** The largest part of the latency, and under it all parts: by pointer, touch and keyboard alike. */
+  private readonly age = { short: make("summary", {}), long: make("div", { class: "quiet linkline" }) };
+  private readonly ageRoot = make("details", { id: "age", hidden: true }, this.age.short, this.age.long);
   private readonly line = make("div", { class: "quiet linkline", id: "line" });
   private readonly pictures = new LinePictures(make("div", { class: "linecurves", id: "line-curves", hidden: true }), () => fetch(address).then((answer) => answer.json() as Promise<LineData>));
   /** What is in force but in no list of profiles, such as `custom`; it cannot be chosen. */
@@ -33,7 +35,7 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.measured, this.advice, this.line, this.age, this.pictures.root);
+    root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.measured, this.advice, this.line, this.ageRoot, this.pictures.root);
   }
 
   begin(): void {
@@ -69,8 +71,9 @@ export class LinkPanel implements Panel {
     const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends", "blocked_since_ns"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
     const { short, long } = ageText(agesOf(store.age, store.wayS, store.pictureS, store.frameS));
-    if (this.age.textContent !== short) this.age.textContent = short;
-    this.age.title = long;
+    if (this.age.short.textContent !== short) this.age.short.textContent = short;
+    if (this.age.long.textContent !== long) this.age.long.textContent = long;
+    this.ageRoot.hidden = !short;
     // an empty field shows what is in force, as those of the settings do; what somebody is typing stays
     const delay = delayText(ways);
     if (delay === this.delayShown) return;
