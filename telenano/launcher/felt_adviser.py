@@ -4,8 +4,7 @@ What it finds is advice, and never acts on a device.
 """
 
 import contextlib
-from collections.abc import Callable, Iterable
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Sequence
 
 from telenano.analysis.felt_stiffness import (
     GONE_S,
@@ -38,7 +37,7 @@ _ADVICE = {
 class FeltAdviser:
     """Watches what the hand feels; `found` is what is known of it at present, or why nothing is."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("law/status", "haptic/state", "afm/state", "session/event")
+    inputs: Sequence[str] = ("law/status", "haptic/state", "afm/state", "session/event")
 
     def __init__(
         self,
