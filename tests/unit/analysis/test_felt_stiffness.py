@@ -1,12 +1,12 @@
 """What the hand feels over what is there is what a course was made with, or it is said why it is not known."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from soft_session import record_soft_session
 
 import telenano
 from telenano.analysis.felt_stiffness import (
@@ -29,7 +29,6 @@ from telenano.cli.output import print_summary
 from telenano.sections.afm_section import AfmConfig
 from telenano.sections.controller_section import ControllerConfig
 from telenano.settings.config import validate
-from telenano.testing.recordings import record_fig12
 from telenano.wire.errors import ConfigError
 
 HAND_PER_TIP, STIFFNESS = 150.0, 20.0
@@ -160,20 +159,7 @@ def test_what_an_interval_says(low: float, high: float, kind: str) -> None:
 def test_a_recorded_session_says_it_in_its_summary_and_below_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    points = [{"time_s": 0.0, "force_n": 0.0}, {"time_s": 0.3, "force_n": 1.0}]
-    points += [
-        {"time_s": 0.5 + t, "force_n": 1.0 + 0.3 * math.sin(2.0 * math.pi * t)} for t in np.arange(0, 7, 0.02).tolist()
-    ]
-    operator = json.dumps({"kind": "force_profile", "points": points})
-    settings = (
-        f"haptic_node.operator={operator}",
-        "afm_node.environment=spring",
-        "afm_node.spring.stiffness_n_per_m=20",
-        "afm_node.safety.retract_position_m=0.0",
-        "realtime.rate_hz=200",
-    )
-    path = record_fig12(tmp_path, "passivity", settings, delay_s=0.0, programme_s=7.5, duration_s=7.9)
-    session = telenano.open(path)
+    session = telenano.open(record_soft_session(tmp_path))
     found = session.summary["felt_stiffness"]
     assert found["there_n_per_m"] == pytest.approx(3000.0, rel=1e-9)
     assert session.felt_stiffness.felt is not None
