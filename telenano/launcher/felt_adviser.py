@@ -124,7 +124,7 @@ class FeltAdviser:
                 return None
             self._warned = kind
             facts = {name: float(f"{value:.4g}") for name, value in zip(_FACTS, self.found, strict=True)}
-            return Advice(f"The hand feels {self.found}: {_ADVICE[kind]}.", {"felt": kind, "law": self._law, **facts})
+            return Advice(f"The hand feels {self.found}; {_ADVICE[kind]}.", {"felt": kind, "law": self._law, **facts})
         # What is not known any more is not known to be as it is.
         if kind == "as it is" and lasts_s >= GONE_S:
             self._warned = ""

@@ -4,7 +4,7 @@ import contextlib
 import io
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -28,6 +28,7 @@ from telenano.recording.disk_watch import free_bytes
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.session_folder import SessionFolder
 from telenano.recording.session_identity import SESSION_VARIABLE, given_identity
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ZmqBus
 from telenano.runtime.bus.local_endpoint import RIG_VARIABLE
 from telenano.runtime.bus.places import Places
@@ -246,9 +247,18 @@ def _advisers(plan: Plan, participant: Participant, name: RigName | None) -> Adv
     tell = None if name is None else name.note
     felt = FeltAdviser(now_ns, controller, plan.sample_facts, tell)
     advisers: dict[str, Adviser] = {"felt stiffness": felt, **advisers_for(session, participant.log)}
-    inputs = sorted({topic for adviser in advisers.values() for topic in adviser.inputs})
-    readers = participant.subscribers(plan.book.sources(participant.key, inputs), newest_only=True)
+    inputs = {topic for adviser in advisers.values() for topic in adviser.inputs}
+    readers = participant.subscribers(advised_of(plan.book, plan.launcher, inputs), newest_only=True)
     return Advisers(participant.log, advisers, readers)
+
+
+def advised_of(book: AddressBook, launcher: str, inputs: Collection[str]) -> dict[str, list[str]]:
+    """Return where advisers hear topics: as an observer, so of both sites where the machine reaches their nodes.
+
+    The launcher itself is at one site, to which the link brings the samples of neither device of the other one.
+    """
+    heard = {node: [topic for topic in topics if topic in inputs] for node, topics in book.observed(launcher).items()}
+    return {node: topics for node, topics in heard.items() if topics and node != launcher}
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
