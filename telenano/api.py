@@ -48,6 +48,7 @@ from telenano.wire.messages import Message
 if TYPE_CHECKING:
     import pandas
 
+    from telenano.analysis.felt_stiffness import FeltSession
     from telenano.analysis.recorded_session import Session as ReadSession
 
 _LOOP = "haptic/state"
@@ -144,6 +145,11 @@ class RecordedSession(Session):
     def reason(self) -> str:
         """The verdict in words; a guard that acted comes first, with its time and limit."""
         return str(self.summary["reason"])
+
+    @cached_property
+    def felt_stiffness(self) -> "FeltSession":
+        """What the hand felt of the stiffness that is there, or why that cannot be known."""
+        return self._session.felt(self._analysed)
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:

@@ -110,14 +110,35 @@ def described(scenario: str, conditions: dict[str, Any]) -> str:
 
 
 def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple[list[str], float | None]:
-    if not any(channel.channel_topic == "law/status" for channel in recording.channels):
+    status = _law_columns(recording, start_ns, end_ns)
+    if status is None:
         return [], None
+    round_trips_s = status["round_trip_s"][status["round_trip_valid"].astype(bool)]
+    laws = [law for _, law in _in_turn(status, start_ns)]
+    return laws, round(1e3 * float(np.median(round_trips_s)), 3) if round_trips_s.size else None
+
+
+def laws_in_turn(recording: RecordingSource, start_ns: int, end_ns: int) -> list[tuple[float, str]]:
+    """Return the laws that the master's half had in force, each with the time from which on, in session time [s]."""
+    status = _law_columns(recording, start_ns, end_ns)
+    return [] if status is None else _in_turn(status, start_ns)
+
+
+def _law_columns(recording: RecordingSource, start_ns: int, end_ns: int) -> dict[str, npt.NDArray[Any]] | None:
+    """Return what the master's half reported of its law in the session; None where nothing was recorded of it."""
+    if not any(channel.channel_topic == "law/status" for channel in recording.channels):
+        return None
     status = recording.columns("law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
     inside = (status["src"] == _MASTER) & (status["t_ns"] >= start_ns) & (status["t_ns"] <= end_ns)
-    laws = [str(law) for law in status["law"][inside]]
-    in_turn = [law for before, law in zip(["", *laws], laws, strict=False) if law != before]
-    round_trips_s = status["round_trip_s"][inside & status["round_trip_valid"].astype(bool)]
-    return in_turn, round(1e3 * float(np.median(round_trips_s)), 3) if round_trips_s.size else None
+    return {name: values[inside] for name, values in status.items()}
+
+
+def _in_turn(status: dict[str, npt.NDArray[Any]], start_ns: int) -> list[tuple[float, str]]:
+    laws = [str(law) for law in status["law"]]
+    times_s = (1e-9 * (status["t_ns"] - start_ns)).tolist()
+    turns = [(at, law) for at, law, before in zip(times_s, laws, ["", *laws], strict=False) if law != before]
+    # The first report of a law comes some time after it is in force.
+    return [(0.0 if place == 0 else at, law) for place, (at, law) in enumerate(turns)]
 
 
 def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> npt.NDArray[np.float64] | None:

@@ -9,7 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.conditions import conditions, described
+from telenano.analysis.conditions import conditions, described, laws_in_turn
+from telenano.analysis.felt_stiffness import (
+    SCALE_CHANGED,
+    Course,
+    FeltSession,
+    SampleFacts,
+    Span,
+    changes_scale,
+    felt_in,
+    scale_of,
+)
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.holds import (
     LATE_S,
@@ -27,19 +37,21 @@ from telenano.analysis.holds import (
 from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
 from telenano.analysis.line_states import line_states
 from telenano.analysis.summary import tip_columns
+from telenano.extend.advice import ADVICE
 from telenano.recording.arrays import in_step
 from telenano.recording.messages import LeftOut, readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.silence import HAND, LONGEST_STEP_S, Break, breaks_of, ends_of, joined, running_of, sent_of
 from telenano.recording.site_clock import Timeline
 from telenano.sections.afm_parts import SafetyConfig
+from telenano.sections.afm_section import AfmConfig
 from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 from telenano.sections.hand_section import LimitsConfig, recorded_hand
 from telenano.sections.operator_section import ForceProfileConfig, InteractiveConfig
 from telenano.settings.config import validate
 from telenano.settings.scenario import LoadedScenario, Scenario
 from telenano.timing import loop_age
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.nodes import HAND as HAND_NODE
 from telenano.wire.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
 
@@ -202,6 +214,32 @@ class Session:
         sampled_ns, answered_ns = _first(self.hand["answered_t_ns"], self.hand["answered_at_ns"])
         return np.asarray((answered_ns - sampled_ns)[sampled_ns >= self.start_ns] * 1e-6)
 
+    def felt(self, recording: RecordingSource) -> FeltSession:
+        """Return what the hand felt of the stiffness that is there, while its motor was on and the tip followed.
+
+        Args:
+            recording: The recording of the session.
+        """
+        series = self.series()
+        document = LoadedScenario.attached(recording.path, recording.attachments).scenario
+        origin = f"{recording.path}: scenario.yaml"
+        controller = validate(ControllerConfig, document.controller_in_force, origin, "controller")
+        turns = laws_in_turn(recording, self.start_ns, self.end_ns) or [(0.0, controller.law)]
+        ends_s = [from_s for from_s, _ in turns[1:]] + [self.duration_s]
+        spans = []
+        for (from_s, law), to_s in zip(turns, ends_s, strict=True):
+            scale, reason = scale_of(controller, law)
+            if changes_scale(self.conditions["changed"]):
+                scale, reason = None, SCALE_CHANGED.reason
+            spans.append(Span(from_s, to_s, scale, reason))
+        coupled = self.touches() & np.isin(self.tip["mode"], ("follow",))
+        if series.hand_time_s.size:
+            is_on = np.searchsorted(series.hand_time_s, series.tip_time_s).clip(0, series.hand_time_s.size - 1)
+            coupled &= ~np.isin(self.hand["mode"], ("off",))[is_on]
+        hand = np.stack([series.hand_time_s, series.hand_position_m, series.hand_force_n])
+        tip = np.stack([series.tip_time_s, -self.tip["base_position_m.2"], series.tip_force_n])
+        return felt_in(Course(hand, tip, coupled), spans, _sample_facts(document, origin))
+
     def touches(self) -> npt.NDArray[np.bool_]:
         """Return of each sample of the tip whether it touches; one before the tip was placed is none of the hand."""
         return np.asarray(self.tip["in_contact"].astype(bool) & _was_placed(self.tip["placed"]), dtype=np.bool_)
@@ -308,6 +346,15 @@ def _knows_contact(document: Scenario, separation_m: Series) -> bool:
     return not of_map and bool(np.isfinite(separation_m).any())
 
 
+def _sample_facts(document: Scenario, origin: str) -> SampleFacts:
+    """Return what a scenario says of the sample; nothing is known where its section needs what is not installed."""
+    try:
+        return SampleFacts.of(validate(AfmConfig, document.afm_node, origin, "afm_node"))
+    except ConfigError:
+        feel = document.afm_node.get("feel")
+        return SampleFacts(no_force="what is felt is no force on the tip" if feel else "")
+
+
 def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
     """Return from when to when the instrument ran programs of its own, in session time [s]."""
     programs, begun_s = [], None
@@ -392,7 +439,7 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
             reports.guards.append(Guard(at_s, str(data.get("reason", ""))))
         elif kind == "mode" and report.mode in ("hold", "off"):
             (reports.held if name == "afm_node" else reports.let_go).append(report)
-        elif "outside" in data:
+        elif "outside" in data or data.get(ADVICE) is True:
             # It is advice, and no cause of what happened to a device.
             continue
         elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from telenano.analysis.felt_stiffness import FeltSession
     from telenano.analysis.fig12 import SessionSeries
     from telenano.analysis.findings import Kind
     from telenano.analysis.holds import Hold
@@ -170,6 +171,11 @@ class Session(Mapping[str, Column]):
     @abstractmethod
     def reason(self) -> str:
         """The verdict in words; a guard that acted comes first, with its time and limit."""
+
+    @property
+    @abstractmethod
+    def felt_stiffness(self) -> "FeltSession":
+        """What the hand felt of the stiffness that is there, or why that cannot be known."""
 
     @property
     @abstractmethod

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from telenano.analysis.felt_stiffness import Felt, FeltSession
 from telenano.analysis.fig12 import SessionSeries
 from telenano.analysis.holds import (
     ANSWERS,
@@ -73,6 +74,7 @@ def summary_of(session: Session, recording: RecordingSource, missing: Sequence[s
         **session.conditions,
         "duration_s": round(session.duration_s, 3),
         **judged,
+        "felt_stiffness": _felt(session.felt(recording)),
         "contact_x_cm": _mean(samples["contact_x_cm"]),
         "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
         **tip_figures(session.tip),
@@ -144,6 +146,22 @@ def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], inf
                 str(lack._replace(start_s=a, end_s=b)) for a, b in whole if a < lack.end_s and b > lack.start_s
             ]
     return list(dict.fromkeys(sentences))
+
+
+def _felt(found: FeltSession) -> dict[str, Any]:
+    """Return what the hand felt of the stiffness that is there, and when that was far from it."""
+    felt, names = found.felt, ("ratio", "low", "high", "felt_n_per_m", "there_n_per_m")
+    outside = [
+        {"from_s": round(one.from_s, 1), "to_s": round(one.to_s, 1), **_figures(one.felt, names[:3]), "text": str(one)}
+        for one in found.outside
+    ]
+    figures = dict.fromkeys(names) if felt is None else _figures(felt, names)
+    return {**figures, "reason": found.reason, **({"outside": outside} if outside else {})}
+
+
+def _figures(felt: Felt, names: Sequence[str]) -> dict[str, float]:
+    # What comes after these digits depends on the processor.
+    return {name: float(f"{getattr(felt, name):.6g}") for name in names}
 
 
 def _clocks(session: Session) -> dict[str, Any] | None:

@@ -147,6 +147,36 @@ class OutsideSummary(_Part):
     text: str = Field(description="What was found, what it means, and what to do")
 
 
+class FeltOutsideSummary(_Part):
+    """A time in which the hand felt more than 1.5 times, or less than 0.6 times, the stiffness that is there."""
+
+    from_s: float = Field(description="Start in the session [s]")
+    to_s: float = Field(description="End in the session [s]")
+    ratio: float = Field(description="What the hand felt over what is there, median of the time")
+    low: float = Field(description="Lower end of the interval of `ratio`")
+    high: float = Field(description="Upper end of the interval of `ratio`")
+    text: str = Field(description="The same in words")
+
+
+class FeltSummary(_Part):
+    """What the hand felt of the stiffness that is there, or why that cannot be known."""
+
+    ratio: float | None = Field(
+        description="Stiffness that the hand felt while it moved to and fro in contact, over the one that is "
+        "there: the median of windows of 10 s, of those in `outside` where there are any; null where it cannot be known"
+    )
+    low: float | None = Field(description="Lower end of the interval of 95 % of `ratio`")
+    high: float | None = Field(description="Upper end of the interval of 95 % of `ratio`")
+    felt_n_per_m: float | None = Field(description="Stiffness that the hand felt [N/m]")
+    there_n_per_m: float | None = Field(description="Stiffness that is there, at the hand's scale [N/m]")
+    reason: str = Field(description="What was felt in words, or why it cannot be known")
+    outside: list[FeltOutsideSummary] = Field(
+        default=[],
+        description="When the hand felt more than 1.5 or less than 0.6 of what is there; the key is absent where it "
+        "never did",
+    )
+
+
 class OtherReading(_Part):
     """The figures of the other reading of the clocks."""
 
@@ -295,6 +325,9 @@ class Summary(_Part):
     verdict: Kind = Field(description="Verdict on the session: that of its worst hold")
     reason: str = Field(description="The verdict in words")
     hold_ratio: float | None = Field(description="`hold_ratio` of the last hold that has one; null where none has")
+    felt_stiffness: FeltSummary | None = Field(
+        default=None, description="What the hand felt of the stiffness that is there (`docs/laws.md`)"
+    )
     contact_x_cm: float | None = Field(
         description="Mean position reference of the hand in the last second of the session [cm]; null without "
         "`haptic/command`"

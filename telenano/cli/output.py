@@ -286,6 +286,8 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
         say(f"warning: {text}")
     for text in line_changes(summary):
         say(text)
+    for felt in (summary.get("felt_stiffness") or {}).get("outside", ()):
+        say(f"warning: {felt['text']}: docs/laws.md says what to do")
     if interrupted := in_words([Interruption(**one) for one in summary.get("interruptions", ())]):
         say(f"warning: this session is not its law alone: {interrupted}")
     missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
+from telenano.analysis.felt_stiffness import SampleFacts
 from telenano.devices.afm.capabilities import loop_refusal, refusal
 from telenano.launcher.scenario_keys import with_meant
 from telenano.recording.session_folder import RECORDING_NAME
@@ -183,6 +184,15 @@ class Plan:
         stiffness, latency_s = (afm.stiffest_n_per_m, 0.0) if afm.simulated else _declared(afm, self.scenario.period_s)
         even = not self.book.spans_machines and self.loaded.section(LINK, LinkSettings).network_name in EVEN
         return controller.stiffness_doubts(stiffness, latency_s, even=even) if stiffness is not None else ""
+
+    @property
+    def sample_facts(self) -> SampleFacts:
+        """What the scenario says of the sample to whoever compares with it what the hand feels."""
+        try:
+            return SampleFacts.of(self.loaded.section("afm_node", AfmConfig))
+        except ConfigError:
+            # The section may need what is installed at the other site alone.
+            return SampleFacts()
 
     @property
     def cautions(self) -> tuple[str, ...]:

@@ -38,7 +38,6 @@ from telenano.wire.nodes import site_of
 if TYPE_CHECKING:
     # A command that only asks which rigs run needs no models of nodes.
     from telenano.launcher.plan import Plan
-    from telenano.runtime.bus.places import Place
 
 fcntl = optional_module("fcntl")
 _NAMES = (FIRST_RIG, *map(str, range(2, 100)))
@@ -64,24 +63,12 @@ class RigFacts(NamedTuple):
     folder: str = ""
 
 
-class Own(NamedTuple):
-    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit.
-
-    `place` is the lock of the name, which the launcher makes again where somebody removes it.
-    """
-
-    name: str
-    processors: tuple[int, ...] = ()
-    descriptors: tuple[int, ...] = ()
-    place: "Place | None" = None
-
-
-class _RigName:
+class RigName:
     """The lock of the name of a rig, and the file beside it in which the rig describes itself."""
 
     def __init__(self, name: str, lock: EndpointLock, plan: "Plan", about: Mapping[str, Any]) -> None:
         """Write the file; RigError where that is not possible."""
-        self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, about
+        self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, dict(about)
         self._pin = self._written()
 
     def lost(self) -> str:
@@ -90,6 +77,15 @@ class _RigName:
     def make_again(self) -> None:
         if self._lock.lost():
             self._lock.make_again()
+        self._rewrite()
+
+    def note(self, **facts: str) -> None:
+        """Add facts to what the rig says of itself, as they are at present; RigError where that is not possible."""
+        if any(self._about.get(name) != value for name, value in facts.items()):
+            self._about |= facts
+            self._rewrite()
+
+    def _rewrite(self) -> None:
         before, self._pin = self._pin, self._written()
         before.close()
 
@@ -103,6 +99,18 @@ class _RigName:
             return Pin(self._file)
         except OSError as error:
             raise RigError(f"{self._file.parent}: cannot be written: {error.strerror}") from error
+
+
+class Own(NamedTuple):
+    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit.
+
+    `place` is the lock of the name, which the launcher makes again where somebody removes it.
+    """
+
+    name: str
+    processors: tuple[int, ...] = ()
+    descriptors: tuple[int, ...] = ()
+    place: RigName | None = None
 
 
 @contextlib.contextmanager
@@ -138,10 +146,10 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
             _remove_stale_folders(name, plan.launcher)
         claimed, behind = _claim(plan, show, lock_folder or processors.shared_folder())
         stack.callback(processors.release, claimed)
-        place: Place | None = None
+        place: RigName | None = None
         if plan.book.uses_runtime_directory:
             about = _described(plan, tuple(sorted(claimed)), behind=behind)
-            place = _RigName(name, lock, plan, about)
+            place = RigName(name, lock, plan, about)
             stack.callback(place.remove)
         yield Own(name, tuple(sorted(claimed)), (*held, *claimed.values()), place)
 

@@ -4,20 +4,22 @@ import contextlib
 import io
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from telenano.analysis.figure_style import ON_SCREEN, FigureOptions
-from telenano.extend.advice import AdvisedSession
+from telenano.extend.advice import AdvisedSession, Adviser
 from telenano.launcher.advisers import Advisers, absent_laws, advisers_for
 from telenano.launcher.external_recording import ExternalRecording, readable_here
+from telenano.launcher.felt_adviser import FeltAdviser
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inherited, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
+from telenano.launcher.rigs import RigName
 from telenano.launcher.session import SessionNode
 from telenano.launcher.site_node import SiteNode
 from telenano.launcher.supervisor import Supervisor
@@ -26,9 +28,10 @@ from telenano.recording.disk_watch import free_bytes
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.session_folder import SessionFolder
 from telenano.recording.session_identity import SESSION_VARIABLE, given_identity
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ZmqBus
 from telenano.runtime.bus.local_endpoint import RIG_VARIABLE
-from telenano.runtime.bus.places import Place, Places
+from telenano.runtime.bus.places import Places
 from telenano.runtime.loop.kept_stop import forget
 from telenano.runtime.loop.log import configure_logging
 from telenano.runtime.loop.node import NodeContext
@@ -118,7 +121,7 @@ def run_rig(
     show: Callable[[str], None],
     beside: Mapping[str, Inherited] | None = None,
     held: Sequence[int] = (),
-    name: Place | None = None,
+    name: RigName | None = None,
 ) -> Outcome:
     """Run a planned rig from the first process to the last; TelenanoError if it could not begin.
 
@@ -170,7 +173,7 @@ def run_rig(
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
-        rig.advisers = _advisers(plan, participant)
+        rig.advisers = _advisers(plan, participant, name)
         if plan.site != "slave":
             # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
@@ -231,20 +234,31 @@ def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]
     return lambda monotonic_ns: None
 
 
-def _advisers(plan: Plan, participant: Participant) -> Advisers | None:
-    """Return what packages advise of a session; None where there are none, or its settings are not known."""
+def _advisers(plan: Plan, participant: Participant, name: RigName | None) -> Advisers | None:
+    """Return what advises of a session; None where its settings are not known."""
     if plan.attach:
         return None
     try:
         controller = plan.loaded.section("controller", ControllerConfig)
     except ConfigError:
         return None
-    session = AdvisedSession(controller, participant.clock.monotonic_ns, absent_laws())
-    if not (advisers := advisers_for(session, participant.log)):
-        return None
-    inputs = sorted({topic for adviser in advisers.values() for topic in adviser.inputs})
-    readers = participant.subscribers(plan.book.sources(participant.key, inputs), newest_only=True)
+    now_ns = participant.clock.monotonic_ns
+    session = AdvisedSession(controller, now_ns, absent_laws())
+    tell = None if name is None else name.note
+    felt = FeltAdviser(now_ns, controller, plan.sample_facts, tell)
+    advisers: dict[str, Adviser] = {"felt stiffness": felt, **advisers_for(session, participant.log)}
+    inputs = {topic for adviser in advisers.values() for topic in adviser.inputs}
+    readers = participant.subscribers(advised_of(plan.book, plan.launcher, inputs), newest_only=True)
     return Advisers(participant.log, advisers, readers)
+
+
+def advised_of(book: AddressBook, launcher: str, inputs: Collection[str]) -> dict[str, list[str]]:
+    """Return where advisers hear topics: as an observer, so of both sites where the machine reaches their nodes.
+
+    The launcher itself is at one site, to which the link brings the samples of neither device of the other one.
+    """
+    heard = {node: [topic for topic in topics if topic in inputs] for node, topics in book.observed(launcher).items()}
+    return {node: topics for node, topics in heard.items() if topics and node != launcher}
 
 
 def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from telenano.analysis.felt_stiffness import Course, FeltSession, SampleFacts, Span, felt_in, scale_of
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
@@ -97,7 +98,9 @@ class SimulatedSession(Session):
         known: SessionContext = NO_CONTEXT,
         position_scale: float | None = None,
         measured_round_trip_ms: float | None = None,
+        felt_by: tuple[Span, SampleFacts] | None = None,
     ) -> None:
+        self._felt_by = felt_by or (Span(0.0, math.inf, None, "the scales of the law are not stated"), SampleFacts())
         self._conditions = conditions
         self._measured_round_trip_ms = measured_round_trip_ms
         self.force_scale = force_scale
@@ -207,6 +210,7 @@ class SimulatedSession(Session):
             known=context,
             position_scale=section.position_scale,
             measured_round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
+            felt_by=(Span(0.0, math.inf, *scale_of(controller, controller.law)), SampleFacts.of(afm)),
         )
 
     def __repr__(self) -> str:
@@ -279,6 +283,16 @@ class SimulatedSession(Session):
     def reason(self) -> str:
         """The verdict in words; a guard that acted comes first, with its time and limit."""
         return self._verdict[1]
+
+    @cached_property
+    def felt_stiffness(self) -> FeltSession:
+        """What the hand felt of the stiffness that is there, or why that cannot be known."""
+        course, time_s = self._trajectory, self["time_s"]
+        hand = np.stack([time_s, self["hand_position_m"], self["operator_force_n"]])
+        tip = np.stack([time_s, self["base_position_m"], self["tip_force_n"]])
+        coupled = course.in_contact & course.follows & course.hand_following
+        span, facts = self._felt_by
+        return felt_in(Course(hand, tip, coupled), [span], facts)
 
     def _drawn(self) -> tuple[SessionSeries, str]:
         course, time_s = self._trajectory, self["time_s"]

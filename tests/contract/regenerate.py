@@ -7,6 +7,7 @@ A new kind of derived file is a function from the code to its text and one line 
 """
 
 import argparse
+import importlib
 import json
 import os
 import subprocess
@@ -33,6 +34,8 @@ def of_everything() -> dict[Path, str]:
     files[command_page.PAGE] = command_page.with_page(command_page.PAGE.read_text(encoding="utf-8"))
     files[SCHEMA_DIRECTORY / "summary.json"] = json.dumps(summary_schema(), indent=2) + "\n"
     files[ROOT / "docs" / "summary.md"] = markdown()
+    felt = importlib.import_module("telenano_lab.studies.pages.felt_page")
+    files[ROOT / "docs" / "felt-measured.md"] = felt.markdown()
     return files
 
 

@@ -58,7 +58,8 @@ COMMANDS: Mapping[str, str] = {
     "compare": "compare {demo} {parts} --out {out}",
     "study stability": "study stability --environment spring --law virtual_impedance --delay 0,20 --stiffness 20"
     " --duration 3 --workers 1 --out {out}",
-    "study transparency": "study transparency --law wave --delay 10 --stiffness 20 --frequency 1,10 --out {out}",
+    "study transparency": "study transparency --law wave --delay 10 --stiffness 20 --frequency 1,10 --workers 1"
+    " --out {out}",
     "study gallery": "study gallery --out {out}",
     "study promises": "study promises --law wave --seeds 1 --burst 5 --workers 1 --out {out}",
     "study push": "study push --law wave --delay 10 --seeds 1 --workers 1 --out {out}",
@@ -260,6 +261,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "study stability --duration": ["4"],
     "study stability --seed": ["5 --jitter 5"],
     "study stability --seeds": ["2 --jitter 5"],
+    "study transparency --draws": ["2"],
     "study transparency --set": ["clamp.enabled=true"],
     "study drift --speed": ["50"],
     "study drift --time-constant": ["20"],

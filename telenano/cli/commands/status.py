@@ -141,6 +141,8 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
         yield "age of the loop", Text(f"{in_words(age)} ({1e3 * age[-1].p99_s:.3g} ms at 99 %); in ms: {rest}")
     if about := document.get("rig"):
         yield "processors", Text(processors_text(about), "yellow" if about.get("behind") else "")
+    if felt := (document.get("rig") or {}).get("felt"):
+        yield "the hand feels", Text(str(felt))
     heard = [facts for facts in document["nodes"] if facts["heard"]]
     slow = [facts for facts in heard if 0.0 < facts["rate_hz"] * facts["period_s"] < _LEAST_SHARE]
     if slow:

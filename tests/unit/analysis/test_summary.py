@@ -12,6 +12,7 @@ import pytest
 from forged_files import copied
 from made_sessions import FORCE_SCALE, TIP, Made, hand_force_n
 from pydantic import Field, ValidationError
+from soft_session import record_soft_session
 
 from telenano.analysis import Session, session_judge, summary_of
 from telenano.analysis import summary as summary_module
@@ -68,6 +69,7 @@ def summaries(
     files["in_parts"] = parts
     for name, made in MADE.items():
         files[name] = [made.write(tmp_path_factory.mktemp(name))]
+    files["soft"] = [record_soft_session(tmp_path_factory.mktemp("soft"))]
     odd = tmp_path_factory.mktemp("odd") / "session.mcap"
     files["odd"] = [copied(files["stable"][0], odd, lambda place, log_ns: 0 if place == 9 else log_ns)]
     return {name: summarised(open_recordings(paths)) for name, paths in files.items()}

@@ -438,11 +438,18 @@ def test_no_rig_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("behind", "words"), [(False, "2, 3"), (True, "none of its own: other rigs have them")])
-def test_a_rig_is_shown_with_its_processors(monkeypatch: pytest.MonkeyPatch, behind: bool, words: str) -> None:
-    about = {"processors": [] if behind else [2, 3], "behind": behind}
+def test_a_rig_is_shown_with_its_processors_and_what_its_hand_feels(
+    monkeypatch: pytest.MonkeyPatch, behind: bool, words: str
+) -> None:
+    about: dict[str, Any] = {"processors": [] if behind else [2, 3], "behind": behind}
     monkeypatch.setattr(status, "about_rig", lambda name: about)
     _, out, _ = run(monkeypatch, *map(health, RIG))
     [line] = [line for line in out.splitlines() if line.startswith("processors ")]
     assert words in line
+    assert "the hand feels" not in out
+    about["felt"] = "0.33 (0.31 to 0.35) times the stiffness that is there, 990 of 3000 N/m at the hand"
+    _, out, _ = run(monkeypatch, *map(health, RIG))
+    [line] = [line for line in out.splitlines() if line.startswith("the hand feels ")]
+    assert "0.33 (0.31 to 0.35)" in line
     _, out, _ = run(monkeypatch, *map(health, RIG), arguments=("--json",))
     assert json.loads(out)["rig"] == about

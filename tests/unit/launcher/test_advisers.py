@@ -11,7 +11,10 @@ from telenano.doctor.checks import check_advisers
 from telenano.extend.advice import Advice, AdvisedSession
 from telenano.launcher import advisers
 from telenano.launcher.advisers import Advisers, advisers_for
+from telenano.launcher.run import advised_of
+from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
+from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.plugins import Loaded, Plugin
 from telenano.testing.filled_messages import examples
 from telenano.wire.messages import Message, SessionEvent
@@ -123,3 +126,14 @@ def test_doctor_says_where_nothing_is_warned_of_and_which_package_would() -> Non
     without = check_advisers({})
     assert without.level == "ok" and "nothing is warned of" in without.found
     assert "telenano-lab" in without.advice
+
+
+def test_advisers_hear_the_devices_of_both_sites_where_the_machine_reaches_them() -> None:
+    book = AddressBook.load(DEFAULT_SITE_FILE)
+    wanted = ("law/status", "haptic/state", "afm/state", "session/event")
+    heard = advised_of(book, "launcher@master", wanted)
+    assert set(heard["afm_node@slave"]) == {"afm/state", "session/event"}
+    assert "haptic/state" in heard["haptic_node@master"] and "law/status" in heard["controller@master"]
+    assert "launcher@master" not in heard
+    assert {topic for topics in heard.values() for topic in topics} == set(wanted)
+    assert set(advised_of(book, "launcher@master", ("afm/state",))) == {"afm_node@slave"}

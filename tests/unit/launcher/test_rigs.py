@@ -73,6 +73,18 @@ def test_each_rig_has_a_name_a_folder_and_two_processors(tmp_path: Path, base: P
     assert not {RIG_VARIABLE, PROCESSORS_VARIABLE} & set(os.environ)
 
 
+def test_a_rig_adds_to_what_it_says_of_itself_while_it_runs(tmp_path: Path, base: Path, locks: Path) -> None:
+    with own_rig(plan_of(tmp_path), lambda text: None, locks) as own:
+        assert own.place is not None
+        for felt in ("not known: no session runs", "0.40 (0.39 to 0.41) times", "0.40 (0.39 to 0.41) times"):
+            own.place.note(felt=felt)
+            [rig] = running_rigs()
+            assert (rig.about["felt"], rig.about["scenario"]) == (felt, "fig12")
+            # It is the rig that has written it anew, and nobody has removed it.
+            assert own.place.lost() == ""
+    assert running_rigs() == []
+
+
 def test_a_rig_without_processors_of_its_own_is_told_so_and_runs_behind(tmp_path: Path, locks: Path) -> None:
     taken = processors.claim_these({1, 2, 3}, locks)
     said: list[str] = []

@@ -106,12 +106,16 @@ def _range(option: str, text: str, unit: str) -> list[float]:
 
 
 def frequencies(text: str) -> tuple[float, ...]:
-    """Read frequencies [Hz] whose periods are whole milliseconds, so that whole periods are whole ticks."""
-    values = numbers("--frequency", text, 0.05, 50.0, "Hz")
-    for frequency in values:
-        if abs(1e3 / frequency - round(1e3 / frequency)) > 1e-6:
-            raise ConfigError(f"--frequency {frequency:g}: a period of {1e3 / frequency:g} ms; give one of whole ms")
-    return values
+    """Read frequencies [Hz]."""
+    return numbers("--frequency", text, 0.05, 50.0, "Hz")
+
+
+def named_instruments(text: str) -> tuple[str, ...]:
+    """Read names of instruments separated by commas; ConfigError for one that there is not."""
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    for name in names:
+        section_of_instrument(name)
+    return names
 
 
 def laws(text: str) -> tuple[str, ...]:

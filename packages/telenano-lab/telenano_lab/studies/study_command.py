@@ -29,12 +29,15 @@ from telenano.settings import profile_named
 from telenano_lab.studies.gallery_command import gallery_command
 from telenano_lab.studies.loops import advice
 from telenano_lab.studies.loops.advice import Question
+from telenano_lab.studies.loops.felt import FELT, refusals
 from telenano_lab.studies.loops.sample import drawn_cells
 from telenano_lab.studies.loops.stability import Axes, LineResult, run_stability
 from telenano_lab.studies.network_command import network_command
 from telenano_lab.studies.page import write_images
+from telenano_lab.studies.pages.felt_page import write_felt
 from telenano_lab.studies.pages.transparency_page import (
     Feel,
+    felt_cells,
     measure_all,
     spectrum_figures,
     write_spectra,
@@ -46,7 +49,6 @@ from telenano_lab.studies.push_command import push
 from telenano_lab.studies.study_options import OutOption, SchedulerOption, WorkersOption
 from telenano_lab.studies.study_results import (
     INTERRUPTED,
-    NO_JOURNAL,
     command_line,
     print_result,
     sweep_in,
@@ -114,22 +116,28 @@ def stability(
 def transparency(
     given: dict[str, Any],
     out: OutOption,
+    workers: WorkersOption = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
-    with report_errors(as_json, NO_JOURNAL):
+    with report_errors(as_json, INTERRUPTED):
         axes, tables = validated(Feel, given), table_formats(table)
         warn_of(*axes.check())
+        with sweep_in(out, workers, None, shown=not as_json, kind=FELT) as sweep:
+            results = sweep.run(felt_cells(axes))
+        places = {name: place for place, name in enumerate((*axes.instruments, *axes.laws))}
+        felt = [result.row() for result in results]
+        felt.sort(key=lambda row: (places[row["instrument"]], places[row["law"]], row["round_trip_ms"]))
         rows, spectra = measure_all(axes)
         options = FigureOptions.of(formats, style)
         records = [
             {**asdict(row), "hand": axes.hand, **z_width_of(spectrum)}
             for row, spectrum in zip(rows, spectra, strict=True)
         ]
-        summary = {"study": "transparency", "rows": records}
+        summary = {"study": "transparency", "rows": records, "felt": felt, "felt_refused": refusals(results)}
         with results_in(out) as folder:
             with options.styled():
                 images = write_images(folder, spectrum_figures(spectra), command_line(), options)
@@ -137,8 +145,10 @@ def transparency(
             page.code(command_line())
             write_transparency(page, rows)
             write_spectra(page, spectra, images)
+            if felt:
+                write_felt(page, felt)
             lines = [line for spectrum in spectra for line in spectrum.rows()]
-            write_study(folder, page, summary, tables, transparency=records, spectra=lines)
+            write_study(folder, page, summary, tables, transparency=records, spectra=lines, felt=felt)
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
                 "passive to [N/m]", "Z-width [dB]")  # fmt: skip
         print_result(summary, head, [

@@ -1,7 +1,8 @@
 """Transparency: how much of the environment reaches the hand, law by law, over the delay and over frequency.
 
 The hand presses on a spring with a constant force and a small sine on top, once on the spring of the study, once on
-nothing. After the transient the fundamental of each signal is taken over whole periods, so that with X, F complex:
+nothing. After the transient the fundamental of each signal is fitted over whole periods beside a trend, so that neither
+drift nor creep is taken for a part of the swing. With X, F complex:
 
 - tracking error: RMS of x_s / alpha_p - x_m without their means, over the RMS of x_m, [%]
 - rendered stiffness: Re(F_m / X_m), what the hand feels of a spring [N/m], against the true alpha_f alpha_p K
@@ -30,8 +31,8 @@ import numpy.typing as npt
 from telenano.lockstep import Trajectory
 from telenano_lab.studies.loops.cells import Cell, course_of, run_cell, scales_of
 
+Series = npt.NDArray[np.float64]
 FREQUENCY_HZ = 0.5
-# Each frequency has a period of whole milliseconds, so that whole periods are whole ticks.
 FREQUENCIES_HZ = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 STIFFEST_N_PER_M = 400.0
 _SOFTEST_N_PER_M = 0.5
@@ -235,6 +236,7 @@ def hand_force_profile(
     settle_s: float,
     frequency_hz: float = FREQUENCY_HZ,
     cycles: int = _MEASURED_PERIODS,
+    amplitude_n: float = _AMPLITUDE_N,
 ) -> tuple[list[tuple[float, float]], float]:
     """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s].
 
@@ -243,6 +245,7 @@ def hand_force_profile(
         settle_s: The time that the rig has to settle [s].
         frequency_hz: The frequency of the sine [Hz].
         cycles: The number of periods that are measured.
+        amplitude_n: The amplitude of the sine [N].
     """
     begin = _RAMP_S + settle_s
     before = _settle_periods(frequency_hz)
@@ -251,7 +254,7 @@ def hand_force_profile(
     each = min(_POINTS_PER_PERIOD, round(500.0 / frequency_hz))
     for n in range((before + cycles) * each + 1):
         time = n / (each * frequency_hz)
-        points.append((begin + time, mean_n + _AMPLITUDE_N * math.sin(2.0 * math.pi * frequency_hz * time)))
+        points.append((begin + time, mean_n + amplitude_n * math.sin(2.0 * math.pi * frequency_hz * time)))
     return points, begin + before / frequency_hz
 
 
@@ -263,34 +266,59 @@ def _settle_periods(frequency_hz: float) -> int:
 
 def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
     """Run and demodulate; None when the instrument's guard ended it."""
+    course, begin_s = swing(cell, mean_n, frequency_hz)
+    return _demodulated(course, begin_s, cell, frequency_hz) if followed(course) else None
+
+
+def swing(
+    cell: Cell, mean_n: float, frequency_hz: float, amplitude_n: float = _AMPLITUDE_N
+) -> tuple[Trajectory, float]:
+    """Run a cell with a hand that swings about a mean force, and return its course and when it is measured from [s].
+
+    Raises:
+        RigError: The tip was never placed.
+    """
     cycles = max(2, math.ceil(_LEAST_MEASURED_S * frequency_hz))
     cycles = _MEASURED_PERIODS if frequency_hz == FREQUENCY_HZ else cycles
-    points, begin_s = hand_force_profile(mean_n, 0.5 + 20.0 * cell.round_trip_s, frequency_hz, cycles)
-    course = course_of(cell, points, begin_s + cycles / frequency_hz)
-    return _demodulated(course, begin_s, cell, frequency_hz) if _followed(course) else None
+    settle_s = 0.5 + 20.0 * cell.round_trip_s
+    points, begin_s = hand_force_profile(mean_n, settle_s, frequency_hz, cycles, amplitude_n)
+    return course_of(cell, points, begin_s + cycles / frequency_hz), begin_s
 
 
-def _followed(course: Trajectory) -> bool:
+def followed(course: Trajectory) -> bool:
     """Return whether the instrument followed throughout; a pause in the commands makes it hold for a moment."""
     return bool((course.follows | course.held).all())
+
+
+def tone(time_s: Series, values: Series, frequency_hz: float) -> tuple[complex, Series]:
+    """Return the complex amplitude of a swing beside its mean and a trend, and what these leave, shape (n,).
+
+    Args:
+        time_s: When the values were taken [s], shape (n,).
+        values: The values, shape (n,).
+        frequency_hz: The frequency of the swing [Hz].
+    """
+    omega, off = 2.0 * math.pi * frequency_hz, time_s - time_s.mean()
+    columns = np.stack([np.cos(omega * time_s), np.sin(omega * time_s), np.ones_like(off), off], axis=1)
+    found, *_ = np.linalg.lstsq(columns, values, rcond=None)
+    return complex(found[0], -found[1]), values - columns @ found
 
 
 def _demodulated(course: Trajectory, begin_s: float, cell: Cell, frequency_hz: float) -> _Tones:
     scales = scales_of(cell.controller())
     part = slice(int(np.searchsorted(course.time_s, begin_s - 1e-9)), None)
-    carrier = np.exp(-2j * math.pi * frequency_hz * course.time_s[part])
 
-    def tone(values: npt.NDArray[np.float64]) -> complex:
-        return complex(2.0 * np.mean((values - values.mean()) * carrier))
+    def amplitude(values: Series) -> complex:
+        return tone(course.time_s[part], values, frequency_hz)[0]
 
     hand_m = course.hand_position_m[part]
     tip_m = course.base_position_m[part] / scales.position_scale
     return _Tones(
-        hand_n=tone(course.hand_force_n[part]),
-        rendered_n=tone(course.rendered_force_n[part]),
-        hand_m=tone(hand_m),
-        tip_n=tone(scales.force_scale * course.tip_force_n[part]),
-        tip_m=tone(tip_m),
+        hand_n=amplitude(course.hand_force_n[part]),
+        rendered_n=amplitude(course.rendered_force_n[part]),
+        hand_m=amplitude(hand_m),
+        tip_n=amplitude(scales.force_scale * course.tip_force_n[part]),
+        tip_m=amplitude(tip_m),
         error_rms_m=float((tip_m - hand_m).std()),
         motion_rms_m=float(hand_m.std()),
     )

@@ -8,15 +8,18 @@ from pydantic import Field
 from telenano.analysis import Page, cell_text
 from telenano.settings import Option
 from telenano_lab.studies.loops.cells import Cell
+from telenano_lab.studies.loops.felt import FeltCell
 from telenano_lab.studies.loops.stability import Axes, Line
 from telenano_lab.studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
 from telenano_lab.studies.loops.tuning import tuned
-from telenano_lab.studies.option_values import frequencies
+from telenano_lab.studies.option_values import disturbances_of, frequencies, named_instruments
 from telenano_lab.studies.pages.figures import hybrid_figure, impedance_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Swings that are faster are felt as masses, and stand in no table of stiffness [Hz].
+FASTEST_HZ = 2.5
 _FREQUENCIES = "0.2,0.5,1,2,5,10"
 
 
@@ -25,7 +28,13 @@ class Feel(Axes):
 
     frequencies_hz: Annotated[
         tuple[float, ...], Option(("--frequency",), "LIST", frequencies, written=_FREQUENCIES)
-    ] = Field(default=frequencies(_FREQUENCIES), description="Sines of the hand [Hz], of a whole number of ms each")
+    ] = Field(default=frequencies(_FREQUENCIES), description="Sines of the hand [Hz]")
+    instruments: Annotated[
+        tuple[str, ...], Option(("--instrument",), "NAME[,NAME]", named_instruments, written="ideal")
+    ] = Field(default=("ideal",), description="Of the table of felt stiffness: names of instruments")
+    draws: Annotated[int, Option(("--draws",), "N")] = Field(
+        default=4, ge=2, le=1000, description="Sessions of a cell of that table: force, swing and noise differ"
+    )
     tuned: Annotated[bool, Option(("--tuned",))] = Field(
         default=False, description="Tune each law for each delay, by the rule of `study advise`"
     )
@@ -51,6 +60,31 @@ def cells_of(axes: Feel) -> list[Cell]:
             update={"settings": (*cell.settings, *tuned(cell.law, cell.stiffness_n_per_m, cell.round_trip_s))}
         )
         for cell in cells
+    ]
+
+
+def felt_cells(axes: Feel) -> list[FeltCell]:
+    """Return the cells of the table of felt stiffness: each law, instrument, delay, spring and swing.
+
+    Cells that share the noise of their instruments follow one another: drawing it takes longer than running them.
+    """
+    swings = [frequency for frequency in axes.frequencies_hz if frequency <= FASTEST_HZ]
+    springs = dict.fromkeys(line.stiffness_n_per_m for line in axes.lines())
+    return [
+        FeltCell(
+            **cell.model_dump(exclude={"stiffness_n_per_m", "disturbances"}),
+            stiffness_n_per_m=stiffness,
+            disturbances=disturbances_of(instrument),
+            instrument_name=instrument,
+            frequency_hz=frequency,
+            draws=axes.draws,
+        )
+        for instrument in axes.instruments
+        for delay in axes.delays_ms
+        for frequency in swings
+        for cell in cells_of(axes)
+        if cell.round_trip_ms == delay
+        for stiffness in springs
     ]
 
 

@@ -1,0 +1,433 @@
+"""What the hand feels of the stiffness that is there, with an interval, or why that cannot be known.
+
+    found = felt_over(hand, tip, hand_per_tip, facts)
+    found.ratio, found.low, found.high          # or found.reason
+
+While the tip touches and the hand moves to and fro, the hand feels k of F_m = k x_m + b v_m + c + d t + e t^2: of one
+swing it is Re(F_m / X_m). The same is fitted to force and base of the tip, and alpha_f alpha_p times its k is there.
+The interval of k is from the scatter of parts of the record, as samples that follow one another are alike.
+
+The base is commanded further than a piezo goes, so that a sample looks softer than it is by up to `SOFTER`, unless the
+instrument is simulated without that. Of a simulated spring the stiffness is stated, and counts unless what the tip
+meets contradicts it.
+
+It cannot be known where the tip does not touch for long enough, where the hand does not move enough or moves faster
+than `FASTEST_HZ`, so that the masses of law and device count, or where its motion has another cause than its force: a
+loop that swings by itself, a drift, or a device of which the force is not measured.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.analysis.intervals import student
+from telenano.sections.controller_section import KNOWN_LAWS, LAWS, ControllerConfig
+from telenano.settings.config import section_of
+
+if TYPE_CHECKING:
+    from telenano.sections.afm_section import AfmConfig
+
+Series = npt.NDArray[np.float64]
+# More than this share of the stiffness that is there is felt too hard, and less than that one too soft.
+TOO_HARD, TOO_SOFT = 1.5, 0.6
+# A window of this length is looked at, at these intervals, in means over this time [s].
+WINDOW_S = 10.0
+LOOK_S = 1.0
+MEAN_S = 0.05
+# A window has at least this much of it in contact [s].
+LEAST_S = 4.0
+# What is felt counts as too hard or too soft where it is so for the first time, and no more where it is not for the
+# second one [s].
+LASTS_S, GONE_S = 2.0, 10.0
+# Faster motion is that of masses rather than of a spring [Hz].
+FASTEST_HZ = 2.5
+# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share (Physik Instrumente, Piezo
+# tutorial); by noise and by its lag a sample may look a little stiffer.
+SOFTER, STIFFER = 0.37, 0.05
+# Samples within this time of one another are not taken to be independent [s].
+_ALIKE_S = 0.5
+# The hand has to come back so often, to half of its usual deviation on the other side.
+_TURNS = 3
+# Force and motion of the hand explain one another to this share.
+_TOGETHER = 0.8
+# A stiffness is known where half its interval is less than this share of it, or of what is there.
+_KNOWN_TO = 0.3
+_TERMS = 5
+
+
+class Felt(NamedTuple):
+    """What the hand feels over what is there, with its interval of 95 %, and both at the hand [N/m]."""
+
+    ratio: float
+    low: float
+    high: float
+    felt_n_per_m: float
+    there_n_per_m: float
+
+    @property
+    def kind(self) -> Literal["hard", "soft", "as it is", "open"]:
+        """What the interval says; open: a limit lies within it."""
+        if self.low > TOO_HARD:
+            return "hard"
+        if self.high < TOO_SOFT:
+            return "soft"
+        return "as it is" if self.low >= TOO_SOFT and self.high <= TOO_HARD else "open"
+
+    def __str__(self) -> str:
+        """Return the finding in words."""
+        both = f"{self.felt_n_per_m:.0f} of {self.there_n_per_m:.0f} N/m at the hand"
+        return f"{self.ratio:.2f} ({self.low:.2f} to {self.high:.2f}) times the stiffness that is there, {both}"
+
+
+class NotKnown(NamedTuple):
+    """Why it cannot be known what the hand feels."""
+
+    reason: str
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"not known: {self.reason}"
+
+
+NO_CONTACT = NotKnown("the tip did not touch the sample for long enough")
+NO_MOTION = NotKnown("the hand did not move to and fro enough while the tip touched")
+TOO_FAST = NotKnown(f"the hand moved faster than {FASTEST_HZ:g} Hz, where masses count and not the sample")
+OTHER_CAUSE = NotKnown("the hand moved otherwise than its force says")
+TIP_UNCLEAR = NotKnown("the stiffness that is there is not known: the tip moved too little, or its force is too noisy")
+
+
+class SampleFacts(NamedTuple):
+    """What the settings say of the sample and its instrument.
+
+    stated_n_per_m: the stiffness of a simulated spring [N/m], None of any other sample; has_piezo: whether the base may
+    go less far than it is commanded to; no_force: why what is felt is no force of a sample, empty where it is one.
+    """
+
+    stated_n_per_m: float | None = None
+    has_piezo: bool = True
+    no_force: str = ""
+
+    @classmethod
+    def of(cls, afm: "AfmConfig") -> "SampleFacts":
+        """Return what a section `afm_node` says (`telenano.sections.AfmConfig`)."""
+        if afm.feel is not None:
+            return cls(no_force=f"what is felt is a table of {afm.feel.channel}, and no force on the tip")
+        if not afm.simulated:
+            return cls()
+        own = afm.disturbances
+        has_piezo = any(part.enabled for part in (own.hysteresis, own.creep, own.stage))
+        is_spring = afm.driver == "simulated" and afm.environment == "spring" and afm.sample is None
+        return cls(afm.spring.stiffness_n_per_m if is_spring else None, has_piezo)
+
+
+class _Slope(NamedTuple):
+    """k of a fit and half its interval, which share of force and motion the other explains, frequency, and turns."""
+
+    value: float
+    half: float
+    force_share: float
+    way_share: float
+    frequency_hz: float
+    turns: int
+
+
+def felt_over(hand: Series, tip: Series, hand_per_tip: float, facts: SampleFacts) -> Felt | NotKnown:
+    """Return what the hand feels in a window in which the tip touches throughout.
+
+    Args:
+        hand: Time [s], way x_m [m] and force F_m [N] of the hand, shape (3, n).
+        tip: Time [s], way x_s of the base [m] and force F_s [N], shape (3, m).
+        hand_per_tip: alpha_f alpha_p: a stiffness at the hand over that at the tip.
+        facts: What is known of the sample.
+    """
+    if any(rows.shape[1] < 2 or rows[0, -1] - rows[0, 0] < LEAST_S for rows in (hand, tip)):
+        return NO_CONTACT
+    felt, met = _slope(*hand), _slope(*tip)
+    if felt is None or felt.turns < _TURNS:
+        return NO_MOTION
+    if felt.frequency_hz > FASTEST_HZ:
+        return TOO_FAST
+    there = _there(met, hand_per_tip, facts)
+    if there is None:
+        return TIP_UNCLEAR
+    if max(felt.force_share, felt.way_share) < _TOGETHER:
+        return OTHER_CAUSE
+    if felt.half > _KNOWN_TO * max(abs(felt.value), there[0]):
+        return NO_MOTION
+    low, high = felt.value - felt.half, felt.value + felt.half
+    # What moves the hand besides its force makes the slope smaller than it is.
+    high = high / max(felt.force_share, _TOGETHER) if high > 0.0 else high
+    ends = [end / value for end in (low, high) for value in there[1:]]
+    return Felt(felt.value / there[0], min(ends), max(ends), felt.value, there[0])
+
+
+def _there(met: _Slope | None, hand_per_tip: float, facts: SampleFacts) -> tuple[float, float, float] | None:
+    """Return the stiffness that is there at the hand, and its interval [N/m]; None where it is not known."""
+    found = None
+    if met is not None and met.value > 0.0 and met.half < _KNOWN_TO * met.value:
+        softer = SOFTER if facts.has_piezo else STIFFER
+        ends = (1.0 - STIFFER) * (met.value - met.half), (met.value + met.half) / (1.0 - softer)
+        found = hand_per_tip * met.value, hand_per_tip * ends[0], hand_per_tip * ends[1]
+    if facts.stated_n_per_m is None:
+        return found
+    stated = hand_per_tip * facts.stated_n_per_m
+    return found if found is not None and not found[1] <= stated <= found[2] else (stated, stated, stated)
+
+
+def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
+    """Fit a spring and a damper beside a drift; None where nothing moves, or too little is there to fit."""
+    if time_s.size < 8:
+        return None
+    # A tremor of the hand, around 9 Hz, is taken off way and force alike; a swing keeps its ratio of both.
+    frequency_hz = _frequency_hz(time_s, way_m)
+    time_s, way_m, force_n = (np.convolve(values, (0.25, 0.5, 0.25), "valid") for values in (time_s, way_m, force_n))
+    since = (time_s - time_s.mean()) / max(float(np.ptp(time_s)), 1e-9)
+    drift = np.stack([np.ones_like(since), since, since * since], axis=1)
+    away, pressed = _beside(drift, way_m), _beside(drift, force_n)
+    deviation = float(away.std())
+    parts = np.unique(np.floor((time_s - time_s[0]) / _ALIKE_S), return_inverse=True)[1]
+    freedom = int(parts[-1]) + 1 - _TERMS
+    # A motion of less than 1e-9 of the way is what rounding leaves.
+    if freedom < 2 or not deviation > 1e-9 * float(np.abs(way_m).max(initial=0.0)):
+        return None
+    speed = _beside(drift, np.gradient(way_m, time_s))
+    columns = np.stack([away / deviation, speed / max(float(speed.std()), 1e-300)], axis=1)
+    inverse = np.linalg.pinv(columns.T @ columns)
+    found = inverse @ (columns.T @ pressed)
+    left = pressed - columns @ found
+    scores = np.stack([np.bincount(parts, column * left) for column in columns.T], axis=1)
+    spread = inverse @ (scores.T @ scores) @ inverse * (freedom + _TERMS) / freedom
+    half = student(freedom) * math.sqrt(max(float(spread[0, 0]), 0.0))
+    rate = _beside(drift, np.gradient(force_n, time_s))
+    way_share = _share(np.stack([pressed, rate], axis=1), away)
+    turns = _turns(away, 0.5 * deviation)
+    return _Slope(
+        float(found[0]) / deviation, half / deviation, _share(columns, pressed), way_share, frequency_hz, turns
+    )
+
+
+def _frequency_hz(time_s: Series, way_m: Series) -> float:
+    """Return the frequency of a swing that is as fast for its size as a motion."""
+    away = _beside(np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1), way_m)
+    speed = np.diff(away) / np.maximum(np.diff(time_s), 1e-9)
+    size = float(away.std())
+    return float(np.sqrt(np.mean(speed * speed))) / size / (2.0 * math.pi) if size > 0.0 else 0.0
+
+
+def _beside(drift: Series, values: Series) -> Series:
+    """Return what a drift leaves of values."""
+    found, *_ = np.linalg.lstsq(drift, values, rcond=None)
+    return np.asarray(values - drift @ found, dtype=np.float64)
+
+
+def _share(columns: Series, values: Series) -> float:
+    """Return the share of the variance of values that columns explain; 0 where there is none."""
+    whole = float(values @ values)
+    scale = np.maximum(columns.std(axis=0), 1e-300)
+    found, *_ = np.linalg.lstsq(columns / scale, values, rcond=None)
+    left = values - (columns / scale) @ found
+    return 1.0 - float(left @ left) / whole if whole > 0.0 else 0.0
+
+
+def _turns(away: Series, least: float) -> int:
+    """Return how often a motion went from one side to the other one."""
+    sides = np.sign(away[np.abs(away) > least])
+    return int(np.count_nonzero(np.diff(sides)))
+
+
+class FeltWindow:
+    """The newest `WINDOW_S` of hand and tip of a session that runs, in means over `MEAN_S`."""
+
+    def __init__(self, facts: SampleFacts) -> None:
+        self.facts = facts
+        self._hand, self._tip = _Means(), _Means()
+
+    def hand(self, time_s: float, way_m: float, force_n: float) -> None:
+        """Take note of a sample of the hand, time by its own clock."""
+        self._hand.add(time_s, way_m, force_n)
+
+    def tip(self, time_s: float, way_m: float, force_n: float, *, touches: bool) -> None:
+        """Take note of a sample of the tip, time by its own clock; one that does not touch ends the window."""
+        if touches:
+            self._tip.add(time_s, way_m, force_n)
+        else:
+            self.forget()
+
+    def forget(self) -> None:
+        """Begin again, where what comes is of another contact or of another law."""
+        self._hand.clear()
+        self._tip.clear()
+
+    def look(self, hand_per_tip: float) -> Felt | NotKnown:
+        """Return what the hand feels at present."""
+        if self.facts.no_force:
+            return NotKnown(self.facts.no_force)
+        return felt_over(self._hand.rows(), self._tip.rows(), hand_per_tip, self.facts)
+
+
+class _Means:
+    """Means of samples over `MEAN_S`, of the newest `WINDOW_S`."""
+
+    def __init__(self) -> None:
+        # time [s], way [m], force [N], and of how many samples each is the sum
+        self._sums: deque[list[float]] = deque()
+        self._place = -1
+
+    def add(self, time_s: float, way_m: float, force_n: float) -> None:
+        place = math.floor(time_s / MEAN_S)
+        if place < self._place:
+            # The clock of another run of the device.
+            self.clear()
+        if place != self._place:
+            self._sums.append([0.0, 0.0, 0.0, 0.0])
+            self._place = place
+        newest = self._sums[-1]
+        for column, value in enumerate((time_s, way_m, force_n, 1.0)):
+            newest[column] += value
+        while time_s - self._sums[0][0] / self._sums[0][3] > WINDOW_S:
+            self._sums.popleft()
+
+    def clear(self) -> None:
+        self._sums.clear()
+        self._place = -1
+
+    def rows(self) -> Series:
+        if not self._sums:
+            return np.empty((3, 0))
+        sums = np.array(self._sums).T
+        return np.asarray(sums[:3] / sums[3], dtype=np.float64)
+
+
+class Course(NamedTuple):
+    """A session as a whole: hand and tip as `felt_over` takes them, and which samples of the tip touch, shape (m,)."""
+
+    hand: Series
+    tip: Series
+    touches: npt.NDArray[np.bool_]
+
+
+class Span(NamedTuple):
+    """From when to when a law was in force [s], with alpha_f alpha_p, None where it cannot be known, and then why."""
+
+    from_s: float
+    to_s: float
+    hand_per_tip: float | None
+    reason: str = ""
+
+
+class Outside(NamedTuple):
+    """A time in which the hand felt more than `TOO_HARD`, or less than `TOO_SOFT`, of what is there."""
+
+    from_s: float
+    to_s: float
+    felt: Felt
+
+    def __str__(self) -> str:
+        """Return the finding in words."""
+        felt, than = self.felt, "harder" if self.felt.kind == "hard" else "softer"
+        return f"from {self.from_s:.0f} to {self.to_s:.0f} s the hand felt {felt}; the sample felt {than} than it is"
+
+
+class FeltSession(NamedTuple):
+    """What the hand felt in a session, the median of its windows, None where it is not known, and the same in words."""
+
+    felt: Felt | None
+    reason: str
+    outside: tuple[Outside, ...] = ()
+
+
+def felt_in(course: Course, spans: Sequence[Span], facts: SampleFacts) -> FeltSession:
+    """Return what the hand felt in a session, window after window."""
+    if facts.no_force:
+        return FeltSession(None, facts.no_force)
+    hand, tip = _means_of(course.hand), _means_of(course.tip, course.touches)
+    found: list[tuple[float, Felt]] = []
+    reasons: list[str] = []
+    for span in spans:
+        if span.hand_per_tip is None:
+            reasons.append(span.reason)
+            continue
+        for begin_s, end_s in _windows(tip, span):
+            felt = felt_over(_within(hand, begin_s, end_s), _within(tip, begin_s, end_s), span.hand_per_tip, facts)
+            if isinstance(felt, Felt):
+                found.append((end_s, felt))
+            else:
+                reasons.append(felt.reason)
+    if not found:
+        reasons = reasons or [NO_CONTACT.reason]
+        return FeltSession(None, max(dict.fromkeys(reasons), key=reasons.count))
+    outside = tuple(_outside(found))
+    # A session that is outside has what made it so, and not the median of what came before and after.
+    of = [felt for at_s, felt in found if any(one.from_s <= at_s <= one.to_s for one in outside)] if outside else []
+    ordered = sorted(of or [felt for _, felt in found])
+    felt = ordered[len(ordered) // 2]
+    return FeltSession(felt, f"the hand felt {felt}", outside)
+
+
+def _means_of(rows: Series, kept: npt.NDArray[np.bool_] | None = None) -> Series:
+    """Return means over `MEAN_S`, shape (3, n), of those in which all samples are kept."""
+    if not rows.shape[1]:
+        return np.empty((3, 0))
+    places = np.floor(rows[0] / MEAN_S).astype(np.int64)
+    _, parts, counts = np.unique(places, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(parts, row) / counts for row in rows])
+    if kept is not None:
+        means = means[:, np.bincount(parts, ~kept) == 0]
+    return np.asarray(means, dtype=np.float64)
+
+
+def _within(rows: Series, begin_s: float, end_s: float) -> Series:
+    first, last = np.searchsorted(rows[0], (begin_s, end_s))
+    return rows[:, first:last]
+
+
+def _windows(tip: Series, span: Span) -> Iterator[tuple[float, float]]:
+    """Yield begin and end of the windows of each contact within a span [s]."""
+    times = _within(tip, span.from_s, span.to_s)[0]
+    breaks = np.flatnonzero(np.diff(times) > 2.5 * MEAN_S)
+    for first, last in zip([0, *(breaks + 1)], [*breaks, times.size - 1], strict=True):
+        if times.size == 0 or times[last] - times[first] < LEAST_S:
+            continue
+        begin_s, contact_ends_s = float(times[first]), float(times[last]) + 0.5 * MEAN_S
+        end_s = begin_s + LEAST_S
+        while True:
+            end_s = min(end_s, contact_ends_s)
+            yield max(begin_s, end_s - WINDOW_S), end_s
+            if end_s >= contact_ends_s:
+                break
+            end_s += LOOK_S
+
+
+def _outside(found: list[tuple[float, Felt]]) -> Iterator[Outside]:
+    """Yield the times in which one thing was found outside for `LASTS_S`, by the ends of the windows."""
+    run: list[tuple[float, Felt]] = []
+    for at_s, felt in [*found, (math.inf, Felt(1.0, 1.0, 1.0, 0.0, 0.0))]:
+        if run and (felt.kind != run[-1][1].kind or at_s - run[-1][0] > 2.0 * LOOK_S):
+            if run[-1][0] - run[0][0] >= LASTS_S:
+                ordered = sorted(one for _, one in run)
+                yield Outside(run[0][0], run[-1][0], ordered[len(ordered) // 2])
+            run = []
+        if felt.kind in ("hard", "soft"):
+            run.append((at_s, felt))
+
+
+def scale_of(controller: ControllerConfig, law: str) -> tuple[float | None, str]:
+    """Return alpha_f alpha_p of a law by the section `controller`; None where it shows no stiffness, and then why."""
+    if law not in KNOWN_LAWS:
+        return None, f"the law {law} is not installed, so that its scales are not known"
+    if law not in LAWS:
+        return None, f"with the law {law} the hand does not move the tip, and feels no stiffness"
+    section = section_of(controller, law)
+    return section.force_scale * section.position_scale, ""
+
+
+def changes_scale(texts: Iterable[str]) -> bool:
+    """Return whether a scale was among what controllers acknowledged to have set, after which it is not known."""
+    return any("controller" in text and "_scale" in text for text in texts)
+
+
+SCALE_CHANGED = NotKnown("position_scale or force_scale was changed while the session ran")
