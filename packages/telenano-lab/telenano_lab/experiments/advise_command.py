@@ -51,8 +51,8 @@ def advise(
             page.paragraph(sentence)
         page.table(head, rows)
         page.paragraph(
-            "Held in the benchmark: runs of its cells that were held without making energy, of all of them; its runs"
-            f" have the digest {advice.digest}."
+            "Held in the benchmark: runs of its cells that were held, of all of them; its runs.csv has the digest"
+            f" {advice.digest}."
         )
         if repeated:
             page.paragraph(_OVER_SEEDS)
@@ -66,4 +66,5 @@ def advise(
 
 
 def _of_benchmark(record: dict[str, Any]) -> str | None:
-    return None if record["benchmark_runs"] is None else f"{record['benchmark_sound']}/{record['benchmark_runs']}"
+    found = record["benchmark"]
+    return None if found is None else f"{found['held']}/{found['runs']}"

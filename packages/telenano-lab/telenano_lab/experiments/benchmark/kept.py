@@ -2,9 +2,9 @@
 
     python -m telenano_lab.experiments.benchmark.kept out/benchmark/runs.csv
 
-`runs.csv.xz` is the file `runs.csv` that `telenano benchmark` wrote, compressed without loss, and `runs.sha256` its
-digest: a table that is not of its digest is refused. `study advise` takes its advice of these runs, and `telenano
-benchmark cell` makes some of them again.
+`runs.csv.xz` is a file `runs.csv` that `telenano benchmark` wrote, compressed without loss, and `runs.sha256` its
+digest: a table that is not of its digest is refused. `telenano benchmark cell` makes some of its runs again. Where it
+is the whole set, the command writes the table that `study advise` reads (`standings`) as well.
 """
 
 import csv
@@ -18,9 +18,11 @@ from typing import Any, NamedTuple
 
 from telenano.settings import flag_overrides, flatten
 from telenano.wire import ConfigError
-from telenano_lab.experiments.benchmark.plan import VERSION, Run
+from telenano_lab.experiments.benchmark import standings
+from telenano_lab.experiments.benchmark.plan import VERSION, Run, plan_of
 from telenano_lab.experiments.benchmark.results import digest_of
 from telenano_lab.experiments.benchmark.run import MEASURES, Outcome
+from telenano_lab.studies.option_values import COMPARED_LAWS
 
 TABLE = Path(__file__).with_name("runs.csv.xz")
 DIGEST = TABLE.with_name("runs.sha256")
@@ -127,12 +129,17 @@ def chosen(outcomes: Iterable[Outcome], **wanted: Sequence[Any]) -> list[Outcome
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Keep the runs of a file."""
+    """Keep the runs of a file, and what they say where they are the whole set."""
     if len(arguments) != 1:
         raise SystemExit("usage: python -m telenano_lab.experiments.benchmark.kept RUNS.CSV")
     source = Path(arguments[0])
     try:
-        write(source.read_bytes().decode())
+        text = source.read_bytes().decode()
+        write(text)
+        outcomes = read_outcomes(text)
+        if {outcome.cell for outcome in outcomes} == set(plan_of(COMPARED_LAWS, quick=False).runs()):
+            found = standings.text_of(standings.of_runs(outcomes, digest_of(text)))
+            standings.TABLE.write_text(found, encoding="utf-8", newline="")
     except (OSError, ValueError) as error:
         raise SystemExit(f"{source}: {error}") from error
 

@@ -1,8 +1,9 @@
 """Which law to take for a line, a sample and an instrument: what the cells of the benchmark say, tried on that line.
 
-The laws are ordered as *What to take* of the benchmark orders them, by `standings_of` over the runs that are kept with
-the package (`kept`): the cells are those of the kind of line, the instrument and the sample that are asked for. Then
-each law is tried on the line itself, as it comes (`telenano_lab.studies.loops.advice`). A law is not suited
+The laws are ordered as *What to take* of the benchmark orders them, by `results.standings_of` over its runs, whose
+table comes with the package (`standings`): the cells are those of the kind of line, the instrument and the sample that
+are asked for. Then each law is tried on the line itself, as it comes (`telenano_lab.studies.loops.advice`). A law is
+not suited
 
 - where the benchmark puts it behind the best in these cells, or
 - where a trial was not held, or made energy, while another law that is not behind came through all of them,
@@ -18,10 +19,11 @@ from functools import cached_property
 from statistics import NormalDist
 from typing import Any
 
+from telenano.analysis import wilson
 from telenano.settings import LinkSettings, profile_named
-from telenano_lab.experiments.benchmark.kept import Kept, kept
 from telenano_lab.experiments.benchmark.plan import INSTRUMENTS, LINES, SAMPLES, TASKS
-from telenano_lab.experiments.benchmark.results import Situation, Standing, makes_energy, standings_of
+from telenano_lab.experiments.benchmark.results import Situation, makes_energy
+from telenano_lab.experiments.benchmark.standings import Standings, Stood, read_standings
 from telenano_lab.studies.loops.advice import Candidate, Question, try_all
 from telenano_lab.studies.loops.cells import CellResult
 from telenano_lab.studies.loops.sweep import Sweep
@@ -45,20 +47,20 @@ class Advice:
 
     question: Question
     situation: Situation
-    standings: Sequence[Standing]
+    standings: Sequence[Stood]
     digest: str
     notes: Sequence[str]
     tried: Sequence[Candidate]
 
     @cached_property
-    def by_law(self) -> Mapping[str, Standing]:
+    def by_law(self) -> Mapping[str, Stood]:
         """Return what the benchmark says, by law."""
-        return {one.row.law: one for one in self.standings}
+        return {one.law: one for one in self.standings}
 
     @cached_property
     def laws(self) -> list[Candidate]:
         """Return the laws as they come, the one to take first."""
-        places = {one.row.law: number for number, one in enumerate(self.standings)}
+        places = {one.law: number for number, one in enumerate(self.standings)}
         came = [candidate for candidate in self.tried if candidate.clamp is None]
         return sorted(
             came,
@@ -102,8 +104,14 @@ class Advice:
         if tells and failures(candidate):
             reasons.append(why_failed(candidate))
         if standing is not None and standing.is_behind:
-            reasons.append(why_behind(standing))
+            reasons.append(why_behind(standing, self.best))
         return reasons
+
+    @property
+    def best(self) -> Stood:
+        """Return the law of which the benchmark held the greatest share, of those that are not behind."""
+        ahead = [one for one in self.standings if not one.is_behind]
+        return max(ahead, key=lambda one: (one.held if one.sound is None else one.sound) / one.runs)
 
     def _is_behind(self, law: str) -> bool:
         return law in self.by_law and self.by_law[law].is_behind
@@ -114,15 +122,12 @@ class Advice:
         for one in self.ordered:
             of_benchmark = self.by_law.get(one.law) if one.clamp is None else None
             reason = self.reasons[one.law] if one.clamp is None else why_failed(one)
-            row = None if of_benchmark is None else of_benchmark.row
             records.append(
                 {
                     **one.as_dict(),
                     "suited": not reason,
                     "reason": reason,
-                    "benchmark_runs": None if row is None else row.runs,
-                    "benchmark_sound": None if row is None else row.sound,
-                    "benchmark_behind": None if of_benchmark is None else of_benchmark.is_behind,
+                    "benchmark": None if of_benchmark is None else of_benchmark.as_dict(),
                 }
             )
         return records
@@ -147,15 +152,17 @@ def why_failed(candidate: Candidate) -> str:
     return f"{len(failed)} of {len(candidate.results)} runs on this line: {_counted(kinds)}; the first: {example}"
 
 
-def why_behind(standing: Standing) -> str:
+def why_behind(stood: Stood, best: Stood) -> str:
     """Return by what the benchmark puts a law behind the best one."""
-    row, best = standing.row, standing.best
-    kinds = {kind: count for kind, count in row.verdicts.items() if kind != "stable"}
-    kinds |= {"made energy": row.made_energy} if row.made_energy else {}
-    return (
-        f"in the benchmark {row.sound} of {row.runs} runs were held without making energy, and of {best.law}"
-        f" {best.sound} of {best.runs}: {_counted(kinds)}"
-    )
+    if stood.sound is not None and best.sound is not None:
+        made = f", and {stood.made_energy} made energy" if stood.made_energy else ""
+        return (
+            f"in the benchmark {stood.sound} of {stood.runs} runs were held without making energy, and of {best.law}"
+            f" {best.sound} of {best.runs}: {stood.runs - stood.held} were not held{made}"
+        )
+    held = f"in the benchmark {stood.held} of {stood.runs} runs were held, and of {best.law} {best.held} of {best.runs}"
+    is_less = wilson(stood.held, stood.runs)[1] < wilson(best.held, best.runs)[0]
+    return held if is_less else f"{held}, and it made energy in some of them"
 
 
 def _counted(kinds: Mapping[str, int]) -> str:
@@ -163,23 +170,23 @@ def _counted(kinds: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in most_first)
 
 
-def advise(question: Question, sweep: Sweep, table: Kept | None = None) -> Advice:
+def advise(question: Question, sweep: Sweep, table: Standings | None = None) -> Advice:
     """Try every law on the line, and order the laws as the benchmark does.
 
     Args:
         question: The line, the sample and the instrument.
         sweep: Runs the trials.
-        table: The runs of the benchmark; None: those that are kept with the package.
+        table: What the benchmark says; None: the table of the package.
 
     Raises:
-        ConfigError: The line or the instrument is not known, or the kept runs cannot be read.
+        ConfigError: The line or the instrument is not known, or the table cannot be read.
     """
-    runs = kept() if table is None else table
+    said = read_standings() if table is None else table
     situation, notes = situation_of(question)
-    standings = standings_of(runs.outcomes.values()).get(situation, [])
+    standings = said.situations.get(situation, [])
     if not standings:
         notes = [*notes, f"The runs of the benchmark have no cell of {_named(situation)}: the trials alone decide."]
-    return Advice(question, situation, standings, runs.digest, notes, try_all(question, sweep))
+    return Advice(question, situation, standings, said.digest, notes, try_all(question, sweep))
 
 
 def situation_of(question: Question) -> tuple[Situation, list[str]]:
@@ -279,15 +286,15 @@ def _of_cells(advice: Advice) -> str:
     if not advice.standings:
         return f"The kind of line is {advice.situation.line}."
     first = advice.standings[0]
-    spread = first.row.measures["tracking_error"]
-    error = "" if spread is None else f", with a tracking error of {spread.median:.2g}"
+    sound, energy = (first.held, "") if first.sound is None else (first.sound, " without making energy")
+    error = "" if first.tracking_error is None else f", with a tracking error of {first.tracking_error:.2g}"
     said = (
-        f"The cells of the benchmark ({_named(advice.situation)}) say {first.row.law}: {first.row.sound} of"
-        f" {first.row.runs} runs were held without making energy{error}"
+        f"The cells of the benchmark ({_named(advice.situation)}) say {first.law}: {sound} of {first.runs} runs were"
+        f" held{energy}{error}"
     )
-    if first.row.law == advice.take.law:
+    if first.law == advice.take.law:
         return f"{said}."
-    tried = next((one for one in advice.laws if one.law == first.row.law), None)
+    tried = next((one for one in advice.laws if one.law == first.law), None)
     return f"{said}; on this line it is not first: {why_failed(tried) if tried else 'it was not tried'}."
 
 
