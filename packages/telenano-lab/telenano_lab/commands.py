@@ -17,6 +17,10 @@ COMMANDS = {
         "telenano_lab.studies.study_command:app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "study advise": (
+        "telenano_lab.experiments.advise_command:advise",
+        "Say which law to take for a network and a sample: what the benchmark's cells say, tried on the line itself.",
+    ),
     "study drift": (
         "telenano_lab.experiments.drift_command:drift",
         "What each law makes of a drift in z: one that stands, and one that wanders as heat makes it.",

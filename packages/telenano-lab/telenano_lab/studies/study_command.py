@@ -1,10 +1,9 @@
-"""`telenano study`: stability maps, transparency, advice, and the check that the bus agrees.
+"""`telenano study`: stability maps, transparency, and the check that the bus agrees.
 
 What imports matplotlib is imported when a command runs, so that `telenano study --help` answers at once.
 """
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -27,8 +26,6 @@ from telenano.cli import (
 from telenano.runtime import AddressBook
 from telenano.settings import profile_named
 from telenano_lab.studies.gallery_command import gallery_command
-from telenano_lab.studies.loops import advice
-from telenano_lab.studies.loops.advice import Question
 from telenano_lab.studies.loops.felt import FELT, refusals
 from telenano_lab.studies.loops.sample import drawn_cells
 from telenano_lab.studies.loops.stability import Axes, LineResult, run_stability
@@ -60,7 +57,6 @@ if TYPE_CHECKING:
     from telenano_lab.studies.loops.validate import Agreement
 
 _BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
-_OVER_SEEDS = "Over the seeds of a random link: mean ± standard deviation and, in brackets, the interval of 95 %."
 # A study of one link and one environment does not have these options.
 _ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
 # defaults of a study in place of those of the model, as a person would write them
@@ -156,51 +152,6 @@ def transparency(
              r.perceived_delay_ms, r.contrast_db, spectrum.passive_n_per_m, spectrum.z_width_db)
             for r, spectrum in zip(rows, spectra, strict=True)
         ], out, as_json=as_json)  # fmt: skip
-
-
-@app.command()
-@with_options(Question)
-def advise(
-    given: dict[str, Any],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
-    ] = Path("out/advice"),
-    workers: WorkersOption = None,
-    table: TableOption = "parquet",
-    as_json: JsonOption = False,
-) -> None:
-    """Say which law to take for a network and a sample: every law, tuned for them, tried with a force and with arms."""
-    with report_errors(as_json, INTERRUPTED):
-        question, tables = validated(Question, given), table_formats(table)
-        with sweep_in(out, workers, None, shown=not as_json) as sweep:
-            candidates = advice.advise(question, sweep)
-        words = advice.in_words(question, candidates)
-        records = [candidate.as_dict() for candidate in candidates]
-        summary = {"study": "advise", "take": records[0]["law"] if records[0]["suited"] else None, "advice": words,
-                   "candidates": records}  # fmt: skip
-        over_seeds = [candidate.over_seeds() for candidate in candidates]
-        repeated = ("force over seeds", "peak over seeds") if over_seeds[0] else ()
-        head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price",
-                *repeated)  # fmt: skip
-        rows = [
-            (c.name, f"{r['stable_runs']}/{r['runs']}", r["force_share"], r["peak_share"], r["free_n_s_per_m"],
-             1e3 * r["lowest_energy_j"], r["price"], *([str(o["force_share"]), str(o["peak_share"])] if o else []))
-            for c, r, o in zip(candidates, records, over_seeds, strict=True)
-        ]  # fmt: skip
-        page = Page("Which law to take")
-        page.code(command_line())
-        for sentence in words:
-            page.paragraph(sentence)
-        page.table(head, rows)
-        if repeated:
-            page.paragraph(_OVER_SEEDS)
-        with results_in(out) as folder:
-            write_study(folder, page, summary, tables, advise=records)
-        if not as_json:
-            for sentence in [*words, *([_OVER_SEEDS] if repeated else [])]:
-                typer.echo(sentence)
-            typer.echo(f"set: {candidates[0].as_flags()}")
-        print_result(summary, head, rows, out, as_json=as_json)
 
 
 @app.command()

@@ -1,15 +1,15 @@
-"""Arms, tuning for a delay, and the advice that is made of them."""
+"""Arms, tuning for a delay, and the trials of a law on a line."""
 
 import math
 from typing import Any
 
 import pytest
 from answered_sweep import Answered
-from telenano_lab.studies.loops.advice import CANDIDATES, Question, advise, in_words
+from telenano_lab.studies.loops.advice import Question, cells_of, try_all
 from telenano_lab.studies.loops.cells import WRONG_RESTS, Cell, CellResult, run_cell, trajectory_of
 from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
 from telenano_lab.studies.loops.tuning import tuned
-from telenano_lab.studies.option_values import COMPARED_LAWS, Jitter
+from telenano_lab.studies.option_values import COMPARED_LAWS
 
 from telenano.analysis import Fact
 from telenano.lockstep import Trajectory
@@ -72,17 +72,6 @@ def test_tuned_loop_bears_twice_the_delay(law: str, delay_s: float) -> None:
     assert model.damping_n_s_per_m == pytest.approx(4.0 * model.gain_n_per_m * delay_s / math.pi, rel=0.01, abs=0.0)
 
 
-def laws(**held: tuple[str, float, float]) -> Answered:
-    """Return a sweep in which the laws end with a verdict, a force at the tip and a greatest force; others diverge."""
-
-    def answer(asked: Cell) -> dict[str, Any]:
-        verdict, tip_n, peak_n = held.get(asked.law, ("diverged", 1.0, 9.0))
-        reason = "it grows" if verdict != "stable" else ""
-        return {"verdict": verdict, "reason": reason, "tip_n": tip_n, "peak_n": peak_n, "hand_n": 1.0}
-
-    return Answered(answer)
-
-
 @pytest.mark.usefixtures("plain_loop")
 def test_a_hand_that_does_not_press_and_a_tip_that_does_not_touch_are_no_stable_hold(
     monkeypatch: pytest.MonkeyPatch,
@@ -114,57 +103,39 @@ def test_the_reason_of_a_run_is_that_of_its_outcome(verdict: Any, kind: Any, mon
     }[verdict]
 
 
-def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited() -> None:
-    question = Question(round_trip_ms=120.0, loss=0.03, stiffness_n_per_m=80.0)
-    sweep = laws(wave=("stable", 0.6, 1.0), model_mediated=("stable", 0.97, 1.1))
-    found = advise(question, sweep)
-    assert [candidate.law for candidate in found[:3]] == ["model_mediated", "model_mediated", "wave"]
-    assert [candidate.clamp for candidate in found[:2]] == [False, True]
-    assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
-    words = in_words(question, found)
-    assert words[0].startswith(
-        "120 ms, 3 % loss, wall of 80 N/m, instrument real:"
-        " take model_mediated with the clamp off; all of its 12 runs held"
-    )
-    assert words[1].startswith("Next come model_mediated with the clamp on, with 0.97 of the force in the worst hold")
-    assert "smith with the clamp off (it grows)" in words[2]
-    assert found[0].price() == pytest.approx(0.03 + 0.1, rel=1e-9, abs=0.0)
+@pytest.mark.parametrize(
+    ("more", "seeds", "disturbed"),
+    [({"instrument": "ideal"}, 1, False), ({}, 3, True), ({"loss": 0.1, "instrument": "ideal"}, 3, False)],
+)
+def test_one_seed_is_enough_without_chance_and_the_instrument_is_disturbed(
+    more: dict[str, Any], seeds: int, disturbed: bool
+) -> None:
+    cells = cells_of(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0, **more), "wave", None)
+    assert len(cells) == 4 * seeds
+    assert all((("drift.enabled", True) in one.disturbances) is disturbed for one in cells)
+    assert {one.settings for one in cells} == {()}
 
 
-def test_a_law_is_suited_only_if_all_its_runs_are_stable() -> None:
-    question = Question(round_trip_ms=300.0, jitter=Jitter(0.5, relative=True), stiffness_n_per_m=80.0)
-    found = advise(question, laws())
-    assert all(candidate.price() == math.inf for candidate in found)
-    assert (
-        in_words(question, found)[0]
-        == "300 ms, jitter 50%, wall of 80 N/m, instrument real: no law held in all of its runs."
-    )
-    assert found[0].as_dict()["price"] is None
-
-
-def test_without_chance_one_seed_is_enough() -> None:
-    sweep = laws()
-    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0, instrument="ideal"), sweep)
-    assert len(sweep.cells) == len(CANDIDATES) * 4
-    assert {one.disturbances for one in sweep.cells} == {()}
-
-
-def test_advice_is_for_an_instrument_with_its_disturbances_and_a_seed_decides_them() -> None:
-    sweep = laws()
-    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
-    assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
-    assert ("drift.enabled", True) in sweep.cells[0].disturbances
+def test_what_is_tried_is_each_law_as_it_comes_and_each_form_that_is_another_one() -> None:
+    """A law whose clamp is on by itself is not tried a second time with the clamp on."""
+    asked = Answered(lambda cell: {"verdict": "stable"})
+    tried = try_all(Question(round_trip_ms=120.0, stiffness_n_per_m=80.0, instrument="ideal"), asked)
+    assert [one.law for one in tried if one.clamp is None] == list(COMPARED_LAWS)
+    for one in tried:
+        own = one.results[0].cell.model_copy(update={"settings": ()}).controller()
+        changed = one.results[0].cell.controller()
+        assert ((own.params(), own.clamp_params()) == (changed.params(), changed.clamp_params())) == (one.clamp is None)
+    # the two laws that are damped for the delay are other ones with the clamp as it was
+    assert [one.clamp for one in tried if one.law == "position_force"] == [None, False, True]
     with pytest.raises(ConfigError, match="unknown instrument 'reel'"):
-        advise(Question(round_trip_ms=50.0, instrument="reel"), sweep)
+        try_all(Question(round_trip_ms=50.0, instrument="reel"), asked)
 
 
 def test_a_network_stands_in_the_place_of_delay_jitter_and_loss() -> None:
-    sweep = laws(model_mediated=("stable", 0.97, 1.1))
     question = Question(network="Starlink_driving", stiffness_n_per_m=20.0)
-    words = in_words(question, advise(question, sweep))
-    assert words[0].startswith("starlink_driving, wall of 20 N/m, instrument real: take model_mediated")
-    assert {(one.network, one.round_trip_ms) for one in sweep.cells} == {("starlink_driving", question.round_trip_ms)}
-    assert len({one.seed for one in sweep.cells}) == 3
+    cells = cells_of(question, "model_mediated", None)
+    assert {(one.network, one.round_trip_ms) for one in cells} == {("starlink_driving", question.round_trip_ms)}
+    assert len({one.seed for one in cells}) == 3
     assert 40.0 < question.round_trip_ms < 60.0
     with pytest.raises(ConfigError, match="--delay or --network is needed"):
         Question(stiffness_n_per_m=20.0)

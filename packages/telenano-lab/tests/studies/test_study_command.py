@@ -1,6 +1,5 @@
 """The command line of the studies: what it reads, what it refuses and with which message."""
 
-import csv
 import json
 import re
 import subprocess
@@ -9,10 +8,6 @@ from pathlib import Path
 
 import pytest
 from telenano_lab.studies import option_values
-from telenano_lab.studies.loops import advice
-from telenano_lab.studies.loops.advice import Candidate, Question, cells_of
-from telenano_lab.studies.loops.cells import CellResult
-from telenano_lab.studies.loops.sweep import Sweep
 from telenano_lab.studies.option_values import Jitter
 from telenano_lab.studies.study_command import app
 from typer.testing import CliRunner
@@ -188,65 +183,5 @@ def test_help_is_there_at_once() -> None:
     code += "print(sorted(bad & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    for command in ("stability", "transparency", "advise", "validate"):
+    for command in ("stability", "transparency", "validate"):
         assert RUN.invoke(app, [command, "--help"]).exit_code == 0
-
-
-def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def told(question: Question, sweep: Sweep) -> list[Candidate]:
-        asked.append(question)
-        found = []
-        for law, verdict in (("model_mediated", "stable"), ("smith", "diverged")):
-            cells = cells_of(question, law, clamp=False)
-            results = [
-                CellResult(
-                    cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, "it grows", 1.1, 0.97 + 0.01 * cell.seed, 1.0, 0.0
-                )
-                for cell in cells
-            ]
-            found.append(Candidate(law, False, cells[0].settings, tuple(results)))
-        return found
-
-    asked: list[Question] = []
-    monkeypatch.setattr(advice, "advise", told)
-    network = ["advise", "--delay", "120", "--loss", "3%", "--sample", "stiff", "--out", str(tmp_path)]
-    network += ["--table", "csv,parquet,mat"]
-    result = RUN.invoke(app, network)
-    assert result.exit_code == 0, result.output
-    assert asked == [Question(round_trip_ms=120.0, loss=0.03, sample="stiff")]
-    assert asked[0].tip_n_per_m == 80.0
-    assert result.stdout.startswith(
-        "120 ms, 3 % loss, wall of 80 N/m, instrument real: take model_mediated with the clamp off; all of its 12 "
-    )
-    assert "Not suited: smith with the clamp off (it grows)." in result.stdout
-    assert "set: --set controller.law=model_mediated --set controller.clamp.enabled=false\n" in result.stdout
-    summary = json.loads((tmp_path / "advise.json").read_text())
-    assert summary["take"] == "model_mediated"
-    assert summary["candidates"][1]["price"] is None
-    assert "take model_mediated" in (tmp_path / "advise.html").read_text()
-    # three seeds: 0.97, 0.98 and 0.99 of the force; 4.303 is Student's t of 95 % for them
-    force = summary["candidates"][0]["over_seeds"]["force_share"]
-    assert (force["n"], force["mean"], force["deviation"]) == pytest.approx((3, 0.98, 0.01), rel=1e-9)
-    assert (force["high"] - force["low"]) / 2.0 == pytest.approx(4.3027 * 0.01 / 3.0**0.5, rel=1e-4)
-    assert summary["candidates"][1]["over_seeds"]["stable_share"]["mean"] == 0.0
-    assert "0.98 ± 0.01 [0.955, 1]" in result.stdout
-    assert "0.98 ± 0.01 [0.955, 1]" in (tmp_path / "advise.html").read_text()
-    rows = list(csv.DictReader((tmp_path / "advise.csv").read_text().splitlines()))
-    assert float(rows[0]["over_seeds.force_share.mean"]) == pytest.approx(0.98, rel=1e-9)
-    assert {path.suffix for path in tmp_path.glob("advise.*")} == {".html", ".json", ".csv", ".parquet", ".mat"}
-    refused = RUN.invoke(app, [*network, "--table", "xlsx"])
-    assert str(refused.exception) == "--table xlsx: name one or more of csv, parquet, mat"
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--delay", "120", "--stiffness", "-3"], "--stiffness = -3 must be above 0 to 100000"),
-        (["--delay", "1e9"], "--delay = 1e+09 must be 0 to 10000"),
-        (["--delay", "5", "--loss", "3"], "a share of the messages"),
-    ],
-)
-def test_advise_refuses_what_is_no_network(tmp_path: Path, options: list[str], words: str) -> None:
-    result = RUN.invoke(app, ["advise", *options, "--out", str(tmp_path)])
-    assert result.exit_code != 0
-    assert words in result.output

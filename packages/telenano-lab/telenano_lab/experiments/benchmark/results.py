@@ -9,7 +9,7 @@ import hashlib
 import io
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from telenano.analysis import wilson
@@ -91,12 +91,23 @@ def rows_of(outcomes: Sequence[Outcome]) -> list[Row[Case]]:
     return _rows(outcomes, lambda cell: Case(cell.instrument, cell.steadiness, cell.network))
 
 
-def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situation]]]:
-    """Return the laws in each situation, the one that is recommended first.
+class Standing(NamedTuple):
+    """A law among those of a situation.
 
-    Recommended is the law that followed the swing nearest, of those whose share of runs held without making energy may
-    by chance be the greatest: its 95 % interval meets that of the law with the greatest. Networks that stand for no
-    kind of line are left out.
+    It is behind where its share of runs held without making energy cannot by chance be the greatest: the 95 % interval
+    of the share ends below that of the law whose interval begins highest, which is the best.
+    """
+
+    row: Row[Situation]
+    best: Row[Situation]
+    is_behind: bool
+
+
+def standings_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Standing]]:
+    """Return the laws in each situation, the one to take first: the one rule of all advice.
+
+    It is the law that followed the swing nearest of those that are not behind; those that are behind follow by their
+    share. Networks that stand for no kind of line are left out.
     """
     lines = {network: line for line, networks in LINES.items() for network in networks}
     samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}
@@ -105,19 +116,25 @@ def situations_of(outcomes: Sequence[Outcome]) -> dict[Situation, list[Row[Situa
     situations: dict[Situation, list[Row[Situation]]] = {}
     for row in rows:
         situations.setdefault(row.case, []).append(row)
-    return {situation: _recommended(some) for situation, some in situations.items()}
+    return {situation: _standings(some) for situation, some in situations.items()}
 
 
-def _recommended(rows: Sequence[Row[Situation]]) -> list[Row[Situation]]:
+def situations_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Row[Situation]]]:
+    """Return the laws in each situation in the order of `standings_of`."""
+    return {situation: [one.row for one in some] for situation, some in standings_of(outcomes).items()}
+
+
+def _standings(rows: Sequence[Row[Situation]]) -> list[Standing]:
     intervals = {row.law: wilson(row.sound, row.runs) for row in rows}
-    greatest = max(low for low, _ in intervals.values())
+    best = max(rows, key=lambda row: intervals[row.law][0])
+    standings = [Standing(row, best, intervals[row.law][1] < intervals[best.law][0]) for row in rows]
 
-    def order(row: Row[Situation]) -> tuple[bool, float, float, str]:
-        is_behind = intervals[row.law][1] < greatest
+    def order(one: Standing) -> tuple[bool, float, float, str]:
+        row = one.row
         # a law that is behind is ordered by its share, and the others follow one another by the swing alone
-        return is_behind, -row.sound / row.runs if is_behind else 0.0, row.price()[1], row.law
+        return one.is_behind, -row.sound / row.runs if one.is_behind else 0.0, row.price()[1], row.law
 
-    return sorted(rows, key=order)
+    return sorted(standings, key=order)
 
 
 def _rows(outcomes: Sequence[Outcome], case_of: Callable[[Run], Of]) -> list[Row[Of]]:
@@ -133,7 +150,7 @@ def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
         verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
     held = [outcome for outcome in some if outcome.verdict in HELD]
     low, high = wilson(len(held), len(some))
-    made = sum(_made_energy(outcome) for outcome in some)
+    made = sum(map(_made_energy, some))
     sound = sum(not _made_energy(outcome) for outcome in held)
     # What is not held has no place that its force or position could be compared at.
     measures = {name: spread_of(held, name) for name in MEASURES}
@@ -141,7 +158,12 @@ def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
 
 
 def _made_energy(outcome: Outcome) -> bool:
-    return (outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ
+    return makes_energy(outcome.measures["least_energy_mj"])
+
+
+def makes_energy(least_energy_mj: float | None) -> bool:
+    """Return whether the loop of a run made energy, and not rounding alone; None is a run without that measure."""
+    return (least_energy_mj or 0.0) < LEAST_MJ
 
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:

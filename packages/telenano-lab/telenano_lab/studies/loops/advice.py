@@ -1,10 +1,11 @@
-"""Which law to take for a network and a sample: every law, tuned for it, tried with a constant force and with arms.
+"""The trials of a law on one line, one sample and one instrument, of which the advice which law to take is made.
 
-The laws are tuned by one rule (`tuning`), and run in lockstep on the network and the instrument with several seeds and
-four hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same
-force if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these
-runs is stable by `telenano.analysis.verdict` and came to rest with the force that it should, unstruck. Those that are
-suited are ranked by a price, the sum of
+A trial runs in lockstep on the network and the instrument with several seeds and four hands: one of constant force, and
+a soft, an ordinary and a stiff arm that go where they would press with the same force if hand and sample were one. A
+law is tried as it comes, as the benchmark runs it, and in the forms that the benchmark does not run: tuned for the line
+by one rule (`tuning`), with the force clamp off and on. A run is good if it is stable by `telenano.analysis.verdict`
+and came to rest with the force that it should, unstruck. Forms that are good in every run are ranked by a price, the
+sum of
 
 - the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
 - the share by which the greatest force at the tip exceeds the hand's, and
@@ -12,7 +13,6 @@ suited are ranked by a price, the sum of
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
@@ -40,8 +40,10 @@ FREE_PRICE = 0.02
 WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
-# every law, with the force clamp off and on
-CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in COMPARED_LAWS for clamp in (False, True))
+# every law as it comes, and with the force clamp off and on
+CANDIDATES: tuple[tuple[str, bool | None], ...] = tuple(
+    (law, clamp) for clamp in (None, False, True) for law in COMPARED_LAWS
+)
 
 
 class Question(StrictSettings):
@@ -96,16 +98,16 @@ class Question(StrictSettings):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A law at its parameters, and what became of it."""
+    """A law at its parameters, and what became of it; clamp: None as the law has it, which is the law as it comes."""
 
     law: str
-    clamp: bool
+    clamp: bool | None
     settings: Settings
     results: tuple[CellResult, ...]
 
     @property
     def name(self) -> str:
-        return f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
+        return self.law if self.clamp is None else f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
 
     def as_flags(self) -> str:
         """Return the options with which `telenano up` runs this law so."""
@@ -182,11 +184,19 @@ class Candidate:
         }
 
 
-def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
-    """Return the cells of a candidate: every hand with every seed, the law tuned for the network."""
+def cells_of(question: Question, law: str, clamp: bool | None) -> list[Cell]:
+    """Return the cells of a candidate: every hand with every seed.
+
+    Args:
+        question: The network, the sample and the instrument.
+        law: The law.
+        clamp: Whether the force clamp is on, with the law tuned for the network; None: the law as it comes.
+    """
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
-    settings: Settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
+    settings: Settings = ()
+    if clamp is not None:
+        settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
     disturbances = disturbances_of(question.instrument)
     random = jitter_ms > 0.0 or question.loss > 0.0 or question.network is not None or bool(disturbances)
     return [
@@ -208,47 +218,17 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
     ]
 
 
-def advise(question: Question, sweep: Sweep) -> list[Candidate]:
-    """Try every candidate, the one to take first; those that are not suited last, the least unsuited first."""
+def try_all(question: Question, sweep: Sweep) -> list[Candidate]:
+    """Try every candidate on the line, in the order of CANDIDATES, without those that are their law as it comes."""
     prepared = [(law, clamp, cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
+    prepared = [one for one in prepared if one[1] is None or not _is_as_it_comes(one[2][0])]
     results = iter(sweep.run([cell for *_, cells in prepared for cell in cells]))
-    candidates = [
+    return [
         Candidate(law, clamp, cells[0].settings, tuple(next(results) for _ in cells)) for law, clamp, cells in prepared
     ]
-    return sorted(candidates, key=lambda candidate: (candidate.price(), len(candidate.failed)))
 
 
-def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
-    """Return the advice in three sentences: what to take, what comes next, and what not to take."""
-    network = f"{question.round_trip_ms:g} ms" if question.network is None else question.network
-    network += f", jitter {question.jitter}" if question.jitter.value else ""
-    network += f", {100.0 * question.loss:g} % loss" if question.loss else ""
-    where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m, instrument {question.instrument}"
-    best, *others = candidates
-    if best.failed:
-        return [
-            f"{where}: no law held in all of its runs.",
-            f"The nearest is {best.name}: {len(best.failed)} of {len(best.results)} runs failed,"
-            f" the first because {best.failed[0].reason}.",
-            "Take a shorter network or a softer sample.",
-        ]
-    words = [f"{where}: take {best.name}{_settings(best)}; all of its {len(best.results)} runs held, {_figures(best)}."]
-    suited = [f"{other.name}{_settings(other)}, {_figures(other)}" for other in others if not other.failed]
-    if suited:
-        words.append(f"Next come {'; '.join(suited[:2])}.")
-    unsuited = [f"{other.name} ({other.failed[0].reason})" for other in others if other.failed]
-    if unsuited:
-        words.append(f"Not suited: {'; '.join(unsuited)}.")
-    return words
-
-
-def _settings(candidate: Candidate) -> str:
-    keys = [f"{key}={value}" for key, value in candidate.settings if key != "clamp.enabled"]
-    return f" and {', '.join(keys)}" if keys else ""
-
-
-def _figures(candidate: Candidate) -> str:
-    return (
-        f"with {candidate.force_share():.2f} of the force in the worst hold, a peak of {candidate.peak_share():.2f},"
-        f" and {candidate.free_n_s_per_m:.3g} N s/m in free motion"
-    )
+def _is_as_it_comes(cell: Cell) -> bool:
+    """Return whether the settings of a cell change nothing of its law."""
+    changed, plain = cell.controller(), cell.model_copy(update={"settings": ()}).controller()
+    return (changed.params(), changed.clamp_params()) == (plain.params(), plain.clamp_params())
