@@ -18,13 +18,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from telenano_lab.doubles.made_curves import NOISES, Made, drawn_curve
+from telenano_lab.doubles.made_curves import NOISES, MadeCurve, drawn_curve
 from telenano_lab.microscopy.curve_fit import ContactShape, MeasuredWays, fit_curve
 
 MODELS = ("hertz", "sneddon")
 
 
-def by_telenano(made: Made) -> tuple[float, float] | None:
+def by_telenano(made: MadeCurve) -> tuple[float, float] | None:
     """Return the modulus [Pa] and its standard error, None where the curve is refused."""
     ways = MeasuredWays(
         made.approach_m, made.approach_n, made.retract_m, made.retract_n, made.stiffness_n_per_m
@@ -33,7 +33,7 @@ def by_telenano(made: Made) -> tuple[float, float] | None:
     return None if found.refused else (found.modulus_pa, found.modulus_error_pa)
 
 
-def by_nanite(made: Made) -> tuple[float, float] | None:
+def by_nanite(made: MadeCurve) -> tuple[float, float] | None:
     """Return the modulus [Pa] and its standard error, None where nanite has none."""
     from nanite import Indentation
 
@@ -69,7 +69,7 @@ def by_nanite(made: Made) -> tuple[float, float] | None:
 
 def compared(model: str, noise: str, count: int) -> dict[str, dict[str, float]]:
     """Return of both how many curves are fitted, how often the interval covers [%], the error [%] and the time [ms]."""
-    ways: dict[str, Callable[[Made], tuple[float, float] | None]] = {"telenano": by_telenano, "nanite": by_nanite}
+    ways: dict[str, Callable[[MadeCurve], tuple[float, float] | None]] = {"telenano": by_telenano, "nanite": by_nanite}
     seconds, held = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0)
     shares: dict[str, list[float]] = {name: [] for name in ways}
     for seed in range(count):

@@ -86,7 +86,7 @@ class Table(ColumnTable):
         return frame
 
 
-class Judged(NamedTuple):
+class JudgedRecording(NamedTuple):
     """What is judged of a recording: its summary, what was set, and when the force profile began [ns]."""
 
     summary: dict[str, Any]
@@ -180,20 +180,20 @@ class RecordedSession(Session):
         return "_judged" in self.__dict__
 
     @cached_property
-    def _judged(self) -> Judged:
+    def _judged(self) -> JudgedRecording:
         if (kept := self._read_kept()) is not None:
             return kept
         from telenano.analysis.recorded_course import conditions_of
         from telenano.analysis.session_judge import summary_of
 
         summary = summary_of(self._session, self._analysed)
-        judged = Judged(summary, conditions_of(self._analysed, self._session), self._session.start_ns)
+        judged = JudgedRecording(summary, conditions_of(self._analysed, self._session), self._session.start_ns)
         if self._kept is not None:
             facts = {"path": str(self._source.path), "conditions": asdict(judged.conditions)}
             self._kept.write({**facts, "summary": judged.summary, "start_ns": judged.start_ns})
         return judged
 
-    def _read_kept(self) -> Judged | None:
+    def _read_kept(self) -> JudgedRecording | None:
         found = None if self._kept is None else self._kept.read()
         if found is None:
             return None
@@ -205,7 +205,7 @@ class RecordedSession(Session):
                 summary["recording"]["file"] = now
                 if before in json.dumps(summary):
                     return None
-            return Judged(
+            return JudgedRecording(
                 summary, Conditions(**{**stated, "changed": tuple(stated["changed"])}), int(found["start_ns"])
             )
         except (KeyError, TypeError, ValueError):

@@ -18,7 +18,7 @@ from telenano.extend.laws import (
 from telenano.laws import energy
 from telenano.laws.clamp import clamped
 from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_state
-from telenano.laws.integration import Heard, TimingParams, silence_ns
+from telenano.laws.integration import NewestSignal, TimingParams, silence_ns
 from telenano.laws.lateral import NO_ENERGY, EnergyTank
 from telenano.numerics.frames import to_paper_axis, to_site_frame
 from telenano.runtime.loop.node import Node, NodeContext
@@ -136,9 +136,9 @@ class ControllerHalf(Node):
         """Return the constants of the timing of this half."""
 
     @property
-    def heard(self) -> Heard:
+    def heard(self) -> NewestSignal:
         """When the newest signal of the other half came."""
-        heard: Heard = self.memory.timing.heard
+        heard: NewestSignal = self.memory.timing.heard
         return heard
 
     def forget(self) -> None:

@@ -10,7 +10,7 @@ from telenano.extend.laws import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, S
 from telenano.extend.virtual_mass import bounded
 from telenano.laws import energy, integration
 from telenano.laws.clamp import clamped
-from telenano.laws.integration import Settled, SlaveTiming, TimingParams
+from telenano.laws.integration import SlaveDecision, SlaveTiming, TimingParams
 from telenano.laws.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.node import NodeContext
@@ -285,7 +285,7 @@ class SlaveController(ControllerHalf):
             section.force_scale * memory.tip.force_n,
         )
 
-    def _settle(self, settled: Settled) -> None:
+    def _settle(self, settled: SlaveDecision) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
         if settled.sends:
             if self.half.switching:

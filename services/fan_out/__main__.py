@@ -79,7 +79,7 @@ def _hand_on(node: "zmq.Socket[bytes]", observers: "zmq.Socket[bytes]") -> None:
                 raise
 
 
-class Served:
+class ServedNode:
     """One node as it is served: the sockets of its own, and what is heard of it."""
 
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str) -> None:
@@ -181,7 +181,7 @@ def main(endpoints: Sequence[str]) -> None:
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     with zmq.Context() as context:
-        nodes = [Served(context, endpoint) for endpoint in endpoints]
+        nodes = [ServedNode(context, endpoint) for endpoint in endpoints]
         while not select.select([sys.stdin], [], [], _LOOK_S)[0]:
             for node in nodes:
                 node.look()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
-from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
+from telenano.recording.sender_time import SenderClock, SenderOrder, SentMessage
 from telenano.settings.package_topics import row_of
 from telenano.wire.errors import RecordingError
 
@@ -66,13 +66,13 @@ class Playback:
         """The position as time [s] from the start of the recording."""
         return (self.position_ns - self.origin_ns) / _NS
 
-    def next(self) -> Sent | None:
+    def next(self) -> SentMessage | None:
         """Return the next message with the time [ns] at which it was sent; None at the end of the span."""
         ready = self._order.ready
         sent = ready[0] if ready else self._order.peek()
         return None if sent is None or sent[0] >= self.end_ns else sent
 
-    def advance(self, message: Sent) -> None:
+    def advance(self, message: SentMessage) -> None:
         """Move past the next message, which is `message`."""
         if message[0] > self.position_ns:
             self.position_ns = message[0]

@@ -42,7 +42,7 @@ class ReplayRequest:
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayResult:
     """What came of a replay."""
 
     nodes: list[str]
@@ -55,7 +55,7 @@ def run_replay(
     request: ReplayRequest,
     observe: Callable[[PlayerNode], None] = lambda player: None,
     warn: Callable[[str], None] = lambda text: None,
-) -> Replayed:
+) -> ReplayResult:
     """Play recordings into the rig of a site file until they end or the process is stopped.
 
     `warn` is called before the start with each sentence on what this replay cannot do.
@@ -99,7 +99,7 @@ def run_replay(
         signals.run(player, bus)
     if player.sent and not any(publisher.was_read for publisher in publishers.values()):
         raise RigError(f"{player.sent} messages of {', '.join(plan.nodes)} were played, and no node read them: {_RIG}")
-    return Replayed(plan.nodes, player.sent, playback.time_s, warnings)
+    return ReplayResult(plan.nodes, player.sent, playback.time_s, warnings)
 
 
 def refused_messages(recording: RecordingSource, playback: Playback) -> Iterator[str]:

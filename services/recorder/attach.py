@@ -16,7 +16,7 @@ from telenano.runtime.wiring.participant import OBSERVER, Participant, StopSigna
 from telenano.wire.nodes import site_of
 
 
-class Recorded(BaseModel):
+class AttachedRecording(BaseModel):
     """What came of it.
 
     `lost` counts all messages that did not come, `missing` those of them that an impaired link has not dropped; `notes`
@@ -39,7 +39,7 @@ def run_record(
     scenario_file: Path | None = None,
     duration_s: float | None = None,
     observe: Callable[[RecorderNode], None] = lambda node: None,
-) -> Recorded:
+) -> AttachedRecording:
     """Record the messages of the rig of a site file until the time [s] is over or the process is stopped.
 
     The process has no endpoint: it sends nothing, and no site file lists it. `observe` is called at each flush.
@@ -62,7 +62,7 @@ def run_record(
 
         node = RecorderNode(participant.context(bus), config, intake, on_flush)
         signals.run(node, bus)
-    return Recorded(
+    return AttachedRecording(
         path=node.path,
         files=0 if intake.rotation is None else intake.rotation.count,
         messages=intake.written,

@@ -2,7 +2,7 @@
 
 import time
 
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from telenano.timing.loop_age import LoopAge, Part
 
 # It is taken at this interval.
@@ -16,7 +16,7 @@ class AgeReport:
         self.loop_age, self._taken_s = LoopAge(), time.monotonic()
         self.parts: list[Part] = []
 
-    def record(self, seen: Seen) -> None:
+    def record(self, seen: SeenMessage) -> None:
         """Record a message of `AGE_TOPICS`."""
         self.loop_age.take(*seen)
 

@@ -42,7 +42,7 @@ from telenano.wire.nodes import PAGE
 _MINUTES = 90.0  # An address of a person is valid for this time by default [min].
 
 
-class Served(NamedTuple):
+class PageService(NamedTuple):
     """Who may open a page, where it is served, and what ends it."""
 
     access: Access
@@ -121,7 +121,7 @@ def view(
         idle = recordings is None and runs_no_node(AddressBook.load(site_file))
         signals = StopSignals()
         with config.bind() as bound:
-            page = Served(access, tls, bound, signals)
+            page = PageService(access, tls, bound, signals)
             behind_others()
             if idle:
                 # A rig may be started after its page.
@@ -168,7 +168,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
             time.sleep(end.restart_in_s or 0.0)
 
 
-def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: Served, same_session: bool) -> None:
+def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: PageService, same_session: bool) -> None:
     def judged() -> Mapping[str, Any]:
         # What draws the figures takes longer to import than the page to open.
         from telenano.analysis.recording_document import judged_recording
@@ -192,7 +192,7 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
         server.run()
 
 
-def _serve_rig(site_file: Path, page: Served) -> None:
+def _serve_rig(site_file: Path, page: PageService) -> None:
     """Run the node that `telenano up` starts beside a rig in this process."""
     book = AddressBook.load(site_file)
     # A machine that may only observe has no other key, and a page on no network needs none.

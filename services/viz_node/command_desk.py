@@ -53,7 +53,7 @@ class Commander(Protocol):
         """Stop the devices at once; return by node the answer. TelenanoError says why not."""
 
 
-class Wish:
+class PageCommand:
     """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
 
     def __init__(self, session: Session, request: CommandRequest, arrived_s: float) -> None:
@@ -89,7 +89,7 @@ class CommandDesk:
     def __init__(self, commander: Commander | None) -> None:
         """Send by a commander; None where there is nothing to command."""
         self.commander = commander
-        self.wishes: list[Wish] = []
+        self.wishes: list[PageCommand] = []
         self._turn = asyncio.Lock()
         self._stops: set[Future[Answers]] = set()
         self._next_stop: asyncio.Task[Answers] | None = None
@@ -101,7 +101,7 @@ class CommandDesk:
         """Return how many commands of a page wait or are being sent."""
         return sum(wish.session is session for wish in self.wishes)
 
-    def make_void(self, reason: str, is_meant: Callable[[Wish], bool] = lambda wish: True) -> None:
+    def make_void(self, reason: str, is_meant: Callable[[PageCommand], bool] = lambda wish: True) -> None:
         """Give up the commands that are meant, all of them if nothing is said."""
         for wish in self.wishes:
             if is_meant(wish):
@@ -125,7 +125,7 @@ class CommandDesk:
                 "during which it may have waited: send it again"
             )
 
-    async def send(self, wish: Wish) -> Answers:
+    async def send(self, wish: PageCommand) -> Answers:
         """Send a command in its turn, unless it is void or too old by then.
 
         Raises:

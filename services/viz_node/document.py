@@ -52,7 +52,7 @@ class Document(Protocol):
         """Return the curves of a part [s] in this number of spans; all samples for 0. RefusedError says why not."""
 
 
-class Kept(Protocol):
+class KeptReading(Protocol):
     """What was kept of an earlier reading."""
 
     def load(self, levels: Levels) -> Facts | None:
@@ -72,7 +72,7 @@ class RecordingDocument:
         self,
         recording: RecordingSource,
         judge: Callable[[], Facts] | None = None,
-        kept: Kept | None = None,
+        kept: KeptReading | None = None,
         judged_before: Callable[[], Facts | None] = lambda: None,
     ) -> None:
         """Prepare to read.

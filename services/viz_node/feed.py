@@ -48,7 +48,7 @@ _OPTIONAL = frozenset({"values"})
 _WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s", "delay_valid", "dropped")
 
 
-class Seen(NamedTuple):
+class SeenMessage(NamedTuple):
     """A message: topic, publisher, when it was sent [ns], and its fields, which its model has bounded."""
 
     topic: str
@@ -57,9 +57,9 @@ class Seen(NamedTuple):
     fields: Mapping[str, Any]
 
 
-def seen(topic: str, src: str, t_ns: int, message: Message) -> Seen:
+def seen(topic: str, src: str, t_ns: int, message: Message) -> SeenMessage:
     """Return a valid message for a feed."""
-    return Seen(topic, src, t_ns, fields_of(message))
+    return SeenMessage(topic, src, t_ns, fields_of(message))
 
 
 class Feed:
@@ -83,7 +83,7 @@ class Feed:
         self._loss = LinkLoss()
         self._of_panels = installed_panels().topics
 
-    def record(self, seen: Seen) -> None:
+    def record(self, seen: SeenMessage) -> None:
         """Take a message."""
         if self.left_out.guard(self._record, seen) and not self.origin_ns:
             self.origin_ns = self._changes["origin_ns"] = seen.t_ns
@@ -108,7 +108,7 @@ class Feed:
         """Return what was sent to pages last of a topic; empty before the first message."""
         return self._state.get(name, {})
 
-    def _record(self, seen: Seen) -> None:
+    def _record(self, seen: SeenMessage) -> None:
         if not 0 <= seen.t_ns < LATEST_NS:
             raise ValueError(f"t_ns {seen.t_ns}: is no time")
         site = site_of(seen.src)
@@ -153,7 +153,7 @@ class Feed:
             self._state[name] = facts
             self._changes.setdefault("state", {})[name] = facts
 
-    def _record_health(self, seen: Seen) -> None:
+    def _record_health(self, seen: SeenMessage) -> None:
         if seen.src not in self._nodes and len(self._nodes) >= _MOST_NODES:
             return
         facts = _facts(seen.fields, HEALTH_KEYS)
@@ -165,7 +165,7 @@ class Feed:
             facts[_LIMIT_KEY] = limit_n
         self._set_node(seen.src, facts)
 
-    def _record_event(self, seen: Seen) -> None:
+    def _record_event(self, seen: SeenMessage) -> None:
         event = _facts(seen.fields, ("kind", "level", "text")) | {
             "src": seen.src,
             "t": seen.t_ns,
@@ -186,7 +186,7 @@ class Feed:
         self._nodes[src] = facts
         self._changes.setdefault("nodes", {})[src] = facts
 
-    def _record_line(self, seen: Seen) -> None:
+    def _record_line(self, seen: SeenMessage) -> None:
         fields = seen.fields
         line = _facts(fields, ("line", "lines", "direction", "start_m", "end_m"))
         line["height"] = dict(fields["height_m"])

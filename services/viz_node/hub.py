@@ -11,7 +11,7 @@ from typing import Any
 import msgpack
 
 from services.viz_node.age_report import AgeReport
-from services.viz_node.command_desk import Answers, CommandDesk, Commander, Wish
+from services.viz_node.command_desk import Answers, CommandDesk, Commander, PageCommand
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
@@ -382,7 +382,7 @@ class Hub:
         if session not in self.sessions:
             raise RefusedError(f"{request.command} was cancelled: its page was closed")
         self.commands.check_arrival(session, request.command)
-        wish = Wish(session, request, arrived_s)
+        wish = PageCommand(session, request, arrived_s)
         if wish.needs_lease:
             self.desk.act(session, request.lease)
         try:

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from services.viz_node.feed import Seen, seen
+from services.viz_node.feed import SeenMessage, seen
 from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, NoTransport, is_shown
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import Participant
@@ -31,7 +31,7 @@ class LiveSource(NoTransport):
         self._watched = True
         self._watch(False)
 
-    def poll(self, *, watched: bool) -> Iterator[Seen]:
+    def poll(self, *, watched: bool) -> Iterator[SeenMessage]:
         if watched != self._watched:
             self._watch(watched)
         self._network.process_events()

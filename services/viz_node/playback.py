@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.source import LOOP_TOPICS, is_shown
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
@@ -55,7 +55,7 @@ class RecordingPlayback:
     def length_s(self) -> float:
         return (self._end_ns - self._start_ns) * 1e-9
 
-    def poll(self, *, watched: bool) -> Iterator[Seen]:
+    def poll(self, *, watched: bool) -> Iterator[SeenMessage]:
         if watched != self._watched:
             self._look(watched)
             return
@@ -165,9 +165,9 @@ def _is_shown(channel: RecordedChannel) -> bool:
     return is_shown(channel.topic) and channel.via == "direct"
 
 
-def _seen(message: RecordedMessage) -> Seen:
+def _seen(message: RecordedMessage) -> SeenMessage:
     try:
-        return Seen(message.topic, message.src, message.publish_ns, message.checked_fields())
+        return SeenMessage(message.topic, message.src, message.publish_ns, message.checked_fields())
     except RecordingError:
         # a feed counts a message without fields as one that cannot be read
-        return Seen(message.topic, message.src, message.publish_ns, {})
+        return SeenMessage(message.topic, message.src, message.publish_ns, {})

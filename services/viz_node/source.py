@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from telenano.serving.panels import installed_panels
 from telenano.wire.errors import RefusedError
 
@@ -32,7 +32,7 @@ def is_shown(topic: str) -> bool:
 class Source(Protocol):
     """Messages to show."""
 
-    def poll(self, *, watched: bool) -> Iterable[Seen]:
+    def poll(self, *, watched: bool) -> Iterable[SeenMessage]:
         """Return what has come since the last call, without waiting; unwatched, what curves are made of may be left."""
 
     def take_restart(self) -> bool:

@@ -59,14 +59,14 @@ class FeltInputs(NamedTuple):
     is_retracted: bool
 
 
-class Felt(NamedTuple):
+class LimitedForce(NamedTuple):
     """Force [N], and what changed or ended it: `saturated`, `bounds`, `rate`, `left`; empty for nothing."""
 
     force_n: float
     clamp: str
 
 
-def felt_step(params: FeltParams, state: FeltState, inputs: FeltInputs, dt: float) -> tuple[FeltState, Felt]:
+def felt_step(params: FeltParams, state: FeltState, inputs: FeltInputs, dt: float) -> tuple[FeltState, LimitedForce]:
     """Return the force that a value is felt as, dt [s] after the last one; once the branch is left, none."""
     near = params.sense * inputs.value
     anchor, back = _compared(state, inputs, near)
@@ -80,7 +80,7 @@ def felt_step(params: FeltParams, state: FeltState, inputs: FeltInputs, dt: floa
     limited = min(max(bounded, state.force_n - reach), state.force_n + reach)
     if limited != bounded and not left:
         clamp = RATE
-    return FeltState(limited, left, *anchor), Felt(limited, clamp)
+    return FeltState(limited, left, *anchor), LimitedForce(limited, clamp)
 
 
 def _compared(state: FeltState, inputs: FeltInputs, near: float) -> tuple[tuple[float, float, Place], float]:

@@ -10,7 +10,7 @@ from telenano.wire.codec import WireError, decode_header
 _IN_STEP = 8
 
 
-class Forwarded(NamedTuple):
+class ForwardedMessage(NamedTuple):
     """A message as it left the link at a time [ns]: the bytes of its publisher, but for bits flipped on the way."""
 
     topic: str
@@ -51,7 +51,7 @@ class ForwardedResult(NamedTuple):
     place: int = -1
 
 
-def compare_forwarded(sent: Sequence[Forwarded], recorded: Sequence[Forwarded]) -> ForwardedResult:
+def compare_forwarded(sent: Sequence[ForwardedMessage], recorded: Sequence[ForwardedMessage]) -> ForwardedResult:
     """Compare what a re-run sent on with what a recording has of it, both in the order of sending.
 
     Either may begin or end before the other. What the recorder alone has missed is passed over, because the journal
@@ -84,7 +84,7 @@ def compare_forwarded(sent: Sequence[Forwarded], recorded: Sequence[Forwarded]) 
     return result
 
 
-def _start(sent: Sequence[Forwarded], recorded: Sequence[Forwarded]) -> tuple[int, int] | None:
+def _start(sent: Sequence[ForwardedMessage], recorded: Sequence[ForwardedMessage]) -> tuple[int, int] | None:
     """Return the first places that belong together: where the later of the two begins."""
     places: dict[tuple[str, bytes], list[int]] = {}
     for place, message in enumerate(recorded):
@@ -98,7 +98,7 @@ def _start(sent: Sequence[Forwarded], recorded: Sequence[Forwarded]) -> tuple[in
     return None
 
 
-def _alike(message: Forwarded, recorded: Forwarded) -> bool:
+def _alike(message: ForwardedMessage, recorded: ForwardedMessage) -> bool:
     if message.topic != recorded.topic:
         return False
     return message.payload == recorded.payload or (
@@ -106,7 +106,7 @@ def _alike(message: Forwarded, recorded: Forwarded) -> bool:
     )
 
 
-def _difference(message: Forwarded, recorded: Forwarded) -> tuple[str, str]:
+def _difference(message: ForwardedMessage, recorded: ForwardedMessage) -> tuple[str, str]:
     """Return the field in which two messages of one name differ, and what differs in words."""
     if message.name == recorded.name:
         difference = Tolerances().first_difference(_fields(message), _fields(recorded))
@@ -118,7 +118,7 @@ def _difference(message: Forwarded, recorded: Forwarded) -> tuple[str, str]:
     return "", f"re-run {message.name} against {recorded.name} recorded"
 
 
-def _fields(message: Forwarded) -> dict[str, object]:
+def _fields(message: ForwardedMessage) -> dict[str, object]:
     try:
         return decode_header(message.topic, message.payload)[1]
     except WireError:

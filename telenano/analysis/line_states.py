@@ -15,7 +15,7 @@ _LASTS_S = 0.2
 _LEAST_MS, _LEAST_SHARE = 5.0, 0.1
 
 
-class Said(NamedTuple):
+class LineReport(NamedTuple):
     """What a report says: when [s], the least round trip with its interval [ms], and since when it is so [s]."""
 
     at_s: float
@@ -34,7 +34,7 @@ def line_states(recording: RecordingSource, timeline: Timeline, start_ns: int, e
         start_ns: The start of the session by the master's clock [ns].
         end_ns: The end of the session by the master's clock [ns].
     """
-    reports: dict[int, Said] = {}
+    reports: dict[int, LineReport] = {}
     channels = recording.select(lambda channel: channel.topic == "link/status" and channel.via == "direct")
     for message, fields in readable(channels, recording.left_out):
         clock = fields.get("clock") or {}
@@ -47,23 +47,23 @@ def line_states(recording: RecordingSource, timeline: Timeline, start_ns: int, e
     return states_of(sorted(reports.values()), (end_ns - start_ns) * 1e-9)
 
 
-def _said(clock: Mapping[str, Any], at_ns: int, start_ns: int) -> Said:
+def _said(clock: Mapping[str, Any], at_ns: int, start_ns: int) -> LineReport:
     since_ns = clock.get("round_trip_since_ns") or at_ns
     round_trip_ms, low_ms, high_ms = (
         1e3 * clock[key] for key in ("round_trip_s", "round_trip_low_s", "round_trip_high_s")
     )
     since_s = max(0.0, (min(since_ns, at_ns) - start_ns) * 1e-9)
-    return Said((at_ns - start_ns) * 1e-9, round_trip_ms, low_ms, high_ms, since_s)
+    return LineReport((at_ns - start_ns) * 1e-9, round_trip_ms, low_ms, high_ms, since_s)
 
 
-def states_of(reports: Iterable[Said], end_s: float) -> list[dict[str, float]]:
+def states_of(reports: Iterable[LineReport], end_s: float) -> list[dict[str, float]]:
     """Return the lasting states that reports in the order of time tell of.
 
     A report is of another state where its interval and that of the state have nothing in common, and their round trips
     differ by more than shows in a loop. The state has changed once all reports of a while are of another one.
     """
-    states: list[list[Said]] = []
-    others: list[Said] = []
+    states: list[list[LineReport]] = []
+    others: list[LineReport] = []
     for one in reports:
         if states and not _differ(states[-1], one):
             states[-1].append(one)
@@ -85,13 +85,13 @@ def states_of(reports: Iterable[Said], end_s: float) -> list[dict[str, float]]:
     ]
 
 
-def _differ(state: list[Said], one: Said) -> bool:
+def _differ(state: list[LineReport], one: LineReport) -> bool:
     before_ms, low_ms, high_ms = _middle(state)
     apart = one.low_ms > high_ms or one.high_ms < low_ms
     return apart and abs(one.round_trip_ms - before_ms) >= max(_LEAST_MS, _LEAST_SHARE * before_ms)
 
 
-def _middle(state: list[Said]) -> tuple[float, float, float]:
+def _middle(state: list[LineReport]) -> tuple[float, float, float]:
     """Return the medians of the round trip and of the ends of its interval in a state, by its newest reports [ms]."""
     newest = state[-50:]
     return (
@@ -101,6 +101,6 @@ def _middle(state: list[Said]) -> tuple[float, float, float]:
     )
 
 
-def _figures(state: list[Said]) -> dict[str, float]:
+def _figures(state: list[LineReport]) -> dict[str, float]:
     names = ("round_trip_ms", "low_ms", "high_ms")
     return {name: round(value, 3) for name, value in zip(names, _middle(state), strict=True)}

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from telenano.launcher.plan import Plan
-from telenano.launcher.processes import Inherited
+from telenano.launcher.processes import Inheritance
 from telenano.serving.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE, PARTICIPANT_VARIABLE
 from telenano.serving.config import ViewConfig
 from telenano.serving.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
@@ -14,7 +14,7 @@ from telenano.wire.nodes import PAGE, name_of
 
 
 @contextlib.contextmanager
-def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[str, Inherited]]:
+def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[str, Inheritance]]:
     """Bind the address of a rig's page while the block runs, show it, and yield what the process of the page inherits.
 
     Where there is to be no page that is nothing. What keeps it from being served is shown, and the rig runs without.
@@ -37,7 +37,7 @@ def _missing(plan: Plan) -> str:
     return missing_for_view() if plan.page else ""
 
 
-def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) -> Inherited:
+def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) -> Inheritance:
     config = plan.loaded.section(name_of(PAGE), ViewConfig)
     tls, access = config.tls(), config.access()
     bound = stack.enter_context(config.bind())
@@ -49,4 +49,4 @@ def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) 
         OBSERVER_VARIABLE: access.observer_token,
         PARTICIPANT_VARIABLE: access.participant_token,
     }
-    return Inherited({**tokens, SOCKET_VARIABLE: str(bound.fileno())}, (bound.fileno(),))
+    return Inheritance({**tokens, SOCKET_VARIABLE: str(bound.fileno())}, (bound.fileno(),))

@@ -48,7 +48,7 @@ class StopObserver:
         """Look at nodes that have been waited for [s], of a limit [s]; called several times a second."""
 
 
-class Inherited(NamedTuple):
+class Inheritance(NamedTuple):
     """What one process inherits: variables of its environment, and open descriptors."""
 
     environment: Mapping[str, str] = {}
@@ -97,7 +97,7 @@ class NodeProcesses:
         log_directory: Path,
         epoch_offset_ns: int,
         on_stopping: Callable[[str], None] = lambda node: None,
-        inherited: Mapping[str, Inherited] | None = None,
+        inherited: Mapping[str, Inheritance] | None = None,
         held: Sequence[int] = (),
         before_start: Callable[[], None] = lambda: None,
     ) -> None:
@@ -131,7 +131,7 @@ class NodeProcesses:
         return self._log_directory / f"{node}.log"
 
     def start(self, node: str) -> int:
-        inherited = self._inherited.get(node, Inherited())
+        inherited = self._inherited.get(node, Inheritance())
         self._before_start()
         log = self._opened_log(node)
         process = children.start(

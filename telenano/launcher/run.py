@@ -17,7 +17,7 @@ from telenano.launcher.external_recording import ExternalRecording, readable_her
 from telenano.launcher.felt_adviser import FeltAdviser
 from telenano.launcher.held import HeldForNodes
 from telenano.launcher.plan import Plan
-from telenano.launcher.processes import Inherited, NodeProcesses, node_command
+from telenano.launcher.processes import Inheritance, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.rigs import RigName
 from telenano.launcher.session import SessionNode
@@ -119,7 +119,7 @@ def run_rig(
     plan: Plan,
     observe: Observer,
     show: Callable[[str], None],
-    beside: Mapping[str, Inherited] | None = None,
+    beside: Mapping[str, Inheritance] | None = None,
     held: Sequence[int] = (),
     name: RigName | None = None,
 ) -> Outcome:
@@ -156,7 +156,7 @@ def run_rig(
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         session = given_identity(os.environ.get(RIG_VARIABLE, ""), clock.now_ns(), conducts=plan.site != "slave")
-        named = Inherited(environment={SESSION_VARIABLE: session})
+        named = Inheritance(environment={SESSION_VARIABLE: session})
         inherited = {**{node: named for node in nodes if name_of(node) == name_of(RECORDER)}, **beside}
         children = NodeProcesses(
             commands,
@@ -182,11 +182,11 @@ def run_rig(
     return outcome_of(rig, plan)
 
 
-def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
+def _end_of_relay(plan: Plan) -> dict[str, Inheritance]:
     """Return what runs beside the nodes of a site that reaches the other one through a relay."""
     if not (plan.book.relay and plan.nodes and plan.site):
         return {}
-    return {f"{RELAY}@{plan.site}": Inherited()}
+    return {f"{RELAY}@{plan.site}": Inheritance()}
 
 
 def forget_stops(plan: Plan) -> None:

@@ -66,7 +66,7 @@ class TimingParams(NamedTuple):
     local_ns: int
 
 
-class Heard(NamedTuple):
+class NewestSignal(NamedTuple):
     """When the newest signal of the other half came [ns], -1 for none, and the stamp of the hand's sample behind it."""
 
     received_ns: int
@@ -74,20 +74,20 @@ class Heard(NamedTuple):
 
 
 @inlined
-def nothing_heard() -> Heard:
+def nothing_heard() -> NewestSignal:
     """Return what a half has heard before the first signal, and after a pause that makes it wait again."""
-    return Heard(_NEVER_NS, _NEVER_NS)
+    return NewestSignal(_NEVER_NS, _NEVER_NS)
 
 
 class MasterTiming(NamedTuple):
     """Samples of the hand, the signal of the other half, and the periods of the command that is due: 0 for none."""
 
     hand: HandClock
-    heard: Heard
+    heard: NewestSignal
     due: int
 
 
-class Sampled(NamedTuple):
+class HandDecision(NamedTuple):
     """What follows from a sample of the hand: whether it begins again, periods to send by, whether to command again."""
 
     begins: bool
@@ -104,7 +104,7 @@ def master_begin() -> MasterTiming:
 @inlined
 def master_heard(timing: MasterTiming, received_ns: int, hand_ns: int) -> MasterTiming:
     """Return the timing after a signal of the other half, which answers a sample of the hand [ns]."""
-    return MasterTiming(timing.hand, Heard(received_ns, hand_ns), timing.due)
+    return MasterTiming(timing.hand, NewestSignal(received_ns, hand_ns), timing.due)
 
 
 @inlined
@@ -128,7 +128,7 @@ def master_stalled(timing: MasterTiming) -> MasterTiming:
 @inlined
 def master_sampled(
     timing: MasterTiming, params: TimingParams, sampled_ns: int, repeated: bool, commanded: bool
-) -> tuple[MasterTiming, Sampled]:
+) -> tuple[MasterTiming, HandDecision]:
     """Return what follows from a sample of the hand, stamped sampled_ns [ns].
 
     A sample that the device only repeats is none: the law does not step, and the next one bridges the gap. To join the
@@ -142,20 +142,20 @@ def master_sampled(
         commanded: Whether the sample settled what was due.
     """
     if repeated:
-        return timing, Sampled(False, 0, not commanded and timing.hand.sampled_ns >= 0)
+        return timing, HandDecision(False, 0, not commanded and timing.hand.sampled_ns >= 0)
     hand, periods = periods_to(timing.hand, sampled_ns, params.period_ns, params.longest_periods)
     begins = periods == RESTARTED
     if periods == 0:
         # The sample before was late, and its step was that of both: another step would be a period too many.
-        return MasterTiming(hand, timing.heard, timing.due), Sampled(False, 0, not commanded)
+        return MasterTiming(hand, timing.heard, timing.due), HandDecision(False, 0, not commanded)
     # After a pause the law continues from its own state: a hand that was restarted is off, and a law stays with an off
     # hand, while one that was only held up finds its reference where it was.
     periods = 1 if begins else periods
-    return MasterTiming(hand, timing.heard, periods), Sampled(begins, periods, False)
+    return MasterTiming(hand, timing.heard, periods), HandDecision(begins, periods, False)
 
 
 @inlined
-def silence_ns(heard: Heard, now_ns: int) -> int:
+def silence_ns(heard: NewestSignal, now_ns: int) -> int:
     """Return the time since the newest signal [ns]; there has to be one."""
     return max(0, now_ns - heard.received_ns)
 
@@ -195,12 +195,12 @@ class SlaveTiming(NamedTuple):
     """The hand's samples behind the signals, the newest signal, the steps of the half, and its commands."""
 
     hand: HandClock
-    heard: Heard
+    heard: NewestSignal
     pacing: Pacing
     commands: Commands
 
 
-class Settled(NamedTuple):
+class SlaveDecision(NamedTuple):
     """What the slave half does on a state of the instrument, or where a signal finds that none came.
 
     periods: for which the law accounts.
@@ -269,7 +269,7 @@ def slave_tick(
             law changes.
     """
     hand, periods = periods_to(timing.hand, hand_ns, params.period_ns, params.longest_periods)
-    heard = Heard(received_ns, hand_ns) if understood else timing.heard
+    heard = NewestSignal(received_ns, hand_ns) if understood else timing.heard
     if periods == RESTARTED:
         return SlaveTiming(hand, heard, Pacing(1, 0, timing.pacing.step), timing.commands), Tick(True, True)
     pacing = Pacing(periods, timing.pacing.behind, timing.pacing.step)
@@ -322,19 +322,19 @@ def slave_commanded(timing: SlaveTiming, number: int, answers: bool) -> SlaveTim
 
 
 @inlined
-def slave_unanswered(timing: SlaveTiming, early: bool) -> tuple[SlaveTiming, Settled]:
+def slave_unanswered(timing: SlaveTiming, early: bool) -> tuple[SlaveTiming, SlaveDecision]:
     """Return what a signal settles that comes while a command is waited for; early: without accounting for it."""
     if not timing.commands.waiting:
         return timing, _nothing()
     if early:
-        return timing, Settled(0, True, False, timing.commands.answers, False)
+        return timing, SlaveDecision(0, True, False, timing.commands.answers, False)
     return _settled(timing, 0, False)
 
 
 @inlined
 def slave_measured(
     timing: SlaveTiming, params: TimingParams, now_ns: int, number: int, held: bool, follows: bool
-) -> tuple[SlaveTiming, Settled]:
+) -> tuple[SlaveTiming, SlaveDecision]:
     """Return what follows from a state of the instrument in which it has carried out the command of a number.
 
     Args:
@@ -355,24 +355,24 @@ def slave_measured(
             # an instrument that answers late would make a loop in a silence as much slower
             late = now_ns >= c.lasts_ns - params.period_ns // 2 and 2 * silent_ns >= 3 * params.period_ns
             return _settled(timing, 0, continues and late)
-        return timing, Settled(0, False, False, False, continues)
+        return timing, SlaveDecision(0, False, False, False, continues)
     if held or number <= c.carried_out or not 0 < later < _LAST:
         return timing, _nothing()
     return _settled(timing, later, False)
 
 
 @inlined
-def _nothing() -> Settled:
+def _nothing() -> SlaveDecision:
     """Return that a half does nothing."""
-    return Settled(0, False, False, False, False)
+    return SlaveDecision(0, False, False, False, False)
 
 
 @inlined
-def _settled(timing: SlaveTiming, later: int, continues: bool) -> tuple[SlaveTiming, Settled]:
+def _settled(timing: SlaveTiming, later: int, continues: bool) -> tuple[SlaveTiming, SlaveDecision]:
     """Settle all commands but those that were sent later than the one carried out; the newest of them is answered."""
     commands, periods = _carried_out(timing.commands, later)
     after = SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
-    return after, Settled(periods, True, True, later == 0 and timing.commands.answers, continues)
+    return after, SlaveDecision(periods, True, True, later == 0 and timing.commands.answers, continues)
 
 
 @inlined

@@ -27,7 +27,7 @@ Key = tuple[str, ...]
 Model = TypeVar("Model")
 
 
-class Defined(NamedTuple):
+class ModelDefinition(NamedTuple):
     """A model, or a number that stands for one, and what defines it."""
 
     definition: object
@@ -37,9 +37,9 @@ class Defined(NamedTuple):
 class ModelTable:
     """The models under the settings in force, which take over those of the table before."""
 
-    def __init__(self, before: Mapping[Key, Defined] | None = None) -> None:
+    def __init__(self, before: Mapping[Key, ModelDefinition] | None = None) -> None:
         self._before = before or {}
-        self.models: dict[Key, Defined] = {}
+        self.models: dict[Key, ModelDefinition] = {}
 
     def take(self, key: Key, definition: object, make: Callable[[], Model]) -> Model:
         """Return the model of a key: that of this table or the one before, if its definition is the same, or a new one.
@@ -51,7 +51,7 @@ class ModelTable:
         """
         known = self.models.get(key) or self._before.get(key)
         if known is None or known.definition != definition:
-            known = Defined(definition, make())
+            known = ModelDefinition(definition, make())
         self.models[key] = known
         model: Model = known.model
         return model

@@ -23,7 +23,7 @@ from telenano.wire.node_state import FindInput
 _LONGEST_DELAY_NS = 86_400_000_000_000
 
 
-class Queued(NamedTuple):
+class QueuedMessage(NamedTuple):
     """A message that waits in a queue, as `InFlight` describes it; its payload only where bits of it were flipped."""
 
     topic: str
@@ -57,7 +57,7 @@ class DirectionState(NamedTuple):
     pipeline: PipelineState
     fates: list[Fate]
     in_flight: list[tuple[int, int, bytes, Fate]]
-    waiting: dict[str, list[Queued]]
+    waiting: dict[str, list[QueuedMessage]]
 
 
 class DirectionEngine:
@@ -311,16 +311,16 @@ class DirectionEngine:
                 )
             queue.refill(_waiting(self._restored(message, find)) for message in waiting)
 
-    def _captured(self, message: InFlight) -> Queued:
+    def _captured(self, message: InFlight) -> QueuedMessage:
         pipeline, order, seq, copy, payload, *rest = message
         topic, now = pipeline.topic, self._topics[pipeline.topic]
         # The way of a message from the queue on depends on these settings only.
         if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
             raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
         damaged = payload if message.corrupted else b""
-        return Queued._make((topic, len(payload), order, seq, copy, damaged, *rest))
+        return QueuedMessage._make((topic, len(payload), order, seq, copy, damaged, *rest))
 
-    def _restored(self, queued: Queued, find: FindInput) -> InFlight:
+    def _restored(self, queued: QueuedMessage, find: FindInput) -> InFlight:
         topic, size_bytes, *rest = queued
         message = InFlight._make((self._topics[topic], *rest))
         payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)

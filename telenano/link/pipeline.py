@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from telenano.link.carry_over import Defined, ModelTable
+from telenano.link.carry_over import ModelDefinition, ModelTable
 from telenano.link.fate import Direction
 from telenano.link.models.courses import delay_at, lost_at
 from telenano.link.models.events import Corruptor, Overtaking
@@ -191,7 +191,7 @@ class Pipeline:
         for key, kept in state.models:
             definition, model = models[key]
             if isinstance(model, int):
-                models[key] = Defined(definition, kept.like(model))
+                models[key] = ModelDefinition(definition, kept.like(model))
             else:
                 model.state = kept.like(model.state)
         self._progress.update(state.latest_release)

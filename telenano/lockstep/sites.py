@@ -19,7 +19,7 @@ from telenano.hand.step import step as haptic_step
 from telenano.laws import integration
 from telenano.laws.clamp import ClampParams, clamped
 from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
-from telenano.laws.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
+from telenano.laws.integration import MasterTiming, NewestSignal, SlaveDecision, SlaveTiming, TimingParams
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from telenano.numerics.compiler import inlined
@@ -60,7 +60,7 @@ def _tip_of(answer: AfmOutputs) -> TipMeasurement:
 
 
 @inlined
-def _latest(signal: PortSignal, heard: Heard, now_ns: int, round_trip_s: float) -> PortSignal:
+def _latest(signal: PortSignal, heard: NewestSignal, now_ns: int, round_trip_s: float) -> PortSignal:
     """Return the newest signal with the two figures that its receiver fills in."""
     if heard.received_ns < 0:
         return NO_SIGNAL
@@ -385,7 +385,7 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
 
 
 @inlined
-def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, Settled]:
+def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, SlaveDecision]:
     """Return the slave half after what the instrument measured, and what it does about that."""
     follows = s.signal.active and tip.following
     timing, settled = integration.slave_measured(

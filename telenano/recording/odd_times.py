@@ -11,7 +11,7 @@ _NS = 1_000_000_000
 _LATEST_NS = 2**62
 
 
-class Dated(NamedTuple):
+class MessageSpan(NamedTuple):
     """First and last time [ns] of messages without a long pause between them, and how much they are."""
 
     first_ns: int
@@ -35,15 +35,15 @@ class Dates:
             day[1] = last_ns
         day[2] += amount
 
-    def groups(self) -> list[Dated]:
+    def groups(self) -> list[MessageSpan]:
         """Return the messages between long pauses, in the order of time."""
-        dated: list[Dated] = []
+        dated: list[MessageSpan] = []
         for _, (first_ns, last_ns, amount) in sorted(self._days.items()):
             if dated and first_ns - dated[-1].last_ns <= LONGEST_PAUSE_NS:
                 before = dated[-1]
-                dated[-1] = Dated(before.first_ns, max(before.last_ns, last_ns), before.amount + amount)
+                dated[-1] = MessageSpan(before.first_ns, max(before.last_ns, last_ns), before.amount + amount)
             else:
-                dated.append(Dated(first_ns, last_ns, amount))
+                dated.append(MessageSpan(first_ns, last_ns, amount))
         return dated
 
     def most(self) -> tuple[int, int]:
@@ -52,11 +52,13 @@ class Dates:
         Zeros where nothing was added.
         """
         groups = self.groups()
-        largest = max(groups, key=lambda each: (each.last_ns < _LATEST_NS, each[2], each[0]), default=Dated(0, 0, 0))
+        largest = max(
+            groups, key=lambda each: (each.last_ns < _LATEST_NS, each[2], each[0]), default=MessageSpan(0, 0, 0)
+        )
         return largest.first_ns, largest.last_ns
 
 
-def odd_text(group: Dated, example: str, span_ns: Sequence[int]) -> str:
+def odd_text(group: MessageSpan, example: str, span_ns: Sequence[int]) -> str:
     """Return a sentence on messages that are dated outside of the span of the others [ns], one of them by name."""
     first, last = (datetime.fromtimestamp(at_ns // _NS, UTC).strftime("%Y-%m-%d %H:%M:%S") for at_ns in group[:2])
     is_before = group.last_ns < span_ns[0]

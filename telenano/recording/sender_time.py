@@ -36,7 +36,7 @@ _READ_AHEAD = 16
 _FAST_HZ = 100.0
 
 
-class Sent(NamedTuple):
+class SentMessage(NamedTuple):
     """A message and when it was sent [ns], on the recorder's clock; `place` is that in the file."""
 
     time_ns: int
@@ -126,14 +126,14 @@ class SenderOrder:
         start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
         self._source: Iterator[RecordedMessage] = (select or recording.select)(self._needs, start_ns)
         # Messages that were just read are in no order.
-        self._arrived: list[Sent] = []
+        self._arrived: list[SentMessage] = []
         # Something may still come before a pending message, and nothing before a ready one; both are in the order of
         # sending. The reader takes the ready ones from the left.
-        self._pending: list[Sent] = []
-        self.ready: deque[Sent] = deque()
+        self._pending: list[SentMessage] = []
+        self.ready: deque[SentMessage] = deque()
         # Messages that left the link and are not reported yet, by channel, each with the time at which the link
         # received it.
-        self._waiting: dict[RecordedChannel, deque[Sent]] = {}
+        self._waiting: dict[RecordedChannel, deque[SentMessage]] = {}
         self._read_ns = 0
         self._most_lag_ns = 0
         self._place = 0
@@ -141,12 +141,12 @@ class SenderOrder:
         self._delay_ns: dict[RecordedChannel, int] = {}
         self._exhausted = False
         # The newest message of each channel that was sent before the beginning.
-        self.before: dict[RecordedChannel, Sent] = {}
+        self.before: dict[RecordedChannel, SentMessage] = {}
         while first_ns is not None and (message := self.peek()) is not None and message.time_ns < first_ns:
             self.before[message.message.channel] = message
             self.pop()
 
-    def peek(self) -> Sent | None:
+    def peek(self) -> SentMessage | None:
         """Return the next message without moving on; None at the end."""
         while not self.ready:
             if self._exhausted:
@@ -165,7 +165,7 @@ class SenderOrder:
         self._read_on(count)
         return True
 
-    def __iter__(self) -> Iterator[Sent]:
+    def __iter__(self) -> Iterator[SentMessage]:
         while (message := self.peek()) is not None:
             self.pop()
             yield message
@@ -189,7 +189,7 @@ class SenderOrder:
             if log_ns - time_ns > self._most_lag_ns:
                 self._most_lag_ns = log_ns - time_ns
             # The constructor of a named tuple is a function of Python.
-            arrived.append(new(Sent, (time_ns, self._place, message)))
+            arrived.append(new(SentMessage, (time_ns, self._place, message)))
         if self._place - before < count:
             self._exhausted = True
             self._release_waiting(0)
@@ -231,14 +231,14 @@ class SenderOrder:
         if self._fates is not None and message.topic == FATES_TOPIC:
             self._fates.record(message, time_ns - message.publish_ns)
         if wanted and (self._ends or not _is_end(message)):
-            self._arrived.append(Sent(time_ns, self._place, message))
+            self._arrived.append(SentMessage(time_ns, self._place, message))
 
     def _add_forwarded(self, message: RecordedMessage, time_ns: int) -> None:
         if self._fates is not None and _is_fast(message.topic):
             waiting = self._waiting.setdefault(message.channel, deque())
-            waiting.append(Sent(time_ns, self._place, message))
+            waiting.append(SentMessage(time_ns, self._place, message))
         else:
-            self._add_guessed(Sent(time_ns, self._place, message))
+            self._add_guessed(SentMessage(time_ns, self._place, message))
 
     def _release_waiting(self, patience_ns: int) -> None:
         """Move on what has its fate, and what was received longer ago than the patience [ns]."""
@@ -248,18 +248,18 @@ class SenderOrder:
                 time_ns = None if self._fates is None else self._fates.take(message.topic, message.seq)
                 if time_ns is not None:
                     self._delay_ns[message.channel] = time_ns - arrived_ns
-                    self._arrived.append(Sent(time_ns, place, message))
+                    self._arrived.append(SentMessage(time_ns, place, message))
                 elif message.log_ns <= self._read_ns - patience_ns:
                     self._add_guessed(waiting[0])
                 else:
                     break
                 waiting.popleft()
 
-    def _add_guessed(self, sent: Sent) -> None:
+    def _add_guessed(self, sent: SentMessage) -> None:
         delay_ns, message = sent.message.log_ns - sent.time_ns, sent.message
         delay_ns = min(delay_ns, self._delay_ns.get(message.channel, delay_ns))
         self._delay_ns[message.channel] = delay_ns
-        self._arrived.append(Sent(sent.time_ns + max(0, delay_ns), sent.place, message))
+        self._arrived.append(SentMessage(sent.time_ns + max(0, delay_ns), sent.place, message))
 
 
 class _Fates:

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from telenano.analysis.forwarded import Forwarded, compare_forwarded
+from telenano.analysis.forwarded import ForwardedMessage, compare_forwarded
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
@@ -41,7 +41,7 @@ class RerunBus:
         self.numbers: dict[str, int] = {}
         self.compared: dict[str, int] = {}
         self.first_seq: dict[str, int] = {}
-        self._forwarded: dict[str, list[Forwarded]] = {}
+        self._forwarded: dict[str, list[ForwardedMessage]] = {}
         self._key = key
         self._clock = clock
         self._recorded = recorded
@@ -71,7 +71,7 @@ class RerunBus:
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
         """Keep a message that was sent on, for the comparison at the end."""
         self.numbers[endpoint] = self.numbers.get(endpoint, 0) + 1
-        self._forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, self._clock.time_ns))
+        self._forwarded.setdefault(endpoint, []).append(ForwardedMessage(topic, payload, self._clock.time_ns))
 
     def compare_forwarded(self) -> dict[str, Any]:
         """Compare what was sent on, in its order; return the facts of the first difference."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
 
-from telenano.analysis.forwarded import Forwarded
+from telenano.analysis.forwarded import ForwardedMessage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
 from telenano.recording.records import REJECTED_TOPIC, RejectedRecord
@@ -35,7 +35,7 @@ class RecordedNode:
         self.start_ns = recording.span_ns[0]
         self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
         # The messages that were forwarded, by endpoint.
-        self.forwarded: dict[str, list[Forwarded]] = {}
+        self.forwarded: dict[str, list[ForwardedMessage]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
         # when the recorder first received from a source
         self._first_received_ns: dict[tuple[str, str], int] = {}
@@ -76,7 +76,7 @@ class RecordedNode:
                 return
             endpoint, (frame, payload) = rejected.publisher, rejected.frames
             topic = frame.decode(errors="replace")
-        self.forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, message.log_ns))
+        self.forwarded.setdefault(endpoint, []).append(ForwardedMessage(topic, payload, message.log_ns))
 
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""

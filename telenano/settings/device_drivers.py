@@ -13,7 +13,7 @@ from pydantic_core import PydanticKnownError, core_schema
 from telenano.settings.config import section_of, validate
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
-from telenano.settings.plugins import Loaded, installed
+from telenano.settings.plugins import LoadedEntries, installed
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ class DeviceDriver:
         return validate(self.config, values, self.node, self.name)
 
     @staticmethod
-    def all() -> "Loaded[DeviceDriver]":
+    def all() -> "LoadedEntries[DeviceDriver]":
         """Return the drivers of installed packages for both nodes, imported now, as in `DeviceDriver.all().found`."""
         loaded = Drivers("haptic_node", (), ()).all()
         instruments = Drivers("afm_node", (), ()).all()
-        return Loaded({**loaded.found, **instruments.found}, {**loaded.problems, **instruments.problems})
+        return LoadedEntries({**loaded.found, **instruments.found}, {**loaded.problems, **instruments.problems})
 
     @staticmethod
     def why_missing(name: str) -> str:

@@ -14,7 +14,7 @@ from pydantic_core import PydanticKnownError, PydanticOmit, core_schema
 from telenano.settings import plugins
 from telenano.settings.config import package_fields
 from telenano.settings.known_packages import known_of, where_it_is
-from telenano.settings.plugins import Loaded, load
+from telenano.settings.plugins import LoadedEntries, load
 
 T = TypeVar("T")
 
@@ -64,7 +64,7 @@ class Entries(Generic[T]):
             self._asked[name] = loaded.found.get(name)
         return self._asked[name]
 
-    def all(self) -> Loaded[T]:
+    def all(self) -> LoadedEntries[T]:
         """Return every entry, all of them imported now."""
         return load(self._kind, self._check, self._taken)
 

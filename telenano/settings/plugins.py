@@ -77,7 +77,7 @@ class Plugin(NamedTuple):
         return {"package": self.package, "version": self.version, "digest": self.digest}
 
 
-class Loaded(NamedTuple, Generic[T]):
+class LoadedEntries(NamedTuple, Generic[T]):
     """The entries of a kind that can be used, by name, and for the others what is wrong with them."""
 
     found: dict[str, T]
@@ -139,18 +139,18 @@ def _function(_: str, value: Any) -> Any:
 
 
 @overload
-def load(kind: str, *, taken: Collection[str] = (), only: str | None = None) -> Loaded[Callable[..., Any]]: ...
+def load(kind: str, *, taken: Collection[str] = (), only: str | None = None) -> LoadedEntries[Callable[..., Any]]: ...
 
 
 @overload
 def load(
     kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = (), only: str | None = None
-) -> Loaded[T]: ...
+) -> LoadedEntries[T]: ...
 
 
 def load(
     kind: str, check: Callable[[str, Any], Any] = _function, taken: Collection[str] = (), only: str | None = None
-) -> Loaded[Any]:
+) -> LoadedEntries[Any]:
     """Import the entries of a kind.
 
     Args:
@@ -160,7 +160,7 @@ def load(
         taken: The names that the project uses itself.
         only: The name of the one entry that is wanted; None for all of them.
     """
-    loaded = Loaded[Any]({}, {})
+    loaded = LoadedEntries[Any]({}, {})
     for name, row in installed(kind).items():
         if only not in (None, name):
             continue
@@ -389,7 +389,7 @@ def _files(name: str) -> Iterable[tuple[str, Path]]:
     return sorted((name, path) for name, path in names if "__pycache__" not in path.parts)
 
 
-def scenario_files() -> Loaded[Path]:
+def scenario_files() -> LoadedEntries[Path]:
     """Return the scenarios of installed packages: an entry is the path of a YAML file, or a function that gives it."""
 
     def path_of(name: str, value: Any) -> Path:
@@ -401,7 +401,7 @@ def scenario_files() -> Loaded[Path]:
     return load("scenarios", path_of)
 
 
-def refuse(loaded: Loaded[Any], name: Any) -> None:
+def refuse(loaded: LoadedEntries[Any], name: Any) -> None:
     """Raise ValueError saying why an entry of that name cannot be used, where there is one."""
     if isinstance(name, str) and name in loaded.problems:
         raise ValueError(loaded.problems[name])

@@ -83,7 +83,7 @@ class RoundTrip(NamedTuple):
     since_ns: int
 
 
-class Changed(NamedTuple):
+class RouteChange(NamedTuple):
     """A change of the least round trip that has lasted: when it began, from and to what, with its interval [ns]."""
 
     at_ns: int
@@ -244,7 +244,7 @@ class LinePresent(msgspec.Struct, array_like=True):
         """Whether the newest exchanges took longer than the line is believed to take: more of them would tell."""
         return any(way is not None and way.is_in_doubt for way in (self.there, self.back))
 
-    def take_change(self, now_ns: int) -> Changed | None:
+    def take_change(self, now_ns: int) -> RouteChange | None:
         """Return a change that has lasted and was not told of yet; it counts as told then."""
         found, before_ns = self.round_trip(), self.told_ns
         if found is None or now_ns - self.since_ns < _LASTED_NS:
@@ -252,7 +252,7 @@ class LinePresent(msgspec.Struct, array_like=True):
         if abs(found.now_ns - before_ns) < max(_TOLD_NS, _TOLD_SHARE * before_ns, _scatter(self.both_ns)):
             return None
         self.told_ns = found.now_ns
-        return Changed(self.since_ns, before_ns, found.now_ns, found.low_ns, found.high_ns)
+        return RouteChange(self.since_ns, before_ns, found.now_ns, found.low_ns, found.high_ns)
 
 
 def _scatter(delays_ns: Sequence[int]) -> int:

@@ -14,7 +14,7 @@ def pack_state(state: wire.HandleState) -> bytes:
     return wire._STATE.pack(wire.STATE, *state)
 
 
-def pack_configured(answer: wire.Configured) -> bytes:
+def pack_configured(answer: wire.ConfigAnswer) -> bytes:
     """Return the payload that answers CONFIG."""
     return wire._CONFIG.pack(wire.CONFIGURED, 0, answer.seq, answer.session, *answer.limits)
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.source import NoTransport
 
 
@@ -13,9 +13,9 @@ class MadeSource(NoTransport):
 
     def __init__(self, name: str = "test") -> None:
         self.name = name
-        self.waiting: deque[Seen] = deque()
+        self.waiting: deque[SeenMessage] = deque()
 
-    def poll(self, *, watched: bool) -> Iterable[Seen]:
+    def poll(self, *, watched: bool) -> Iterable[SeenMessage]:
         return [self.waiting.popleft() for _ in range(len(self.waiting))]
 
     def about(self) -> Mapping[str, Any]:

@@ -219,9 +219,9 @@ def _read_map(path: Path) -> None:
 
 
 def _read_grid(path: Path) -> None:
-    from telenano_lab.afm_files.map_files import Wanted, import_map
+    from telenano_lab.afm_files.map_files import MapOptions, import_map
 
-    assert np.isfinite(import_map(path, Wanted({})).map.values).all()
+    assert np.isfinite(import_map(path, MapOptions({})).map.values).all()
 
 
 def _read_curve(path: Path) -> None:

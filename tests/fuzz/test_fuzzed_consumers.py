@@ -26,7 +26,7 @@ from telenano_bridges.ros2 import TEXTS, Encoder, Ros2Bridge, Ros2Message
 
 from services.recorder.intake import Intake
 from services.viz_node.document import RecordingDocument
-from services.viz_node.feed import Seen, seen
+from services.viz_node.feed import SeenMessage, seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.source import TOPICS_SHOWN
@@ -119,7 +119,7 @@ class Source(MadeSource):
         super().__init__()
         self.reader, self.frames = reader, list[tuple[str, bytes]]()
 
-    def poll(self, *, watched: bool) -> Iterator[Seen]:
+    def poll(self, *, watched: bool) -> Iterator[SeenMessage]:
         taken, self.frames = self.frames, []
         for topic, payload in taken:
             if (accepted := self.reader.accepted([topic.encode(), payload])) is not None:

@@ -5,7 +5,7 @@ from line_judge import OFF_MS, judge
 from lines import LineOf, Piece, Seen, Session, WayOf, draw_line, run
 from lines_confusion import Counted, Figures, figures
 
-from telenano.analysis.line_states import Said, states_of
+from telenano.analysis.line_states import LineReport, states_of
 
 LEVEL = (Piece(0.0, 20.0),)
 # Of the lines: capacities that are wrong at most, and that are not known where a queue limits the line at most.
@@ -45,7 +45,9 @@ def test_a_report_tells_what_lines_took_before_and_after_a_change_that_lasts() -
         line = draw_line(seed)
         session = run(line, str(seed))
         said = [
-            Said(one.at_s, one.round_trip_ms, one.low_ms, one.high_ms, one.at_s) for one in session.seen if one.at_s > 1
+            LineReport(one.at_s, one.round_trip_ms, one.low_ms, one.high_ms, one.at_s)
+            for one in session.seen
+            if one.at_s > 1
         ]
         states = states_of(said, line.seconds)
         true_ms = [session.seen[0].true_ms, session.seen[-1].true_ms]

@@ -9,7 +9,7 @@ import msgpack
 import pytest
 from changed_fields import Case, cases_of, is_valid, with_examples, write_changed
 
-from services.viz_node.feed import Feed, Seen
+from services.viz_node.feed import Feed, SeenMessage
 from telenano.analysis import Session, summary_of
 from telenano.analysis.recording_document import judged_recording
 from telenano.recording.multi_file import open_recordings
@@ -77,7 +77,7 @@ def check(source: Path, cases: list[Case], target: Path) -> Path:
             fields = message.checked_fields()
         except (RecordingError, KeyError):
             continue
-        feed.record(Seen(message.topic, message.src, message.publish_ns, fields))
+        feed.record(SeenMessage(message.topic, message.src, message.publish_ns, fields))
     msgpack.packb(feed.take())
     msgpack.packb(feed.snapshot())
     # a time that no page can draw is left out, and so is nothing else; a clock of the link counts until its next report

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_lab.afm_files.force_map import write_map
-from telenano_lab.afm_files.map_files import Wanted, import_map
+from telenano_lab.afm_files.map_files import MapOptions, import_map
 from typer.testing import CliRunner
 
 from telenano.cli.root import app
@@ -130,7 +130,7 @@ def test_a_bilateral_session_feels_the_curves_of_a_public_file(tmp_path: Path) -
     if not path.exists():
         pytest.skip(f"{path.name} is not in {MEASURED} (TELENANO_MEASURED)")
     curves = own_curves(path)
-    write_map(tmp_path / "map.npz", import_map(path, Wanted({}, points=2000)).map)
+    write_map(tmp_path / "map.npz", import_map(path, MapOptions({}, points=2000)).map)
     rest_m = 100e-9
     settings = [f"afm_node.sample.map={tmp_path / 'map.npz'}", f"afm_node.rest_distance_m={rest_m}"]
     recording = Recording(record_session(tmp_path, 1, settings, 3.0))

@@ -10,7 +10,7 @@ from made_source import MadeSource
 
 from services.viz_node import server
 from services.viz_node.command_desk import Commander
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from telenano.serving.access import Access
 
@@ -19,11 +19,11 @@ Push = Callable[[float, tuple[float, float]], None]
 
 
 class _Source(MadeSource):
-    def __init__(self, news: Callable[[], list[Seen]]) -> None:
+    def __init__(self, news: Callable[[], list[SeenMessage]]) -> None:
         super().__init__()
         self._news = news
 
-    def poll(self, *, watched: bool) -> list[Seen]:
+    def poll(self, *, watched: bool) -> list[SeenMessage]:
         return self._news()
 
 
@@ -63,7 +63,7 @@ class LonePageServer:
         host: str,
         port: int,
         page: Path | None = None,
-        news: Callable[[], list[Seen]] = list,
+        news: Callable[[], list[SeenMessage]] = list,
         commander: Commander | None = None,
         forms: Callable[[], Mapping[str, Any]] | None = None,
     ) -> None:

@@ -29,7 +29,7 @@ _SHORT_S = 20.0
 _HOUR_S = 3600.0
 
 
-class Judged(NamedTuple):
+class JudgedDraw(NamedTuple):
     """A draw: number, least energy at the law's ports and at the device [J], greatest forces [N], verdict, settings."""
 
     number: int
@@ -120,7 +120,7 @@ def _model(rng: random.Random) -> dict[str, float]:
     }
 
 
-def judged(number: int, law: str = LAW, duration_s: float = _SHORT_S) -> Judged:
+def judged(number: int, law: str = LAW, duration_s: float = _SHORT_S) -> JudgedDraw:
     """Run a draw in lockstep and return the least energies of its ports."""
     settings = drawn(number, law, duration_s)
     operator = settings.pop("haptic_node.operator")
@@ -131,7 +131,7 @@ def judged(number: int, law: str = LAW, duration_s: float = _SHORT_S) -> Judged:
     tip_j = np.concatenate([[0.0], np.cumsum(0.5 * (tip_n[1:] + tip_n[:-1]) * np.diff(tip_m))])
     law_j = np.concatenate([[0.0], np.cumsum(hand_n[1:] * np.diff(reference_m))])
     device_j = np.concatenate([[0.0], np.cumsum(0.5 * (hand_n[1:] + hand_n[:-1]) * np.diff(hand_m))])
-    return Judged(
+    return JudgedDraw(
         number,
         float((law_j - tip_j).min()),
         float((device_j - tip_j).min()),

@@ -55,7 +55,7 @@ from telenano.extend.virtual_mass import (
 from telenano.numerics import compiled
 from telenano_laws.drift import Drift, drifted, error_of, no_drift
 from telenano_laws.ports import (
-    Store,
+    PortEnergy,
     account_of,
     bounded,
     credited,
@@ -187,7 +187,7 @@ class Contact(NamedTuple):
     pull_n: float
 
 
-class Seen(NamedTuple):
+class ContactMoments(NamedTuple):
     """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N].
 
     Places are less what the sample has drifted while the tip was in contact.
@@ -212,13 +212,13 @@ class MasterState(NamedTuple):
     """
 
     mass: Mass
-    seen: Seen
+    seen: ContactMoments
     contact: Contact
     rendered: bool
     lag_s: float
     held_back: float
     mass_kg: float
-    store: Store
+    store: PortEnergy
     stood_s: float
     device_m: float
     ahead_j: float
@@ -231,7 +231,7 @@ class SlaveState(NamedTuple):
     position_m: float
     last_m: float
     last_n: float
-    store: Store
+    store: PortEnergy
     coupled: bool
 
 
@@ -252,9 +252,9 @@ def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
 
 
 @compiled
-def nothing_seen() -> Seen:
+def nothing_seen() -> ContactMoments:
     """Return what is known before the first contact."""
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0, 0.0))
+    return ContactMoments(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0, 0.0))
 
 
 @compiled
@@ -273,8 +273,8 @@ def potential(contact: Contact, y_m: float) -> float:
 
 @compiled
 def taught(
-    params: BoundedModelParams, seen: Seen, measured_m: float, force_n: float, touches: bool, elapsed_s: float
-) -> Seen:
+    params: BoundedModelParams, seen: ContactMoments, measured_m: float, force_n: float, touches: bool, elapsed_s: float
+) -> ContactMoments:
     """Learn from a pair of the tip; out of contact it can only move the surface further away.
 
     A pair has a weight by the way since the one before, less the drift, so a tip that stands forgets nothing, and
@@ -291,7 +291,7 @@ def taught(
         beyond = seen.known and position_m > seen.last_m - (seen.last_n + seen.pull_n) / slope
         if not beyond:
             return seen
-        return Seen(
+        return ContactMoments(
             seen.known,
             position_m,
             -seen.pull_n,
@@ -305,11 +305,11 @@ def taught(
     if not seen.known:
         pull_n = max(-force_n, 0.0)
         here = no_drift(measured_m, force_n, _FASTEST_DRIFT_M_PER_S / params.mass.position_scale)
-        return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, here)
+        return ContactMoments(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, here)
     way = abs(position_m - seen.last_m) / params.memory_m
     gain = way / (1.0 + way)
     by_m, by_n, kept = position_m - seen.mean_m, force_n - seen.mean_n, 1.0 - gain
-    return Seen(
+    return ContactMoments(
         known=True,
         last_m=position_m,
         last_n=force_n,
@@ -323,7 +323,7 @@ def taught(
 
 
 @compiled
-def slope_of(params: BoundedModelParams, seen: Seen) -> float:
+def slope_of(params: BoundedModelParams, seen: ContactMoments) -> float:
     """Return the slope of what was seen [N/m]: the one assumed beforehand where the tip has not moved yet."""
     first, unknown = params.first_n_per_m, _UNKNOWN_SHARE * params.memory_m
     slope = (seen.product_n_m + first * unknown * unknown) / (seen.square_m2 + unknown * unknown)
@@ -331,7 +331,7 @@ def slope_of(params: BoundedModelParams, seen: Seen) -> float:
 
 
 @compiled
-def goal_of(params: BoundedModelParams, seen: Seen) -> Contact:
+def goal_of(params: BoundedModelParams, seen: ContactMoments) -> Contact:
     """Return the model that what was seen speaks for, with a well no deeper than allowed."""
     slope = slope_of(params, seen)
     pull = min(seen.pull_n, math.sqrt(2.0 * slope * params.well_j))
@@ -545,7 +545,7 @@ def slave_start(params: BoundedModelParams, tip: TipMeasurement) -> SlaveState:
 
 
 @compiled
-def _standing(params: BoundedModelParams, position_m: float, tip: TipMeasurement, store: Store) -> SlaveState:
+def _standing(params: BoundedModelParams, position_m: float, tip: TipMeasurement, store: PortEnergy) -> SlaveState:
     p = params.mass
     return SlaveState(position_m, tip.base_position_m / p.position_scale, p.force_scale * tip.force_n, store, False)
 
@@ -602,7 +602,7 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
     """
     longer, stronger = of_scales(old.mass, new.mass)
     seen, contact, store = state.seen, state.contact, kept_below(state.store, new.cap_j)
-    seen = Seen(
+    seen = ContactMoments(
         known=seen.known,
         last_m=longer * seen.last_m,
         last_n=stronger * seen.last_n,

@@ -20,7 +20,7 @@ from telenano.extend.virtual_mass import worked as worked
 from telenano.numerics import compiled
 
 
-class Store(NamedTuple):
+class PortEnergy(NamedTuple):
     """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted.
 
     received_j is `NOTHING_HEARD` until the first signal: what the other half had sent before belongs to nobody here.
@@ -33,54 +33,54 @@ class Store(NamedTuple):
 
 
 @compiled
-def opened(start_j: float) -> Store:
+def opened(start_j: float) -> PortEnergy:
     """Return a store that begins with the energy E_0 [J]."""
-    return Store(0.0, NOTHING_HEARD, start_j, start_j)
+    return PortEnergy(0.0, NOTHING_HEARD, start_j, start_j)
 
 
 @compiled
-def reopen(store: Store, energy_j: float, heard: bool, start_j: float) -> Store:
+def reopen(store: PortEnergy, energy_j: float, heard: bool, start_j: float) -> PortEnergy:
     """Begin once more with E_0 [J]: what is missing is granted, and what was received up to a signal does not count."""
     granted = store.granted_j + max(start_j - store.left_j, 0.0)
-    return Store(store.sent_j, energy_j if heard else store.received_j, start_j, granted)
+    return PortEnergy(store.sent_j, energy_j if heard else store.received_j, start_j, granted)
 
 
 @compiled
-def recount_received(store: Store, energy_j: float, heard: bool) -> Store:
+def recount_received(store: PortEnergy, energy_j: float, heard: bool) -> PortEnergy:
     """Start counting what is received at a signal; what is left stays."""
-    return Store(store.sent_j, energy_j if heard else store.received_j, store.left_j, store.granted_j)
+    return PortEnergy(store.sent_j, energy_j if heard else store.received_j, store.left_j, store.granted_j)
 
 
 @compiled
-def credited(store: Store, energy_j: float, cap_j: float) -> Store:
+def credited(store: PortEnergy, energy_j: float, cap_j: float) -> PortEnergy:
     """Add what the other side has sent since its last signal; what goes beyond the cap is dissipated."""
     if store.received_j < 0.0:
         return recount_received(store, energy_j, True)
     added = max(energy_j - store.received_j, 0.0)
     left = max(min(store.left_j + added, cap_j), store.left_j) if added > 0.0 else store.left_j
-    return Store(store.sent_j, store.received_j + added, left, store.granted_j)
+    return PortEnergy(store.sent_j, store.received_j + added, left, store.granted_j)
 
 
 @compiled
-def two_counters(store: Store, into_j: float) -> Store:
+def two_counters(store: PortEnergy, into_j: float) -> PortEnergy:
     """Book work at a port by direction: what goes into the network is sent on, what leaves it is spent."""
     sent, left = store.sent_j + max(into_j, 0.0), store.left_j + min(into_j, 0.0)
-    return Store(sent, store.received_j, left, store.granted_j)
+    return PortEnergy(sent, store.received_j, left, store.granted_j)
 
 
 @compiled
-def tank(store: Store, into_j: float, cap_j: float) -> Store:
+def tank(store: PortEnergy, into_j: float, cap_j: float) -> PortEnergy:
     """Book work at a port in its own tank; what goes beyond the cap is dissipated."""
     left = store.left_j + into_j
     if into_j > 0.0:
         left = max(min(left, cap_j), store.left_j)
-    return Store(store.sent_j, store.received_j, left, store.granted_j)
+    return PortEnergy(store.sent_j, store.received_j, left, store.granted_j)
 
 
 @compiled
-def kept_below(store: Store, cap_j: float) -> Store:
+def kept_below(store: PortEnergy, cap_j: float) -> PortEnergy:
     """Keep a store below another cap; what is beyond it is dissipated."""
-    return Store(store.sent_j, store.received_j, min(store.left_j, cap_j), store.granted_j)
+    return PortEnergy(store.sent_j, store.received_j, min(store.left_j, cap_j), store.granted_j)
 
 
 @compiled
@@ -90,13 +90,13 @@ def of_scales(old: MassParams, new: MassParams) -> tuple[float, float]:
 
 
 @compiled
-def sent_on(store: Store, energy_j: float) -> Store:
+def sent_on(store: PortEnergy, energy_j: float) -> PortEnergy:
     """Send energy [J] from the tank to the other side."""
-    return Store(store.sent_j + energy_j, store.received_j, store.left_j - energy_j, store.granted_j)
+    return PortEnergy(store.sent_j + energy_j, store.received_j, store.left_j - energy_j, store.granted_j)
 
 
 @compiled
-def account_of(store: Store) -> EnergyAccount:
+def account_of(store: PortEnergy) -> EnergyAccount:
     """Return what `law/status` says of a store; the other port was granted as much."""
     return EnergyAccount(store.left_j, 0.0, 2.0 * store.granted_j)
 
@@ -173,10 +173,12 @@ def slid_work(last_m: float, last_n: float, here_m: float, force_n: float) -> fl
 
 
 @compiled
-def rearm(store: Store, port: HandPort, energy_j: float, heard: bool, start_j: float) -> tuple[Store, HandPort]:
+def rearm(
+    store: PortEnergy, port: HandPort, energy_j: float, heard: bool, start_j: float
+) -> tuple[PortEnergy, HandPort]:
     """Begin once more at the hand's port, with what no hand has paid of what was sent granted."""
     port = begun_again(port, store.sent_j, True)
-    paid = Store(port.sent_j, store.received_j, store.left_j, store.granted_j)
+    paid = PortEnergy(port.sent_j, store.received_j, store.left_j, store.granted_j)
     return reopen(paid, energy_j, heard, start_j), port
 
 
@@ -187,8 +189,8 @@ def stood(mass: Mass, hand: HandSample) -> Mass:
 
 
 @compiled
-def paid_or_granted(store: Store, into_j: float) -> Store:
+def paid_or_granted(store: PortEnergy, into_j: float) -> PortEnergy:
     """Book the work of a motion that cannot be cut; what the store lacks for it is granted."""
     lacking = max(-into_j - max(store.left_j, 0.0), 0.0)
     left = store.left_j + min(into_j, 0.0) + lacking
-    return Store(store.sent_j, store.received_j, left, store.granted_j + lacking)
+    return PortEnergy(store.sent_j, store.received_j, left, store.granted_j + lacking)

@@ -55,7 +55,7 @@ from telenano.extend.virtual_mass import (
 from telenano.numerics import compiled
 from telenano_laws.ports import (
     HandPort,
-    Store,
+    PortEnergy,
     account_of,
     clipped_force,
     credited,
@@ -129,7 +129,7 @@ class MasterState(NamedTuple):
     """The mass, what may leave the hand's port, how long the hand has stood, its device being off [s], and its work."""
 
     mass: Mass
-    store: Store
+    store: PortEnergy
     stood_s: float
     port: HandPort
 
@@ -141,7 +141,7 @@ class SlaveState(NamedTuple):
     heard_m: float
     last_m: float
     last_n: float
-    store: Store
+    store: PortEnergy
     coupled: bool
 
 
@@ -221,7 +221,7 @@ def slave_start(params: TdpaParams, tip: TipMeasurement) -> SlaveState:
 
 
 @compiled
-def standing(params: Any, position_m: float, tip: TipMeasurement, store: Store) -> SlaveState:
+def standing(params: Any, position_m: float, tip: TipMeasurement, store: PortEnergy) -> SlaveState:
     """Return the state of a half that is not coupled, for laws whose constants have a `mass`."""
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
@@ -229,7 +229,7 @@ def standing(params: Any, position_m: float, tip: TipMeasurement, store: Store) 
 
 
 @compiled
-def tip_worked(store: Store, last_m: float, last_n: float, here_m: float, force_n: float) -> Store:
+def tip_worked(store: PortEnergy, last_m: float, last_n: float, here_m: float, force_n: float) -> PortEnergy:
     """Book the work of the tip's port by direction; what the store lacks to meet a sample is granted."""
     out_j = slid_work(last_m, last_n, here_m, force_n)
     store = two_counters(store, -out_j)
@@ -237,7 +237,7 @@ def tip_worked(store: Store, last_m: float, last_n: float, here_m: float, force_
         return store
     lacking_j = min(max(-store.left_j, 0.0), max(out_j, 0.0), _TOUCH_J)
     # this port alone is granted it, and `account_of` counts what is granted at both
-    return Store(store.sent_j, store.received_j, store.left_j + lacking_j, store.granted_j + 0.5 * lacking_j)
+    return PortEnergy(store.sent_j, store.received_j, store.left_j + lacking_j, store.granted_j + 0.5 * lacking_j)
 
 
 @compiled

@@ -9,7 +9,7 @@ from telenano_laws.bounded_model import (
     BOUNDED_MODEL,
     BoundedModelConfig,
     Contact,
-    Seen,
+    ContactMoments,
     contact_force,
     goal_of,
     lag_terms,
@@ -28,7 +28,7 @@ GRANTED_J = 2e-3
 STEP_J = 2e-6
 
 
-def seen_on_line(stiffness: float, zero_m: float, places: list[float]) -> Seen:
+def seen_on_line(stiffness: float, zero_m: float, places: list[float]) -> ContactMoments:
     params, seen = BoundedModelConfig().to_params(PERIOD_S), nothing_seen()
     for place in places:
         seen = taught(params, seen, place, stiffness * (place - zero_m), True, PERIOD_S)

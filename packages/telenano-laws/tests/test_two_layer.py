@@ -1,7 +1,7 @@
 """Tanks, transfer and level control have the numbers of their check cases."""
 
 import pytest
-from telenano_laws.ports import Store, credited, paid_way, sent_on, tank
+from telenano_laws.ports import PortEnergy, credited, paid_way, sent_on, tank
 from telenano_laws.two_layer import TwoLayerConfig, level_damper
 
 # The check case is that of a force that does not change over a step.
@@ -13,7 +13,7 @@ def test_the_hands_tank_is_charged_by_its_damper_and_sends_a_share() -> None:
     # alpha 1e3 N s/m for a joule, and a level of 1 mJ
     params = TwoLayerConfig(level_j=1e-3, level_gain_n_s_per_m_j=1e3).to_params(PERIOD_S)
     rows = [(0.0, 0.1, 1.0, 0.0), (1e-4, 0.1, 1.0, 0.0), (2e-4, -0.2, 1.0, 5e-5)]
-    store, force, place, received, seen = Store(0.0, 0.0, 1e-4, 0.0), 0.0, 0.0, 0.0, []
+    store, force, place, received, seen = PortEnergy(0.0, 0.0, 1e-4, 0.0), 0.0, 0.0, 0.0, []
     for x, velocity, wanted_n, more_j in rows:
         received += more_j
         store = tank(credited(store, received, CAP_J), force * (x - place), CAP_J)
@@ -30,7 +30,7 @@ def test_the_hands_tank_is_charged_by_its_damper_and_sends_a_share() -> None:
 
 
 def test_the_tip_stands_when_its_tank_is_empty() -> None:
-    store, received, seen = Store(0.0, 0.0, 5e-5, 0.0), 0.0, []
+    store, received, seen = PortEnergy(0.0, 0.0, 5e-5, 0.0), 0.0, []
     for force, speed, more_j in [(1.0, 0.02, 0.0), (1.0, 0.04, 0.0), (1.0, -0.03, 1e-5)]:
         received += more_j
         store = credited(store, received, CAP_J)

@@ -219,7 +219,7 @@ def _received(asking: _Asking) -> Iterator[Any]:
             yield received.message
 
 
-class Shown:
+class FetchProgress:
     """Shows the progress of a fetch in lines, one a second."""
 
     def __init__(self, show: Callable[[str], None]) -> None:
@@ -253,6 +253,6 @@ def fetch_and_merge(
     """
     far = session.far() if names is None else names
     show(f"fetching what the slave's site recorded: {', '.join(far)}")
-    fetched = fetch(book, far, session.path / FOLDER_NAME, kbit_per_s, Shown(show))
+    fetched = fetch(book, far, session.path / FOLDER_NAME, kbit_per_s, FetchProgress(show))
     show("merging the recordings of both sites")
     return session.merge(fetched)

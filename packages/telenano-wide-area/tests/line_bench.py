@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.pacing import SendBudget
-from telenano_wide_area.datagram.rate import Delivery, RateControl, Seen
+from telenano_wide_area.datagram.rate import Delivery, PathEstimate, RateControl
 
 MS = 1_000_000
 OFFSET_NS = 37 * 10**9
@@ -242,7 +242,7 @@ def run(
             next_update = now + 50 * MS
             rate = delivery.rate(float(size), most)
             if rate is not None and seen_line.there_ns is not None:
-                seen = Seen(seen_line.there_ns, *rate, line.delay_ns + back_ns, seen_line.there_variation_ns)
+                seen = PathEstimate(seen_line.there_ns, *rate, line.delay_ns + back_ns, seen_line.there_variation_ns)
                 control.update(now, seen, least_hz * size)
                 budget.limit(control.bytes_per_s, float(size), now)
         if now >= next_second:

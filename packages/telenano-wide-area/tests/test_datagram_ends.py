@@ -23,7 +23,7 @@ from telenano_wide_area.datagram.sealing import (
     Opener,
     Sealer,
 )
-from telenano_wide_area.datagram.touch import Touch
+from telenano_wide_area.datagram.touch import ConnectionWatch
 from telenano_wide_area.doubles.datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from telenano_wide_area.sealed import RejectedError
 
@@ -642,7 +642,7 @@ def test_where_the_network_loses_datagrams_a_connection_has_longer_to_come_back(
     loss_share: float, kept_ms: int
 ) -> None:
     connected = [True]
-    touch = Touch(lambda: connected[0], "slave", 0)
+    touch = ConnectionWatch(lambda: connected[0], "slave", 0)
     touch.look(0, arriving=True, loss_share=loss_share)
     connected[0] = False
     kept = 0

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from line_bench import MS, Bottleneck, Jitter, even, normal, pareto, run, stalls
 from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.outgoing import LEAST_HZ
-from telenano_wide_area.datagram.rate import FULL_NS, Delivery, RateControl, Seen
+from telenano_wide_area.datagram.rate import FULL_NS, Delivery, PathEstimate, RateControl
 
 MBIT = 125_000.0
 FIXED_NS = 20 * MS
@@ -283,11 +283,15 @@ def test_an_hour_of_a_full_line_with_a_clock_that_drifts() -> None:
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(
-        st.builds(Seen, st.integers(-1, 2**62), st.floats(0.0, 1e30), st.floats(0.0, 1.0), st.integers(0, 2**62)),
+        st.builds(
+            PathEstimate, st.integers(-1, 2**62), st.floats(0.0, 1e30), st.floats(0.0, 1.0), st.integers(0, 2**62)
+        ),
         max_size=100,
     )
 )
-def test_whatever_the_other_end_reports_the_rate_stays_between_the_least_and_the_budget(reports: list[Seen]) -> None:
+def test_whatever_the_other_end_reports_the_rate_stays_between_the_least_and_the_budget(
+    reports: list[PathEstimate],
+) -> None:
     control = RateControl(750_000.0)
     for tick, seen in enumerate(reports):
         control.update(tick * 50 * MS, seen, 8_700.0)
@@ -306,5 +310,5 @@ def test_no_more_is_delivered_than_was_sent_whatever_the_other_end_says() -> Non
 def test_a_queue_at_the_threshold_is_enough_and_one_below_is_not() -> None:
     for queue_ns, mode in ((FULL_NS, "full"), (FULL_NS - 1, "free")):
         control = RateControl(750_000.0)
-        control.update(0, Seen(queue_ns, 200_000.0, 0.0, 40 * MS), 8_700.0)
+        control.update(0, PathEstimate(queue_ns, 200_000.0, 0.0, 40 * MS), 8_700.0)
         assert control.mode == mode

@@ -30,7 +30,7 @@ class ProgramRequest(Protocol):
         """Return the section of a program."""
 
 
-class Asked(NamedTuple):
+class GuardRequest(NamedTuple):
     """What is asked of the guard: an action, and what the program wants of base, stage and vibration."""
 
     action: int
@@ -127,7 +127,7 @@ class ProgramRunner:
         notice, self._notice = self._notice, ""
         return notice
 
-    def step(self, inputs: Inputs, dt: float) -> Asked:
+    def step(self, inputs: Inputs, dt: float) -> GuardRequest:
         """Take what was measured at the last step, and return what is asked of the guard for the next dt [s]."""
         program, base_m = self._program, inputs.base_m
         searched_s, limit_s = program.searching_s(self._plan, self._reached)
@@ -138,11 +138,11 @@ class ProgramRunner:
                 " further"
             )
         if self._aborted:
-            return Asked(safety.ACTION_RETRACT, Wanted(self._reached, base_m, inputs.place))
+            return GuardRequest(safety.ACTION_RETRACT, Wanted(self._reached, base_m, inputs.place))
         wanted = program.step(self._plan, self._reached, inputs._replace(is_paused=self.state == "paused"), dt)
         self._reached = wanted.state
         self._notice = self._notice or wanted.notice
-        return Asked(safety.ACTION_RETRACT if wanted.is_done else safety.ACTION_POSITION, wanted)
+        return GuardRequest(safety.ACTION_RETRACT if wanted.is_done else safety.ACTION_POSITION, wanted)
 
     def follow_guard(self, mode: int, reason: int) -> None:
         """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""

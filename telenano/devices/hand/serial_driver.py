@@ -305,7 +305,7 @@ class SerialHandle:
             self._on_hello(answer, now_ns)
         elif isinstance(answer, wire.HandleState):
             self._on_state(answer, now_ns)
-        elif isinstance(answer, wire.Configured):
+        elif isinstance(answer, wire.ConfigAnswer):
             self._on_configured(answer)
         elif answer.severity >= wire.SEVERITY_FATAL:
             self._lose(now_ns, f"{self.path}: the handle reports fault {answer.code}: {answer.text}")
@@ -322,7 +322,7 @@ class SerialHandle:
         self.hello, self._modes = hello, modes_of(hello)
         self._enter(_Phase.CONFIGURING, now_ns)
 
-    def _on_configured(self, answer: wire.Configured) -> None:
+    def _on_configured(self, answer: wire.ConfigAnswer) -> None:
         """Send the command off that every session begins with; the sample that answers it makes the device ready."""
         if self._phase is not _Phase.CONFIGURING or self.hello is None or answer.session != self.hello.session:
             return

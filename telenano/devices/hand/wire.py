@@ -114,7 +114,7 @@ class Limits(NamedTuple):
     servo_damping_q16: int
 
 
-class Configured(NamedTuple):
+class ConfigAnswer(NamedTuple):
     """Answer to CONFIG: what is in force now."""
 
     seq: int
@@ -155,7 +155,7 @@ class DeviceFault(NamedTuple):
     text: str
 
 
-Answer = HandleHello | Configured | HandleState | DeviceFault
+Answer = HandleHello | ConfigAnswer | HandleState | DeviceFault
 Request = tuple[int, bytes]
 
 
@@ -224,7 +224,7 @@ def parse_answer(payload: bytes) -> Answer:
         *numbers, _, model = rest
         return HandleHello._make((flags, seq, *numbers, _text(model)))
     if kind == CONFIGURED:
-        return Configured(seq, rest[0], Limits(*rest[1:]))
+        return ConfigAnswer(seq, rest[0], Limits(*rest[1:]))
     return DeviceFault(seq, rest[0], rest[1], _text(rest[2]))
 
 

@@ -40,7 +40,7 @@ def required_keys(topic: str) -> set[str]:
     return {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
 
 
-class Sent(NamedTuple):
+class ClientMessage(NamedTuple):
     """A message of the client that can be read."""
 
     topic: str
@@ -72,7 +72,7 @@ class MessageExaminer:
         self._first_ns: dict[str, int] = {}
         self.received = 0
 
-    def take(self, frames: Sequence[bytes], now_ns: int) -> Sent | None:
+    def take(self, frames: Sequence[bytes], now_ns: int) -> ClientMessage | None:
         """Examine what came at a time [ns since 1970]; return a message that can be read."""
         self.received += 1
         account = self._account
@@ -88,7 +88,7 @@ class MessageExaminer:
             self._version(topic, fields)
             self._arming(topic, fields)
             self._course(topic, fields, now_ns)
-        return Sent(topic, fields)
+        return ClientMessage(topic, fields)
 
     @property
     def has_ended(self) -> bool:

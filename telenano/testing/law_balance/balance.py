@@ -37,7 +37,7 @@ from telenano.testing.law_balance.balance_draws import ALL_KINDS, RETUNES, SILEN
 from telenano.testing.law_balance.balance_loop import (
     RETRACTED_M,
     UNHEARD,
-    Held,
+    LoopConditions,
     Now,
     World,
     empty_books,
@@ -319,7 +319,7 @@ class _Run:
         let_go = next((event for event in self.running if event.kind == "let go"), None)
         hand_lost = next((event for event in self.running if event.kind == "hand lost"), None)
         limit_s = silence_limit_s(self.slave_config)
-        held = Held(
+        held = LoopConditions(
             off=bool(kinds & {"off", "resume", "hand lost", "switch"}),
             away="switch" in kinds,
             retracted=self.retracted,

@@ -88,7 +88,7 @@ class World(NamedTuple):
     carried: float
 
 
-class Held(NamedTuple):
+class LoopConditions(NamedTuple):
     """What stays between two events.
 
     off: the device obeys nobody; away: another law is in force; lost: the instrument is; stalls: it does nothing and
@@ -281,7 +281,7 @@ def stretch(
     master: Any,
     slave: Any,
     world: World,
-    held: Held,
+    held: LoopConditions,
     now: Now,
     books: Books,
     first: int,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, Felt, FeltInputs, FeltState, felt_step
+from telenano.afm.felt import BOUNDS, LEFT, RATE, SATURATED, FeltInputs, FeltState, LimitedForce, felt_step
 from telenano.extend.stage import Place
 from telenano.sections.feel_section import FeelConfig
 
@@ -27,7 +27,7 @@ def feel(**changes: Any) -> FeelConfig:
     return FeelConfig.model_validate({**FEEL, **changes})
 
 
-def felt(values: Any, bases: Any, places: Any = None, **changes: Any) -> list[Felt]:
+def felt(values: Any, bases: Any, places: Any = None, **changes: Any) -> list[LimitedForce]:
     """Return what is felt of values at bases, a millisecond apart."""
     params, state, found = feel(**changes).to_params(), FeltState(), []
     for i, (value, base_m) in enumerate(zip(values, bases, strict=True)):
@@ -51,10 +51,10 @@ def test_units_of_the_table_are_those_that_it_declares() -> None:
 
 
 def test_far_from_the_sample_it_is_saturated_and_bounds_and_rate_limit_by_name() -> None:
-    assert felt([0.3], [0.0])[0] == Felt(0.0, SATURATED)
-    assert felt([-7.0, -7.0], [0.0, 1e-10], most_n=2e-9)[1] == Felt(2e-9, BOUNDS)
+    assert felt([0.3], [0.0])[0] == LimitedForce(0.0, SATURATED)
+    assert felt([-7.0, -7.0], [0.0, 1e-10], most_n=2e-9)[1] == LimitedForce(2e-9, BOUNDS)
     slow = felt([-4.0, -4.0], [0.0, 1e-10], rate_limit_n_per_s=1e-7)
-    assert slow == [Felt(pytest.approx(1e-10), RATE), Felt(pytest.approx(2e-10), RATE)]  # type: ignore[arg-type]
+    assert slow == [LimitedForce(pytest.approx(1e-10), RATE), LimitedForce(pytest.approx(2e-10), RATE)]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("value", [-7.51, -8.0, math.nan, math.inf])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import msgspec
 import pytest
 
-from telenano.analysis.forwarded import Forwarded, compare_forwarded
+from telenano.analysis.forwarded import ForwardedMessage, compare_forwarded
 from telenano.testing.filled_messages import examples
 from telenano.wire import encode
 from telenano.wire.topics import TOPICS
@@ -14,15 +14,15 @@ TOPIC = "teleop/forward"
 BASE = examples(TOPICS[TOPIC])["ordinary"]
 
 
-def message(seq: int, topic: str = TOPIC, **changed: object) -> Forwarded:
-    return Forwarded(topic, encode(msgspec.structs.replace(BASE, seq=seq, **changed)), 1000 + seq)
+def message(seq: int, topic: str = TOPIC, **changed: object) -> ForwardedMessage:
+    return ForwardedMessage(topic, encode(msgspec.structs.replace(BASE, seq=seq, **changed)), 1000 + seq)
 
 
-def unknown(seq: int) -> Forwarded:
+def unknown(seq: int) -> ForwardedMessage:
     return message(seq)._replace(payload=bytes(len(message(seq).payload)))
 
 
-def run(*seqs: int) -> list[Forwarded]:
+def run(*seqs: int) -> list[ForwardedMessage]:
     return [message(seq) for seq in seqs]
 
 
@@ -47,7 +47,9 @@ ALL = run(*range(40))
         (ALL, run(0), 1, 0),
     ],
 )
-def test_what_is_the_same(sent: Sequence[Forwarded], recorded: Sequence[Forwarded], compared: int, first: int) -> None:
+def test_what_is_the_same(
+    sent: Sequence[ForwardedMessage], recorded: Sequence[ForwardedMessage], compared: int, first: int
+) -> None:
     result = compare_forwarded(sent, recorded)
     assert result.difference == ""
     assert result.compared == {TOPIC: compared}

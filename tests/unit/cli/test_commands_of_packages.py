@@ -222,7 +222,7 @@ def names(recording, target, selection):
         export_recording(recording, tmp_path / "x", "bad")
     with pytest.raises(ConfigError, match=r"'nams' is no format; did you mean names\?; known are mcap-json, "):
         export_recording(recording, tmp_path / "x", "nams")
-    monkeypatch.setattr(plugins, "load", lambda *_, **__: plugins.Loaded({}, {}))
+    monkeypatch.setattr(plugins, "load", lambda *_, **__: plugins.LoadedEntries({}, {}))
     how = re.escape("the format ros2 is in the package telenano-bridges[ros2]: ")
     with pytest.raises(ConfigError, match=how):
         export_recording(recording, tmp_path / "x", "ros2")

@@ -42,7 +42,7 @@ def test_frames_have_their_golden_bytes() -> None:
     [
         (pack_hello(HELLO), HELLO, 52),
         (pack_state(STATE), STATE, 36),
-        (pack_configured(wire.Configured(3, 0xBEEF, LIMITS)), wire.Configured(3, 0xBEEF, LIMITS), 32),
+        (pack_configured(wire.ConfigAnswer(3, 0xBEEF, LIMITS)), wire.ConfigAnswer(3, 0xBEEF, LIMITS), 32),
         (pack_fault(wire.DeviceFault(4, 9, 2, "hot")), wire.DeviceFault(4, 9, 2, "hot"), 38),
     ],
 )

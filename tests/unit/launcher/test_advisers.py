@@ -15,7 +15,7 @@ from telenano.launcher.run import advised_of
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.log import StructuredLog
 from telenano.settings.included import DEFAULT_SITE_FILE
-from telenano.settings.plugins import Loaded, Plugin
+from telenano.settings.plugins import LoadedEntries, Plugin
 from telenano.testing.filled_messages import examples
 from telenano.wire.messages import Message, SessionEvent
 from telenano.wire.received import Received
@@ -116,7 +116,7 @@ def test_one_that_cannot_be_made_or_has_nothing_to_say_is_left_out(monkeypatch: 
         "no_adviser": lambda session: 7,
     }
     rows = {name: Plugin("advisers", name, "hollow", "1.2", "hollow:it") for name in found}
-    monkeypatch.setattr(advisers, "load", lambda kind: Loaded(found, {"worse": "it cannot be imported"}))
+    monkeypatch.setattr(advisers, "load", lambda kind: LoadedEntries(found, {"worse": "it cannot be imported"}))
     monkeypatch.setattr(advisers, "installed", lambda kind: rows)
     assert set(advisers_for(AdvisedSession(None, lambda: 0), LOG)) == {"good"}
 

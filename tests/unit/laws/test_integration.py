@@ -7,10 +7,10 @@ import pytest
 
 from telenano.extend.laws import MOST_PERIODS_A_STEP
 from telenano.laws.integration import (
-    Heard,
+    HandDecision,
     MasterTiming,
-    Sampled,
-    Settled,
+    NewestSignal,
+    SlaveDecision,
     SlaveTiming,
     Tick,
     TimingParams,
@@ -35,13 +35,13 @@ from telenano.laws.integration import (
 MS = 1_000_000
 MASTER, SLAVE = TimingParams(MS, 50, 0), TimingParams(MS, 50, 50 * MS)
 BEGIN_NS = 10**18
-SEND, REPEAT, REST = Sampled(False, 1, False), Sampled(False, 0, True), Sampled(False, 0, False)
-NOT_SETTLED = Settled(0, False, False, False, False)
+SEND, REPEAT, REST = HandDecision(False, 1, False), HandDecision(False, 0, True), HandDecision(False, 0, False)
+NOT_SETTLED = SlaveDecision(0, False, False, False, False)
 CONTINUES = NOT_SETTLED._replace(continues=True)
 
 
-def accounted(periods: int, *, answers: bool = False, continues: bool = False) -> Settled:
-    return Settled(periods, True, True, answers, continues)
+def accounted(periods: int, *, answers: bool = False, continues: bool = False) -> SlaveDecision:
+    return SlaveDecision(periods, True, True, answers, continues)
 
 
 def sampled(timing: MasterTiming, ms: float, *, repeated: bool = False, commanded: bool = False) -> Any:
@@ -52,7 +52,7 @@ def sampled(timing: MasterTiming, ms: float, *, repeated: bool = False, commande
 def due() -> MasterTiming:
     """A master half that has sent at its first sample."""
     timing, found = sampled(master_begin(), 0)
-    assert found == Sampled(True, 1, False)
+    assert found == HandDecision(True, 1, False)
     assert timing.due == 1
     return timing
 
@@ -82,8 +82,8 @@ def test_a_sample_of_no_period_and_a_repeated_one_command_again_where_the_tick_h
 
 
 def test_the_master_begins_anew_after_a_pause_and_waits_after_a_stall(due: MasterTiming) -> None:
-    assert sampled(due, 50)[1] == Sampled(False, 50, False)
-    assert sampled(due, 51)[1] == Sampled(True, 1, False)
+    assert sampled(due, 50)[1] == HandDecision(False, 50, False)
+    assert sampled(due, 51)[1] == HandDecision(True, 1, False)
     heard = master_heard(due, BEGIN_NS, BEGIN_NS)
     assert master_stalled(heard)._replace(hand=due.hand) == master_begin()._replace(hand=due.hand)
 
@@ -103,9 +103,9 @@ def test_the_round_trip_is_rounded_to_the_nearest_period(due: MasterTiming) -> N
 
 
 def test_there_is_no_silence_before_a_signal_and_none_of_less_than_nothing() -> None:
-    assert silence_ns(Heard(BEGIN_NS, BEGIN_NS), BEGIN_NS + 1) == 1
+    assert silence_ns(NewestSignal(BEGIN_NS, BEGIN_NS), BEGIN_NS + 1) == 1
     # the reception is stamped after the time of the turn
-    assert silence_ns(Heard(BEGIN_NS + 1, BEGIN_NS), BEGIN_NS) == 0
+    assert silence_ns(NewestSignal(BEGIN_NS + 1, BEGIN_NS), BEGIN_NS) == 0
 
 
 def test_a_half_that_waits_anew_keeps_what_is_due(due: MasterTiming) -> None:
@@ -255,7 +255,7 @@ def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> 
 
 def test_a_signal_before_the_instrument_has_answered_is_answered_and_accounted_for_once() -> None:
     timing = signalled(slave_begin(), 0, 7)
-    assert slave_unanswered(timing, True) == (timing, Settled(0, True, False, True, False))
+    assert slave_unanswered(timing, True) == (timing, SlaveDecision(0, True, False, True, False))
     assert slave_unanswered(timing, False)[1] == accounted(1, answers=True)
     two = signalled(signalled(timing, 1, 8), 3, 9)
     first, settled = measured(two, 3, 8)

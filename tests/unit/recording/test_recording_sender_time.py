@@ -14,7 +14,7 @@ from services.player.playback import Playback, Span
 from telenano.recording.channel_filter import ALL, Selection
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
-from telenano.recording.sender_time import SenderClock, SenderOrder, Sent
+from telenano.recording.sender_time import SenderClock, SenderOrder, SentMessage
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import Message, encode
 from telenano.wire.codec import fields_of
@@ -58,7 +58,7 @@ def sent(seq: int) -> int:
     return EPOCH_NS + seq * MILLISECOND_NS
 
 
-def in_order(recording: Recording, first_ns: int | None = None) -> list[Sent]:
+def in_order(recording: Recording, first_ns: int | None = None) -> list[SentMessage]:
     order, found = SenderOrder(recording, ALL, SenderClock(recording), first_ns), []
     while (message := order.peek()) is not None:
         found.append(message)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recorder_samples import sample
 
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
@@ -49,9 +49,9 @@ def fields(topic: str) -> dict[str, Any]:
     return {key: value for key, value in fields_of(sample(topic, 0)).items() if key not in ("seq", "t_ns", "src", "v")}
 
 
-def received(source: LiveSource, watched: bool, send: Callable[[], object], wanted: int = 5) -> list[Seen]:
+def received(source: LiveSource, watched: bool, send: Callable[[], object], wanted: int = 5) -> list[SeenMessage]:
     """Send and poll in turns until so many messages have come, or long enough that none will."""
-    found: list[Seen] = []
+    found: list[SeenMessage] = []
     for _ in range(200):
         send()
         found += source.poll(watched=watched)

@@ -10,7 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from services.viz_node.feed import Feed, Seen
+from services.viz_node.feed import Feed, SeenMessage
 from services.viz_node.source import TOPICS_SHOWN
 from services.viz_node.streams import STREAMS, described
 
@@ -25,8 +25,8 @@ def golden(topic: str, case: str = "ordinary") -> dict[str, Any]:
     return fields
 
 
-def seen(topic: str, src: str, t_ns: int = START_NS, **changes: Any) -> Seen:
-    return Seen(topic, src, t_ns, {**golden(topic), **changes})
+def seen(topic: str, src: str, t_ns: int = START_NS, **changes: Any) -> SeenMessage:
+    return SeenMessage(topic, src, t_ns, {**golden(topic), **changes})
 
 
 def columns(taken: dict[str, Any], name: str) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def test_every_golden_message_of_a_shown_topic_is_understood(topic: str, case: s
     feed = Feed()
     fields = golden(topic, case)
     for site in ("master", "slave"):
-        feed.record(Seen(topic, f"node@{site}", START_NS, fields))
+        feed.record(SeenMessage(topic, f"node@{site}", START_NS, fields))
     assert feed.left_out.rejected == {}
     assert feed.take()
     assert feed.take() == {}
@@ -144,7 +144,9 @@ def test_lines_of_an_image_are_kept_for_a_page_that_comes_later_until_another_im
 @pytest.mark.parametrize("topic", TOPICS_SHOWN)
 def test_a_message_that_is_none_is_counted_and_stops_nothing(topic: str, fields: dict[str, Any]) -> None:
     feed = Feed()
-    feed.record(Seen(topic, "haptic_node@master" if topic.startswith("haptic") else "afm_node@slave", START_NS, fields))
+    feed.record(
+        SeenMessage(topic, "haptic_node@master" if topic.startswith("haptic") else "afm_node@slave", START_NS, fields)
+    )
     assert feed.left_out.rejected == {"unreadable": 1} or topic == "haptic/command"
 
 
@@ -192,7 +194,7 @@ def test_no_value_of_a_frame_ends_what_makes_the_pages_frames(seed: int) -> None
         changed = mutated(fields, draw)
         time_ns = draw.choice([START_NS + i, START_NS + i, *(e for e in _EXTREMES if isinstance(e, int))])
         src = draw.choice((f"node@{site}", f"node@{site}", "x" * 70_000, f"n@{i}"))
-        feed.record(Seen(topic, src, time_ns, changed))
+        feed.record(SeenMessage(topic, src, time_ns, changed))
         if i % 10 == 0:
             taken.append(msgpack.packb({"k": "tick", **feed.take()}))
             msgpack.packb({"k": "snapshot", "streams": described(), **feed.snapshot()})
@@ -301,5 +303,5 @@ def test_the_limit_of_a_guard_comes_with_the_node_that_has_one_and_with_no_other
     assert "force_limit_n" not in nodes["haptic_node@master"]
     # what was recorded before the key was there has none
     old = {key: value for key, value in golden("node/health").items() if key != "force_limit_n"}
-    feed.record(Seen("node/health", "afm_node@slave", START_NS, old))
+    feed.record(SeenMessage("node/health", "afm_node@slave", START_NS, old))
     assert "force_limit_n" not in feed.take()["nodes"]["afm_node@slave"]

@@ -16,13 +16,13 @@ from test_viz_server import ACCESS as PAGES
 from test_viz_server import Page
 
 from services.viz_node import feed, hub, server, source
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from telenano.serving import Asked, Panel
 from telenano.serving import panels as panels_module
 from telenano.serving.panels import Panels, installed_panels
 from telenano.serving.serve import addresses_of
-from telenano.settings.plugins import Loaded
+from telenano.settings.plugins import LoadedEntries
 from telenano.wire import DurationS, Message, RefusedError, Topic, about
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import register_topic
@@ -144,7 +144,7 @@ def test_pages_are_told_of_panels_and_of_their_topics_and_guests_of_neither(
         assert told["problems"] == ["rain of the package rain 1.2 cannot be used: no licence"]
         assert guest.take("snapshot") == {"k": "snapshot", "role": "participant"}
         fields = {"seq": 0, "t_ns": 1, "src": "view@master", "v": 1, "gust_s": 2.5}
-        rig[1].waiting.append(Seen("wind/speed", "view@master", 1, fields))
+        rig[1].waiting.append(SeenMessage("wind/speed", "view@master", 1, fields))
         while "state" not in (tick := operator.take("tick")):
             pass
         assert tick["state"] == {"wind/speed": {"gust_s": 2.5}}
@@ -211,7 +211,7 @@ def test_a_row_that_cannot_be_used_is_refused_in_a_sentence(panel: Panel, change
 
 
 def test_a_panel_that_cannot_be_used_leaves_the_others(panel: Panel, monkeypatch: pytest.MonkeyPatch) -> None:
-    loaded = Loaded({"wind": panel}, {"rain": "rain of the package rain 1.2 cannot be used: no licence"})
+    loaded = LoadedEntries({"wind": panel}, {"rain": "rain of the package rain 1.2 cannot be used: no licence"})
     monkeypatch.setattr(panels_module, "load", lambda kind, check: loaded)
     installed_panels.cache_clear()
     try:

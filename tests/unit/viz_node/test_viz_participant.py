@@ -27,7 +27,7 @@ from telenano_lab.experiments.participant import CUE_KEYS, TRIAL_KEYS, Participa
 
 from services.viz_node import command_desk, server
 from services.viz_node import hub as hubs
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN
@@ -83,7 +83,7 @@ class Rig:
     def tell(self, topic: str, fields: Mapping[str, Any], src: str) -> None:
         self.seq += 1
         said = {**fields, "seq": self.seq, "t_ns": self.seq * 1_000_000, "src": src, "v": 1}
-        self.source.waiting.append(Seen(topic, src, said["t_ns"], said))
+        self.source.waiting.append(SeenMessage(topic, src, said["t_ns"], said))
 
     def cue(self, **changes: Any) -> None:
         empty = fields_of(Array.from_numpy(np.empty(0)))

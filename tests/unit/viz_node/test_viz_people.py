@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from services.viz_node import age_report, command_desk, server
 from services.viz_node import command as view_command
 from services.viz_node import hub as hubs
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.metrics import metrics_text
 from telenano.cli.root import app
 from telenano.serving.access import Role
@@ -259,7 +259,7 @@ def test_the_way_to_a_page_and_the_age_of_the_loop_are_told_and_given_to_a_monit
     page = Page(stack, client)
     t_ns = 10**18
     delay = {"direction": "forward", "hand_t_ns": t_ns, "delay_ns": 20_000_000, "transit_ns": 0, "clock_ahead_ns": 0}
-    rig.source.waiting.append(Seen("link/delay", "delay_node@master", t_ns, delay))
+    rig.source.waiting.append(SeenMessage("link/delay", "delay_node@master", t_ns, delay))
     for number in range(40):
         hand_ns = t_ns + number * 1_000_000
         afm = {"hand_t_ns": hand_ns}

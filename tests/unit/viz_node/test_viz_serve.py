@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from services.viz_node.page_server import PageServer
 from services.viz_node.requests import PROTOCOL
@@ -42,10 +42,10 @@ class Source(MadeSource):
 
     polled = 0
 
-    def poll(self, *, watched: bool) -> list[Seen]:
+    def poll(self, *, watched: bool) -> list[SeenMessage]:
         self.polled += 1
         fields = {"kind": "mode", "level": "info", "text": str(self.polled), "seq": self.polled, "data": {}}
-        return [Seen("session/event", "afm_node@slave", 10**18 + self.polled, fields)]
+        return [SeenMessage("session/event", "afm_node@slave", 10**18 + self.polled, fields)]
 
 
 @pytest.fixture

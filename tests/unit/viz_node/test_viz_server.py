@@ -25,7 +25,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from services.viz_node import command_desk, page_hand, read_desk, server
 from services.viz_node import hub as hubs
-from services.viz_node.feed import Seen
+from services.viz_node.feed import SeenMessage
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
@@ -221,7 +221,7 @@ def test_a_page_gets_a_snapshot_and_then_what_changes(rig: Rig, client: TestClie
     assert (snapshot["role"], snapshot["commands"], snapshot["hand"]) == ("operator", True, True)
     assert (snapshot["forms"] or page.take("forms")["forms"]) == {"laws": ["wave"]}
     fields = {"kind": "mode", "level": "info", "text": "gap closed", "seq": 0, "data": {}}
-    rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+    rig.source.waiting.append(SeenMessage("session/event", "afm_node@slave", 10**18, fields))
     assert page.take("tick")["events"][0]["text"] == "gap closed"
 
 
@@ -628,7 +628,7 @@ def test_the_server_ends_with_a_source_that_cannot_be_read(
     ended: list[int] = []
     rig.hub.on_end = lambda: ended.append(1)
 
-    def broken(*, watched: bool) -> list[Seen]:
+    def broken(*, watched: bool) -> list[SeenMessage]:
         raise RigError("session.mcap: cannot be read any more")
 
     monkeypatch.setattr(rig.source, "poll", broken)
@@ -653,7 +653,7 @@ def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> 
     rig.hub.sessions = {slow, quick}
     for i in range(MOST_QUEUED + 1):
         fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
-        rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+        rig.source.waiting.append(SeenMessage("session/event", "afm_node@slave", 10**18, fields))
         rig.hub.tick()
         quick._frames.clear()
     assert len(slow._frames) == 1
@@ -666,7 +666,7 @@ def test_an_answer_is_not_dropped_with_what_a_page_has_not_read(rig: Rig) -> Non
     rig.hub.sessions = {session}
     for i in range(2 * MOST_QUEUED):
         fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
-        rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+        rig.source.waiting.append(SeenMessage("session/event", "afm_node@slave", 10**18, fields))
         rig.hub.tick()
         if i in (MOST_QUEUED // 2, MOST_QUEUED):
             # one before the page begins anew, one while no more changes fit in

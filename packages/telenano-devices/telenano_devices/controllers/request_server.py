@@ -12,7 +12,7 @@ _READ_BYTES = 65536
 _MOST_UNREAD_BYTES = 2**20
 
 
-class Pushed(NamedTuple):
+class PushedStream(NamedTuple):
     """A stream that a device pushes to every client of a port: take() returns its bytes since the last call."""
 
     port: int
@@ -27,7 +27,7 @@ async def serve_requests(
     ports: Sequence[int],
     on_ready: Callable[[], None] = lambda: None,
     most_clients: int = 16,
-    pushed: Pushed | None = None,
+    pushed: PushedStream | None = None,
 ) -> None:
     """Serve until the task is cancelled.
 

@@ -20,7 +20,7 @@ _RETRY_NS = 200_000_000
 _READ_BYTES = 65536
 
 
-class Guarded(Protocol):
+class GuardedController(Protocol):
     """A controller as the guard sees it: its messages, and what retracts it."""
 
     heartbeat_s: float
@@ -48,7 +48,7 @@ class SilenceJudge:
         guarded: The controller.
     """
 
-    def __init__(self, guarded: Guarded) -> None:
+    def __init__(self, guarded: GuardedController) -> None:
         self._guarded = guarded
         self._heard_ns = 0
         self._owed = False
@@ -99,7 +99,7 @@ class RetractGuard:
 
     def __init__(
         self,
-        guarded: Guarded,
+        guarded: GuardedController,
         controller: tuple[str, int],
         listen: tuple[str, int],
         say: Callable[[str], None],

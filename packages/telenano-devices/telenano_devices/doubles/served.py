@@ -8,7 +8,7 @@ from telenano_devices.haply.haply_service import HaplyService, serve_haply
 from telenano_devices.impedance.emulated_arm import EmulatedArm, hand_of
 
 
-class Served:
+class ServedPort:
     """A service on a port of its own, in a thread."""
 
     def __init__(self) -> None:

@@ -85,7 +85,7 @@ class MemoryConversation:
         """Do nothing: there is no socket."""
 
 
-class Emulated:
+class EmulatedDevice:
     """One device with its wire. `do` breaks it in words that all three know."""
 
     def __init__(self, kind: str, time: VirtualTime, folder: Path, **settings: Any) -> None:
@@ -175,7 +175,7 @@ class ServoBench:
 
     def __init__(self, kind: str, folder: Path, **settings: Any) -> None:
         self.time = VirtualTime()
-        self.device = Emulated(kind, self.time, folder, **settings)
+        self.device = EmulatedDevice(kind, self.time, folder, **settings)
         self.found = self.device.wire.open()
         self.shared = SharedServo(bytearray(SharedServo.SIZE))
         self.coupling = CouplingSettings(

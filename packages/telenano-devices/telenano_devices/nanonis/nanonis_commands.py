@@ -38,7 +38,7 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from telenano_devices.controllers.request_server import Pushed, serve_requests
+        from telenano_devices.controllers.request_server import PushedStream, serve_requests
         from telenano_devices.controllers.simulated_instrument import simulated_afm
         from telenano_devices.nanonis import nanonis_model, nanonis_wire
 
@@ -51,7 +51,7 @@ def simulate_nanonis(
             f"an emulated Nanonis is at {host}:{ports[0]} to {ports[-1]}, its TCP Logger at {log_port}, values every"
             f" {tap * 1e3:g} ms; Ctrl-C ends it"
         )
-        pushed = Pushed(log_port, model.log.take)
+        pushed = PushedStream(log_port, model.log.take)
         serving = []
         if t7 is not None:
             from telenano_devices.t7.simulate_t7 import t7_in_front_of

@@ -24,7 +24,7 @@ _MOST_INPUT = 0.9
 _SETTLE_TICKS = 20
 
 
-class Pressed(NamedTuple):
+class InputSensitivity(NamedTuple):
     """What pressing gave: volts of the input for a metre, with standard error, and the input of a free cantilever."""
 
     v_per_m: float
@@ -96,7 +96,7 @@ def fit_travel(outputs_v: Sequence[float], gauges_m: Sequence[float], output_ste
     return fit
 
 
-def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press_m: float) -> Pressed:
+def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press_m: float) -> InputSensitivity:
     """Press the tip onto a hard sample and return the sensitivity of the deflection; the tip is retracted afterwards.
 
     Args:
@@ -117,7 +117,7 @@ def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press
         mover.settle(stage.retract_v)
 
 
-def _pressed(mover: Mover, calibration: InstrumentCalibration, step_v: float, press_m: float) -> Pressed:
+def _pressed(mover: Mover, calibration: InstrumentCalibration, step_v: float, press_m: float) -> InputSensitivity:
     stage, limit_v = calibration.stage, _MOST_INPUT * calibration.deflection.range_v
     free: list[tuple[float, float, float]] = []
     touching: list[tuple[float, float, float]] = []
@@ -147,7 +147,7 @@ def _pressed(mover: Mover, calibration: InstrumentCalibration, step_v: float, pr
     bases = [calibration.base_m(point[0]) for point in used]
     fit = fit_line("deflection", [point[1] for point in used], [point[2] for point in used], bases)
     zero_v = math.fsum(point[1] for point in free) / len(free)
-    return Pressed(1.0 / fit.scale, fit.scale_error / fit.scale**2, zero_v, len(used))
+    return InputSensitivity(1.0 / fit.scale, fit.scale_error / fit.scale**2, zero_v, len(used))
 
 
 def _departs(free: Sequence[tuple[float, float, float]], point: tuple[float, float, float]) -> bool:

@@ -82,7 +82,7 @@ class RegisterError(ValueError):
         self.code = code
 
 
-class Bridged(Protocol):
+class BridgePlant(Protocol):
     """What is behind the converters: a base that moves, and the voltage of a bridge."""
 
     def exchange(self, base_m: float) -> AfmSample: ...
@@ -104,7 +104,7 @@ class BridgedSpring:
         return sample._replace(bridge_voltage_v=sample.force_n * self._volts_per_n)
 
 
-def instrument_of(config: AfmConfig) -> Bridged:
+def instrument_of(config: AfmConfig) -> BridgePlant:
     """Return the simulated instrument of a configuration, opened.
 
     Raises:
@@ -137,7 +137,7 @@ class T7Model:
 
     def __init__(
         self,
-        afm: Bridged,
+        afm: BridgePlant,
         *,
         noise_v: float = 0.0,
         output_step_v: float = _DAC_STEP_V,

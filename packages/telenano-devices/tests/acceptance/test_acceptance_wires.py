@@ -21,7 +21,7 @@ from telenano_devices.acceptance.haptic_device.person import person, reach_of
 from telenano_devices.acceptance.haptic_device.take import Facts, record_take, steps_of
 from telenano_devices.acceptance.take import Clock, Take, Verdict, overall
 from telenano_devices.doubles.live_devices import write_hand
-from telenano_devices.doubles.servo_bench import DEVICES, Emulated, VirtualTime
+from telenano_devices.doubles.servo_bench import DEVICES, EmulatedDevice, VirtualTime
 from telenano_devices.impedance.coupling import Vector
 from telenano_devices.impedance.emulated_arm import HandMotion
 from telenano_devices.impedance.impedance_config import CouplingConfig
@@ -98,7 +98,7 @@ class TakeBench:
 
     def __init__(self, kind: str, folder: Path, orders: Mapping[str, float], wrong: Wrong, told: bool = True) -> None:
         self.time, self.wrong = VirtualTime(), wrong
-        self.device = Emulated(kind, self.time, folder, **DEADMAN[kind])
+        self.device = EmulatedDevice(kind, self.time, folder, **DEADMAN[kind])
         self.wire, self._turn = self.device.wire, lambda sample: (0.0, 0.0, 0.0)
         self.capabilities: Capabilities = self.wire.open()
         hand = person(reach_of(self.capabilities), len(self.capabilities.buttons), 1, STEPS, MASS_KG)

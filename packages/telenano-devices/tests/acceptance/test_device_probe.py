@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from telenano_devices.doubles import libraries
-from telenano_devices.doubles.served import Served
+from telenano_devices.doubles.served import ServedPort
 from telenano_devices.impedance.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from telenano_devices.t7.t7_model import calibration_of
 
@@ -33,7 +33,7 @@ def told(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     """Yield the options with which a kind of device is found here."""
     kind = request.param
     if kind == "haply":
-        served = Served()
+        served = ServedPort()
         yield ["--device", kind, "--set", f"haptic_node.haply.service={served.address}"]
         served.close()
         return

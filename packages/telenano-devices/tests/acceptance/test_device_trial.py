@@ -29,7 +29,7 @@ from telenano_devices.acceptance.haptic_device.take import record_take as record
 from telenano_devices.acceptance.instrument.instruments import facts_of as facts_of_instrument
 from telenano_devices.acceptance.instrument.take import record_take as record_instrument_take
 from telenano_devices.acceptance.take import SILENT, Clock, EndedError, Guide, Step
-from telenano_devices.acceptance.trial.devices import Tried
+from telenano_devices.acceptance.trial.devices import TriedDevice
 from telenano_devices.acceptance.trial.sheet import judged_again, sheet_of
 from telenano_devices.acceptance.trial.trial_command import make_trial
 from telenano_devices.acceptance.trial.trial_file import Trial, read_trial, write_trial
@@ -78,7 +78,7 @@ class TrialBench(TakeBench):
             return record_haptic_take(self, facts, STEPS, Clock(self.time.now_ns, self._wait), guide)
 
         try:
-            return make_trial(self.device.kind, Tried(record, ()), Guide(lambda step: self.put(step.name)))
+            return make_trial(self.device.kind, TriedDevice(record, ()), Guide(lambda step: self.put(step.name)))
         finally:
             self._ended = True
             self._to_servo.release()
@@ -176,7 +176,7 @@ def simulated_trial(faults: dict[str, Any], guide: Guide = SILENT, stop: str = s
     def record(led: Guide) -> Any:
         return make_take(config, simulated.MASS_KG, stop, pace=simulated.PACE, faults=faults, guide=led)
 
-    return make_trial("simulated_impedance", Tried(record, ()), guide)
+    return make_trial("simulated_impedance", TriedDevice(record, ()), guide)
 
 
 @pytest.mark.drawn(0.25)
@@ -212,7 +212,7 @@ def instrument_trial(driver: str, hook: Any = None, *, safety: Any = None, model
         facts = facts_of_instrument(chosen, line.driver)
         return record_instrument_take(line.driver, facts, Clock(lambda: line.now_ns, wait), guide)
 
-    return make_trial(driver, Tried(record, ()), Guide(lambda begun: step.__setitem__(0, begun.name)))
+    return make_trial(driver, TriedDevice(record, ()), Guide(lambda begun: step.__setitem__(0, begun.name)))
 
 
 def late(line: Any, step: str) -> None:
@@ -271,7 +271,7 @@ class TriedHandle:
         self.line, self._put, self._step = HandleLine(self._calibration), put, ""
 
     def trial(self) -> Trial:
-        return make_trial("serial", Tried(self._record, ()), Guide(self._say))
+        return make_trial("serial", TriedDevice(self._record, ()), Guide(self._say))
 
     def _record(self, guide: Guide) -> Any:
         line = self.line
@@ -493,7 +493,7 @@ def test_a_busy_computer_is_on_the_page_and_is_no_fault_of_the_device(tmp_path: 
         questions = Questions(lambda text: None, yes=True)
         for _ in range(50):
             questions.guide.waited(late_s)
-        device = Tried(lambda guide: make_take(HapticConfig.model_validate({"driver": "simulated_impedance"}),
+        device = TriedDevice(lambda guide: make_take(HapticConfig.model_validate({"driver": "simulated_impedance"}),
                                                pace=0.01, guide=guide), ())  # fmt: skip
         page = page_of(make_trial("simulated_impedance", device, SILENT, questions.computer), tmp_path)
         assert page["this computer"][0] == result
@@ -552,7 +552,7 @@ def test_the_file_names_no_user_machine_folder_or_address(tmp_path: Path, monkey
         raise ValueError(said)
 
     for made in (record, broken):
-        trial = make_trial("haply", Tried(made, ("handle.example",)), SILENT)
+        trial = make_trial("haply", TriedDevice(made, ("handle.example",)), SILENT)
         write_trial(work / "trial.zip", trial)
         contents = {"page": sheet_of(trial).encode()}
         with zipfile.ZipFile(work / "trial.zip") as archive:

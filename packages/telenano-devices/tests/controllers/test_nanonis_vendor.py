@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_devices.controllers.request_server import Pushed, serve_requests
+from telenano_devices.controllers.request_server import PushedStream, serve_requests
 from telenano_devices.nanonis import nanonis_model, nanonis_wire
 from telenano_devices.nanonis.nanonis_client import NanonisClient
 
@@ -26,7 +26,7 @@ class Served:
         self.model = nanonis_model.NanonisModel(afm, now_ns=time.monotonic_ns())
         self.ports = free_ports(3)
         self._ready, self._loop = threading.Event(), asyncio.new_event_loop()
-        pushed = Pushed(self.ports[2], self.model.log.take)
+        pushed = PushedStream(self.ports[2], self.model.log.take)
         self._task = self._loop.create_task(
             serve_requests(
                 nanonis_wire.cut,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from telenano_devices.doubles.served import Served
+from telenano_devices.doubles.served import ServedPort
 from telenano_devices.doubles.servo_bench import MemoryConversation, ServoBench, VirtualTime
 from telenano_devices.haply.haply import ARM, HaplyWire
 from telenano_devices.haply.haply_device import HaplyConfig
@@ -31,8 +31,8 @@ SILENCE_S = 0.05
 
 
 @pytest.fixture
-def served() -> Iterator[Served]:
-    found = Served()
+def served() -> Iterator[ServedPort]:
+    found = ServedPort()
     yield found
     found.close()
 
@@ -45,7 +45,7 @@ def turns(count: int, seen: list[DeviceSample], push: float = 0.0) -> Callable[[
     return turn
 
 
-def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: Served) -> None:
+def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: ServedPort) -> None:
     wire, seen = HaplyWire(HaplyConfig(service=served.address)), list[DeviceSample]()
     found = wire.open()
     assert found.identity == "Haply inverse3 049D, firmware 3.5, emulated"
@@ -145,7 +145,7 @@ def test_of_two_messages_in_the_same_moment_the_newer_is_the_place_and_the_other
     assert steps_ns.count(0) == 1
 
 
-def test_version_is_told_over_http(served: Served) -> None:
+def test_version_is_told_over_http(served: ServedPort) -> None:
     with urllib.request.urlopen(f"http://127.0.0.1:{served.port}/version", timeout=10) as answer:
         said = json.load(answer)
     assert said["ok"]
@@ -153,7 +153,7 @@ def test_version_is_told_over_http(served: Served) -> None:
 
 
 def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
-    served: Served, monkeypatch: pytest.MonkeyPatch
+    served: ServedPort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("telenano_devices.haply.haply._OPEN_S", 0.3)
     with pytest.raises(DeviceError, match=r"no Inverse Service answers at ws://127.0.0.1:1 "):
@@ -276,7 +276,7 @@ def test_service_that_answers_no_more_is_lost() -> None:
         assert len(found) < 25
 
 
-def test_hand_of_an_emulated_device_goes_on_with_its_programme_where_the_service_was_lost(served: Served) -> None:
+def test_hand_of_an_emulated_device_goes_on_with_its_programme_where_the_service_was_lost(served: ServedPort) -> None:
     wire = HaplyWire(HaplyConfig(service=served.address))
     wire.open()
     wire.session(True)

@@ -17,7 +17,7 @@ from telenano_devices.doubles.servo_bench import (
     DEVICES,
     MS,
     STIFFNESS_N_PER_M,
-    Emulated,
+    EmulatedDevice,
     ServoBench,
     VirtualTime,
 )
@@ -265,7 +265,7 @@ def test_error_of_a_call_is_a_loss_in_its_words_and_is_got_over(kind: str, call:
     ("kind", "call"), [*(("dhd", call) for call in DHD_START), *(("hd", call) for call in HD_START)]
 )
 def test_error_at_the_start_is_a_sentence_and_leaves_the_device_closed(kind: str, call: str, tmp_path: Path) -> None:
-    device = Emulated(kind, VirtualTime(), tmp_path)
+    device = EmulatedDevice(kind, VirtualTime(), tmp_path)
     code, text = COMMUNICATION[kind]
     device.double.fail(call, code)
     with pytest.raises(DeviceError, match=text.split(" (")[0]):
@@ -308,7 +308,7 @@ def test_servo_that_stood_still_after_it_had_read_the_device_takes_no_motion_for
 
 def test_call_of_the_scheduler_that_took_long_and_has_just_ended_is_no_silence(tmp_path: Path) -> None:
     """The scheduler calls in a thread of its own: for nine looks in a call, then a look before the next one."""
-    wire = Emulated("hd", VirtualTime(), tmp_path).wire
+    wire = EmulatedDevice("hd", VirtualTime(), tmp_path).wire
     wire.open()
     in_call, ends, ended = threading.Event(), threading.Event(), threading.Event()
     frames: list[Any] = []

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano_lab.afm_files.recorded import Array, Curves, Recorded
+from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve
 
 _END = b"\\*File list end"
 # The end of the header is sought in this number of bytes.
@@ -78,7 +78,7 @@ def curves_of(path: str) -> Curves:
             "curves as text, for `telenano calibrate sensitivity --curve`"
         )
 
-    def curve(number: int) -> Recorded:
+    def curve(number: int) -> RecordedCurve:
         ways = []
         for place, cut in enumerate((slice(None, counts[0]), slice(counts[0], None))):
             volts = data[number, cut] * volts_per_step
@@ -86,7 +86,7 @@ def curves_of(path: str) -> Curves:
             # Points that were not sampled, because the trigger came first, are stored as the lowest number.
             volts = np.where(data[number, cut] == np.iinfo(data.dtype).min, np.nan, volts)
             ways.append((height[::-1], volts[::-1]) if place == 0 else (height, volts))
-        return Recorded((number % side, number // side), tuple(ways), "V", k, sensitivity)
+        return RecordedCurve((number % side, number // side), tuple(ways), "V", k, sensitivity)
 
     match = re.match(r"([\d.eE+-]+)(?: [\d.eE+-]+)? ?(\S*)", scan.get("Scan Size", ""))
     metres = float(match[1]) * _METRES.get(match[2], 1e-9) if match and side > 1 else 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano_lab.afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf, text_curves
-from telenano_lab.afm_files.recorded import Array, Curves, Recorded, Way, constants_of, factor_to_force
+from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve, Way, constants_of, factor_to_force
 
 # Of a segment this number of points are kept at most; a finer curve is interpolated to them.
 MOST_POINTS = 4096
@@ -122,7 +122,7 @@ def load_one(
     raise ValueError(f"it has no curve {number}; it has {count}, and the first is 0")
 
 
-def _deflections_of(curve: Recorded, constants: dict[str, float]) -> Found:
+def _deflections_of(curve: RecordedCurve, constants: dict[str, float]) -> Found:
     k, _ = constants_of(curve, constants)
     if k is not None and not k > 0.0:
         raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")

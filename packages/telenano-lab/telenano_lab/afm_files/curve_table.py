@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from telenano.wire import ConfigError
-from telenano_lab.afm_files.map_files import MAP_SUFFIXES, Curves, Wanted, read_curves
+from telenano_lab.afm_files.map_files import MAP_SUFFIXES, Curves, MapOptions, read_curves
 from telenano_lab.microscopy.curve_fit import ContactShape, CurveFit, MeasuredWays, fit_curve
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def fit_files(
     files = [file for path in paths for file in _files_of(path)]
     for file in files:
         try:
-            read = read_curves(file, Wanted(dict(settings)))
+            read = read_curves(file, MapOptions(dict(settings)))
         except ConfigError as error:
             unread.append(error)
             reason = str(error).removeprefix(f"{file}: ")

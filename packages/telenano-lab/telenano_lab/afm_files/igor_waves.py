@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from telenano.files import open_regular
 from telenano_lab.afm_files.map_libraries import refusal_of_pause
-from telenano_lab.afm_files.recorded import Curves, Recorded
+from telenano_lab.afm_files.recorded import Curves, RecordedCurve
 
 _VERSION = 5
 _DATA_START = 384
@@ -135,7 +135,7 @@ def curves_of(path: str) -> Curves:
     speed = abs(float(base[turn - 1] - base[0])) / (float(wave["steps"][0]) * turn)
     ways = tuple((-base[way], columns["Defl"][way]) for way in (slice(None, turn), slice(back, None)))
     k, sensitivity = (float(notes[name]) if name in notes else None for name in ("SpringConstant", "InvOLS"))
-    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), ways, "m", k, sensitivity, speed), 1.0)]))
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: RecordedCurve((0, 0), ways, "m", k, sensitivity, speed), 1.0)]))
 
 
 def curves_of_folder(path: str) -> Curves:
@@ -150,7 +150,7 @@ def curves_of_folder(path: str) -> Curves:
     sides = [float(notes.get(f"{axis}ScanSize", notes.get("ScanSize", 0.0))) for axis in ("Fast", "Slow")]
     shape = tuple(max(1 + place[axis] for place in curves) for axis in (0, 1))
 
-    def curve(place: tuple[int, int], file: Path) -> Recorded:
+    def curve(place: tuple[int, int], file: Path) -> RecordedCurve:
         try:
             (read, _), *_ = curves_of(str(file)).each
             return read()._replace(place=place)

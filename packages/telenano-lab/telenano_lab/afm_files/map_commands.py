@@ -11,7 +11,7 @@ from telenano.extend.maps import SI_UNITS
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
 from telenano_lab.afm_files.force_map import MEMBERS, gates, write_map
-from telenano_lab.afm_files.map_files import Imported, Wanted
+from telenano_lab.afm_files.map_files import ImportedMap, MapOptions
 from telenano_lab.afm_files.map_files import import_map as read_map_of
 from telenano_lab.afm_files.sader_jarvis import ASKED
 from telenano_lab.afm_files.text_curves import TableOptions
@@ -117,16 +117,16 @@ def _read(
     *,
     converted: bool = False,
     **further: Any,
-) -> Imported:
+) -> ImportedMap:
     overrides = flag_overrides(members or ())
     names = (*MEMBERS, *TableOptions._fields, *(ASKED if converted else ()))
     if unknown := sorted(set(overrides) - set(names)):
         raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(names)}")
     with progress(file.name, 1.0, shown=not as_json) as show:
-        return read_map_of(file, Wanted(overrides, channel, converted=converted, **further), show)
+        return read_map_of(file, MapOptions(overrides, channel, converted=converted, **further), show)
 
 
-def _about(imported: Imported) -> dict[str, Any]:
+def _about(imported: ImportedMap) -> dict[str, Any]:
     whole = imported.map
     onset, release = gates(whole)
     contact = {"contact_m": [float(onset.min()), float(onset.max())]} if whole.quantity == "force" else {}

@@ -49,7 +49,7 @@ _FREE_SHARE = 0.05
 Watch = Callable[[float], None]
 
 
-class Wanted(NamedTuple):
+class MapOptions(NamedTuple):
     """What a person says of a file: members of a map that it lacks, and how its curves are brought onto one grid.
 
     given: members of a map; channel: a part of the name of a channel, for .3ds; level: `each` or `common`;
@@ -73,7 +73,7 @@ class Wanted(NamedTuple):
         return _BASELINE["tilt" if self.correct == "tilt" else "offset"] if self.baseline is None else self.baseline
 
 
-class Imported(NamedTuple):
+class ImportedMap(NamedTuple):
     """A map, and what was noticed on the way, in words."""
 
     map: ForceMap
@@ -114,7 +114,7 @@ def _demand_content(path: Path) -> None:
             raise MapError("is empty")
 
 
-def _given_of(path: Path, wanted: Wanted) -> tuple[dict[str, Any], dict[str, Any]]:
+def _given_of(path: Path, wanted: MapOptions) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what a person says of a file: its facts, and how its text table is read; MapError where it is no table."""
     members = {name: value for name, value in wanted.given.items() if name not in TableOptions._fields}
     options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
@@ -123,7 +123,7 @@ def _given_of(path: Path, wanted: Wanted) -> tuple[dict[str, Any], dict[str, Any
     return members, options
 
 
-def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) -> Imported:
+def import_map(path: Path, wanted: MapOptions, watch: Watch = lambda share: None) -> ImportedMap:
     """Return the map in a file.
 
     Args:
@@ -146,7 +146,7 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         text = (
             "the force is computed from the frequency shift, whose mean in the farthest tenth of a curve is taken as 0"
         )
-        return Imported(as_force(imported.map, dict(wanted.given)), (*imported.notes, text))
+        return ImportedMap(as_force(imported.map, dict(wanted.given)), (*imported.notes, text))
 
 
 class Curves(NamedTuple):
@@ -164,7 +164,7 @@ class Curves(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_curves(path: Path, wanted: Wanted, watch: Watch = lambda share: None) -> Curves:
+def read_curves(path: Path, wanted: MapOptions, watch: Watch = lambda share: None) -> Curves:
     """Return the curves of a file, each over its own heights, or of a map on its grid.
 
     Args:
@@ -219,7 +219,7 @@ def _is_plain_grid(path: Path) -> bool:
     return True
 
 
-def _curves_of_map(path: Path, imported: Imported) -> Curves:
+def _curves_of_map(path: Path, imported: ImportedMap) -> Curves:
     whole = imported.map
     if whole.quantity != "force":
         raise ConfigError(f"{path}: is a map of {whole.quantity.replace('_', ' ')}, and no force can be fitted to it")
@@ -230,7 +230,7 @@ def _curves_of_map(path: Path, imported: Imported) -> Curves:
     return Curves(list(range(nx * ny)), at, branches, whole.stiffness_n_per_m, nx * ny > 1, imported.notes)
 
 
-def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
+def _import(path: Path, wanted: MapOptions, options: str, watch: Watch) -> ImportedMap:
     suffix = path.suffix.lower()
     source = {"source": path.name}
     has_channels = suffix == ".3ds" or (suffix == ".dat" and is_spectroscopy(str(path)))
@@ -241,7 +241,7 @@ def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
     if suffix == ".npz":
         members, values = read_members(path)
         assert values is not None
-        return Imported(checked_map({**source, **members, **wanted.given}, values), ())
+        return ImportedMap(checked_map({**source, **members, **wanted.given}, values), ())
     if has_channels:
         read = _read_3ds if suffix == ".3ds" else _read_dat
         return _on_one_grid(read(path, wanted.channel), wanted, source)
@@ -255,7 +255,7 @@ def _import(path: Path, wanted: Wanted, options: str, watch: Watch) -> Imported:
             if not str(error).startswith("value: is missing"):
                 raise
         else:
-            return Imported(
+            return ImportedMap(
                 checked_map({**source, **facts, **dict(zip("xyz", axes, strict=True)), **wanted.given}, values), ()
             )
     return _on_one_grid(_read_curves(path, wanted, options, watch), wanted, source)
@@ -287,7 +287,7 @@ def _in_free_air(recorded: ForceMap) -> list[str]:
     return notes
 
 
-def _corrected(imported: Imported, wanted: Wanted) -> Imported:
+def _corrected(imported: ImportedMap, wanted: MapOptions) -> ImportedMap:
     """Return a map without what its curves have in free air, as far as a person wants it."""
     if wanted.correct not in _BASELINE:
         return imported
@@ -310,10 +310,10 @@ def _corrected(imported: Imported, wanted: Wanted) -> Imported:
     values = values - levels[None, ..., None]
     low, high = float(levels.min()), float(levels.max())
     notes.append(f"the mean of each curve in free air, {low:.3g} to {high:.3g} {unit}, is taken off")
-    return Imported(whole._replace(values=values), (*imported.notes, *notes))
+    return ImportedMap(whole._replace(values=values), (*imported.notes, *notes))
 
 
-def _load(path: Path, wanted: Wanted, options: str, watch: Watch) -> tuple[dict[str, Any], list[Array]]:
+def _load(path: Path, wanted: MapOptions, options: str, watch: Watch) -> tuple[dict[str, Any], list[Array]]:
     """Return what `curve_files.load_curves` finds."""
     constants = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in constants]
@@ -323,7 +323,7 @@ def _load(path: Path, wanted: Wanted, options: str, watch: Watch) -> tuple[dict[
     )
 
 
-def _read_curves(path: Path, wanted: Wanted, options: str, watch: Watch) -> _Curves:
+def _read_curves(path: Path, wanted: MapOptions, options: str, watch: Watch) -> _Curves:
     facts, (places, counts, heights, forces) = _load(path, wanted, options, watch)
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]
@@ -477,7 +477,7 @@ def _sweep(data: Array, curves: Array, names: list[str], fixed: list[str], point
     return swept
 
 
-def _on_one_grid(curves: _Curves, wanted: Wanted, source: dict[str, Any]) -> Imported:
+def _on_one_grid(curves: _Curves, wanted: MapOptions, source: dict[str, Any]) -> ImportedMap:
     facts = {**source, **{key: value for key, value in curves.facts.items() if value is not None}, **wanted.given}
     flat = [way for column in curves.ways for curve in column for way in curve]
     for place, (z, _) in enumerate(flat):
@@ -511,7 +511,7 @@ def _on_one_grid(curves: _Curves, wanted: Wanted, source: dict[str, Any]) -> Imp
     facts |= {"length_unit": "m", "z": z, **{n: _middles(s, c) for n, s, c in (("x", width, nx), ("y", depth, ny))}}
     deepest = math.fsum(way[0][-1] - way[0][0] for way in flat) / len(flat)
     kept = f"{100.0 * (high - low) / deepest:.0f} % of the height of its curves is common to all"
-    return Imported(checked_map(facts, values), (*curves.notes, kept))
+    return ImportedMap(checked_map(facts, values), (*curves.notes, kept))
 
 
 def _each(ways: list[list[list[Way]]]) -> Iterable[list[Way]]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano_lab.afm_files.recorded import Curves, Recorded, lacks
+from telenano_lab.afm_files.recorded import Curves, RecordedCurve, lacks
 
 # curves that are read at once
 _BLOCK = 64
@@ -104,7 +104,7 @@ def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
     if not len(first):
         raise ValueError("it has no curve")
 
-    def each() -> Iterator[tuple[Callable[[], Recorded], float]]:
+    def each() -> Iterator[tuple[Callable[[], RecordedCurve], float]]:
         for curves, done in chain([(first, share)], blocks):
             for curve in curves:
                 yield partial(_recorded, curve), done
@@ -124,7 +124,7 @@ def is_raw(path: str) -> bool:
     return Path(path).suffix.lower().startswith(_RAW_SUFFIXES)
 
 
-def _recorded(curve: Any) -> Recorded:
+def _recorded(curve: Any) -> RecordedCurve:
     metadata = curve.metadata
     require_force_curve(metadata)
     height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
@@ -138,7 +138,7 @@ def _recorded(curve: Any) -> Recorded:
     ways = tuple((height[part], force[part]) for part in (segment == segment[0], segment == segment[-1]))
     place = (int(metadata.get("grid index x", 0)), int(metadata.get("grid index y", 0)))
     stiffness, sensitivity = (float(metadata[key]) if key in metadata else None for key in _NAMES.values())
-    return Recorded(place, ways, "N", stiffness, sensitivity, float(metadata.get("speed approach", 1.0)))
+    return RecordedCurve(place, ways, "N", stiffness, sensitivity, float(metadata.get("speed approach", 1.0)))
 
 
 def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.files import TextTable
-from telenano_lab.afm_files.recorded import Array, Curves, Recorded
+from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve
 
 # The head of a spectroscopy is some kB long.
 _LONGEST_HEAD = 1 << 18
@@ -125,4 +125,4 @@ def curves_of(path: str) -> Curves:
     if height[-1] > height[0]:
         # the sweep goes away from the sample, so the way back is the approach
         ways = ways[::-1]
-    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), tuple(ways), unit_of(name)), 1.0)]))
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: RecordedCurve((0, 0), tuple(ways), unit_of(name)), 1.0)]))

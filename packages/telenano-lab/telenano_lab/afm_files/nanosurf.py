@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano_lab.afm_files.recorded import Curves, Recorded
+from telenano_lab.afm_files.recorded import Curves, RecordedCurve
 
 Array = npt.NDArray[np.float64]
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
@@ -126,9 +126,9 @@ def curves_of_nid(path: str) -> Curves:
         order = slice(None) if frame == _FORWARD else slice(None, None, -1)
         return -z[order], one.values[number, :points][order]
 
-    def curve(number: int) -> Recorded:
+    def curve(number: int) -> RecordedCurve:
         ways = (way(_FORWARD, number), way(_BACKWARD, number))
-        return Recorded(places[number], ways, deflections[_FORWARD].unit, stiffness)
+        return RecordedCurve(places[number], ways, deflections[_FORWARD].unit, stiffness)
 
     shape = (1 + max(i for i, _ in places), 1 + max(j for _, j in places))
     return Curves(shape, sides, ((partial(curve, n), (n + 1) / len(places)) for n in range(len(places))))
@@ -201,9 +201,9 @@ def curves_of_nhf(path: str) -> Curves:
     nx, ny = shape
     stiffness, sensitivity = (None if value is None else float(value) for value in (lever, way))
 
-    def curve(number: int) -> Recorded:
+    def curve(number: int) -> RecordedCurve:
         i, j = number % nx, number // nx
-        return Recorded((i, j), tuple(part[number] for part in parts), unit, stiffness, sensitivity)
+        return RecordedCurve((i, j), tuple(part[number] for part in parts), unit, stiffness, sensitivity)
 
     return Curves((nx, ny), (sides[0], sides[1]), ((partial(curve, n), (n + 1) / (nx * ny)) for n in range(nx * ny)))
 

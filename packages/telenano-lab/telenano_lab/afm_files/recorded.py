@@ -10,7 +10,7 @@ Array = npt.NDArray[np.float64]
 Way = tuple[Array, Array]
 
 
-class Recorded(NamedTuple):
+class RecordedCurve(NamedTuple):
     """One curve.
 
     place: column and row of its grid. ways: of the approach and of the retraction the height [m], rising away from the
@@ -33,10 +33,10 @@ class Curves(NamedTuple):
 
     shape: tuple[int, int]
     sides_m: tuple[float, float]
-    each: Iterator[tuple[Callable[[], Recorded], float]]
+    each: Iterator[tuple[Callable[[], RecordedCurve], float]]
 
 
-def constants_of(curve: Recorded, constants: dict[str, float]) -> tuple[float | None, float | None]:
+def constants_of(curve: RecordedCurve, constants: dict[str, float]) -> tuple[float | None, float | None]:
     """Return spring constant [N/m] and sensitivity [m/V] of a curve, those that are given before those of the file."""
     return (
         constants.get("stiffness_n_per_m", curve.stiffness_n_per_m),
@@ -44,7 +44,7 @@ def constants_of(curve: Recorded, constants: dict[str, float]) -> tuple[float | 
     )
 
 
-def factor_to_force(curve: Recorded, constants: dict[str, float], *, as_deflection: bool = False) -> float:
+def factor_to_force(curve: RecordedCurve, constants: dict[str, float], *, as_deflection: bool = False) -> float:
     """Return what the values of a curve are multiplied by to be a force [N], or a deflection [m].
 
     Raises:

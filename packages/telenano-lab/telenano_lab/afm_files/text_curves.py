@@ -17,7 +17,7 @@ import numpy as np
 
 from telenano.files import Column, TextTable, orientation_of, parts_of, role_of, unit_of
 from telenano.wire import ConfigError
-from telenano_lab.afm_files.recorded import Array, Curves, Recorded, Way
+from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve, Way
 
 SUFFIXES = (".asc", ".csv", ".dat", ".tsv", ".txt")
 _HEIGHT = ("z", "height", "piezo", "dist", "sep", "way", "pos", "ramp", "x")
@@ -116,7 +116,7 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
     ordered, remarks = _in_order(ways, options.sign)
     titles = " over ".join(repr(column.title) for column in pairs[0][::-1]) if pairs[0][0].title else "no titles"
     remarks = (*table.remarks, f"taken: {titles}; --set columns=X,Y takes others", *remarks)
-    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), ordered, unit, remarks=remarks), 1.0)]))
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: RecordedCurve((0, 0), ordered, unit, remarks=remarks), 1.0)]))
 
 
 def is_of_other_columns(path: str) -> bool:

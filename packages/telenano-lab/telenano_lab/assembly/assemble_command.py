@@ -24,7 +24,7 @@ from telenano_lab.microscopy.sample_options import ChannelOption
 
 if TYPE_CHECKING:
     from telenano.sections import AfmConfig
-    from telenano_lab.assembly.find import Found
+    from telenano_lab.assembly.find import FoundParticle
     from telenano_lab.assembly.plan import Point
     from telenano_lab.assembly.run import ProgramBench
 
@@ -70,7 +70,7 @@ def particles(
     _print_found(particles_here, file)
 
 
-def _print_found(particles: "list[Found]", file: Path) -> None:
+def _print_found(particles: "list[FoundParticle]", file: Path) -> None:
     from rich.table import Table
 
     table = Table(title=f"{len(particles)} particles in {file}; places from the middle of the image")

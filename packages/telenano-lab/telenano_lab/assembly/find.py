@@ -39,7 +39,7 @@ _EIGHT = np.ones((3, 3))
 _DEVIATION_OF_MEDIAN = 1.4826
 
 
-class Found(NamedTuple):
+class FoundParticle(NamedTuple):
     """A particle in an image: place of its centre, its radius, and their standard errors [m].
 
     residual: what the fit leaves, root mean square, as a share of the height. is_cluster: whether that is more than
@@ -92,7 +92,7 @@ def flattened(height_m: Array) -> tuple[Array, float]:
 
 def find_particles(
     height_m: npt.ArrayLike, step_x_m: float, step_y_m: float, tip: TipShape, middle: tuple[float, float] = (0.0, 0.0)
-) -> list[Found]:
+) -> list[FoundParticle]:
     """Return the particles in an image, from left to right.
 
     Args:
@@ -118,7 +118,7 @@ def find_particles(
     rows, columns = heights.shape
     x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
     y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
-    particles: list[Found] = []
+    particles: list[FoundParticle] = []
     for pixels, tops in _groups(level, noise, step_x_m, step_y_m):
         particles += _fitted(level, pixels & is_finite, tops, x, y, noise, tip)
     return sorted(particles, key=lambda one: (one.x_m, one.y_m))
@@ -128,7 +128,7 @@ def fixed_places(
     height_m: npt.ArrayLike,
     step_x_m: float,
     step_y_m: float,
-    particles: list[Found],
+    particles: list[FoundParticle],
     reach_m: float,
     middle: tuple[float, float] = (0.0, 0.0),
 ) -> list[tuple[float, float]]:
@@ -192,7 +192,7 @@ def _groups(level: Array, noise: float, step_x_m: float, step_y_m: float) -> lis
 
 def _fitted(
     level: Array, pixels: Mask, tops: list[tuple[int, int]], x: Array, y: Array, noise: float, tip: TipShape
-) -> list[Found]:
+) -> list[FoundParticle]:
     """Return the spheres of a group of peaks, fitted together; none for a few pixels."""
     if int(np.count_nonzero(pixels)) < max(_FEWEST_PIXELS, 3 * len(tops)):
         return []
@@ -217,5 +217,5 @@ def _fitted(
         (fit.x.reshape(-1, 3) * scale).tolist(), errors.tolist(), strict=True
     ):
         when = min(max((q - float(y[0])) / float(y[-1] - y[0]), 0.0), 1.0)
-        fits.append(Found(p, q, abs(r), p_error, q_error, r_error, residual, kind, when))
+        fits.append(FoundParticle(p, q, abs(r), p_error, q_error, r_error, residual, kind, when))
     return fits

@@ -148,7 +148,7 @@ def push_of(
     )
 
 
-class Carried(NamedTuple):
+class PushOutcome(NamedTuple):
     """What a hand has done: whether it was content, and at which tick; where the particle really is [m].
 
     losses: how often it lost the particle; peak_n, press_n: the largest force across the tip and along it [N].
@@ -162,10 +162,10 @@ class Carried(NamedTuple):
     press_n: float
 
 
-def carried_out(hand: Hand) -> Carried:
+def carried_out(hand: Hand) -> PushOutcome:
     """Return what a hand has done until now."""
     state = hand.state
-    return Carried(
+    return PushOutcome(
         done=bool(state[PHASE] == DONE),
         done_tick=state[DONE_AT],
         place_m=state[[TRUE_X, TRUE_Y]],

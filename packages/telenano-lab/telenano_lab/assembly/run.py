@@ -18,7 +18,7 @@ from telenano.extend.programs import Wanted
 from telenano.sections import AfmConfig
 from telenano.wire import Scalar
 from telenano_lab.assembly.drift import Drift, drift_at, moved, offset_at, unknown
-from telenano_lab.assembly.find import Found, find_particles, fixed_places
+from telenano_lab.assembly.find import FoundParticle, find_particles, fixed_places
 from telenano_lab.assembly.particle_bench import particles_of
 from telenano_lab.assembly.particles.settings import ParticlesConfig
 from telenano_lab.assembly.particles.tip_shape import tip_shape, touch_distance_m
@@ -72,7 +72,7 @@ class Look(NamedTuple):
         return self.sides_m[0] / columns, self.sides_m[1] / rows
 
 
-class Pushed(NamedTuple):
+class PushReport(NamedTuple):
     """What a push says: why it ended, whether a particle was met, and where that is believed to be on the stage [m]."""
 
     why: str
@@ -90,11 +90,11 @@ class Bench(Protocol):
     def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
         """Take an image."""
 
-    def push(self, start: Point, goal: Point, radius_m: float) -> Pushed:
+    def push(self, start: Point, goal: Point, radius_m: float) -> PushReport:
         """Push what is believed to be at a place to another, both of the stage [m]."""
 
 
-class Placed(NamedTuple):
+class TargetPlacement(NamedTuple):
     """A target, the particle that is there, how far it is believed to be from it [m], and how often it was pushed."""
 
     target: Point
@@ -106,7 +106,7 @@ class Placed(NamedTuple):
 class Assembly(NamedTuple):
     """The outcome: a row a target, how long it took [s], counts of pushes, looks and losses, the drift, the images."""
 
-    placed: tuple[Placed, ...]
+    placed: tuple[TargetPlacement, ...]
     duration_s: float
     pushes: int
     looks: int
@@ -184,11 +184,11 @@ class ProgramBench(ABC):
             rows[number] = np.minimum(rows[number], height_m)
         return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
 
-    def push(self, start: Point, goal: Point, radius_m: float) -> Pushed:
+    def push(self, start: Point, goal: Point, radius_m: float) -> PushReport:
         ends = {"push.x0_m": start[0], "push.y0_m": start[1], "push.x1_m": goal[0], "push.y1_m": goal[1]}
         values = self.values(self._push | ends | {"push.radius_m": radius_m})
         believed = (float(values["believed_x_m"]), float(values["believed_y_m"]))
-        return Pushed(str(values["why"]), bool(values["in_contact"]), believed)
+        return PushReport(str(values["why"]), bool(values["in_contact"]), believed)
 
 
 class VirtualBench(ProgramBench):
@@ -367,7 +367,7 @@ class Assembler:
         x, y = offset_at(self._drift, self._bench.time_s)
         return place[0] + x, place[1] + y
 
-    def _seen(self, look: Look) -> list[tuple[Found, float]]:
+    def _seen(self, look: Look) -> list[tuple[FoundParticle, float]]:
         """Return the particles of an image, and when each was seen [s]; what is too small or too large is none."""
         particles = find_particles(look.height_m, *look.step_m, self._tip, look.middle)
         spheres = [one for one in particles if abs(one.radius_m / self._nominal_m - 1.0) < _OTHER_RADIUS]
@@ -412,7 +412,7 @@ class Assembler:
         self._known[particle] = one._replace(x_m=found.x_m, y_m=found.y_m, radius_m=found.radius_m, seen_s=time_s)
         return True
 
-    def _follow_drift(self, before: _Known, particle: Found, time_s: float) -> None:
+    def _follow_drift(self, before: _Known, particle: FoundParticle, time_s: float) -> None:
         ahead, elapsed_s = drift_at(self._drift, time_s), time_s - before.seen_s
         x_error, y_error = max(particle.x_error_m, _LEAST_ERROR_M), max(particle.y_error_m, _LEAST_ERROR_M)
         self._drift = Drift(
@@ -428,7 +428,7 @@ class Assembler:
             if near is None:
                 raise UnreachableError("no particle is left in the image")
             place = self._place(near)
-            placed.append(Placed(target, place, math.dist(place, target), near.pushes))
+            placed.append(TargetPlacement(target, place, math.dist(place, target), near.pushes))
         return Assembly(
             tuple(placed),
             after.ended_s - before.began_s,

@@ -12,7 +12,7 @@ from telenano.recording import CopyResult, Recording
 from telenano.wire import AfmState, ConfigError, HapticState, Message, NodeHealth, RecordingError, decode, encode
 
 
-class Recalibrated(CopyResult):
+class RecalibrationResult(CopyResult):
     """Result of a recalibration: how many messages were read again, by topic."""
 
     read_again: dict[str, int]
@@ -20,7 +20,7 @@ class Recalibrated(CopyResult):
 
 def recalibrate(
     source: Path, target: Path, *, handle: HandleCalibration | None = None, stage: InstrumentCalibration | None = None
-) -> Recalibrated:
+) -> RecalibrationResult:
     """Copy a recording, with what the devices measured read again; references and commands stay what they were.
 
     Raises:
@@ -60,7 +60,7 @@ def recalibrate(
                     f"{source}: {topic} has no raw values: its device was simulated, or recorded before they were kept"
                 )
 
-    return Recalibrated.of(target, [recording], messages(), read_again=again)
+    return RecalibrationResult.of(target, [recording], messages(), read_again=again)
 
 
 def _require_same_device(source: Path, recorded: str, wanted: str) -> None:

@@ -16,7 +16,7 @@ from telenano_lab.calibration.spectrum_forms import (
     LINES,
     Form,
     NoReference,
-    Said,
+    SpectrumHead,
     bandwidth_hz,
     form_of,
     one_sided,
@@ -127,7 +127,7 @@ def _of_table(table: TextTable, options: SpectrumOptions) -> Spectrum:
     except ConfigError as error:
         if options.sides is None:
             raise ConfigError(f"{table.name}: {error}") from error
-        said = Said(None, False, None, None, None)
+        said = SpectrumHead(None, False, None, None, None)
     first = _frequency(table, options)
     second, form, remarks = _density(table, first, options, head)
     lines, of_unit = _lines_hz(table, first, options.frequency_unit)
@@ -265,7 +265,7 @@ def _form(table: TextTable, column: Column, head: str) -> Form:
 
 
 def _per_hertz(
-    power: Array, form: Form, said: Said, spacing_hz: float, options: SpectrumOptions, where: str
+    power: Array, form: Form, said: SpectrumHead, spacing_hz: float, options: SpectrumOptions, where: str
 ) -> tuple[Array, str]:
     """Return the power of a bandwidth of 1 Hz, and how it follows from that of a line."""
     if not form.per_line:

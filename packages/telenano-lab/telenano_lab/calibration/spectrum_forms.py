@@ -141,7 +141,7 @@ def power_of(values: Array, form: Form, where: str) -> Array:
     return np.asarray(form.factor * values**form.power)
 
 
-class Said(NamedTuple):
+class SpectrumHead(NamedTuple):
     """What a head says of a spectrum; None and empty where it says nothing.
 
     sides: 1 or 2; of_lines: that it has the power of lines; bandwidth: value and unit of the noise bandwidth; window:
@@ -155,7 +155,7 @@ class Said(NamedTuple):
     averages: int | None
 
 
-def said_of(head: str) -> Said:
+def said_of(head: str) -> SpectrumHead:
     """Return what the text of a head says of its spectrum; ConfigError where it says both sides and one."""
     of_sides = "\n".join(line for line in head.splitlines() if _SPECTRAL.search(_WORD_OF_SIDES.sub("", line)))
     two, one = _TWO_SIDED.search(of_sides), _ONE_SIDED.search(of_sides)
@@ -163,7 +163,7 @@ def said_of(head: str) -> Said:
         raise ConfigError(f"its head says {two[0]!r} and {one[0]!r}: --sides says which it is")
     bandwidth = _BANDWIDTH.search(head)
     averages = _AVERAGES.search(head)
-    return Said(
+    return SpectrumHead(
         2 if two else 1 if one else None,
         bool(_OF_LINES.search(head)),
         (float(bandwidth[1].replace(",", ".")), bandwidth[2]) if bandwidth else None,
@@ -182,7 +182,7 @@ def _window_of(head: str) -> Any:
     return (name, float(match[2])) if name in _WITH_PARAMETER and match[2] else None
 
 
-def bandwidth_hz(said: Said, spacing_hz: float) -> float | None:
+def bandwidth_hz(said: SpectrumHead, spacing_hz: float) -> float | None:
     """Return the noise bandwidth of a line [Hz] by what the head says, None where it says neither that nor a window."""
     if said.bandwidth:
         value, unit = said.bandwidth

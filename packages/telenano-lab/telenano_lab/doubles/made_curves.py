@@ -36,7 +36,7 @@ class Truth(NamedTuple):
     thickness_m: float
 
 
-class Made(NamedTuple):
+class MadeCurve(NamedTuple):
     """A curve: heights of the base, ascending [m], forces [N], constants, noise, and the truth of the fitted way."""
 
     model: str
@@ -146,7 +146,7 @@ def drawn_conditions(model: str, random: np.random.Generator, *, is_layer: bool 
     )
 
 
-def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, height_m: float = 0.0) -> Made:
+def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, height_m: float = 0.0) -> MadeCurve:
     """Return a curve under conditions; modulus, pull and thickness are its own."""
     # how far the sample is indented, against how far the lever is bent
     bent_m = c.load_n / c.stiffness_n_per_m
@@ -195,19 +195,19 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
     modulus = reduced * (1.0 - c.poisson**2)
     truth = Truth(height_m - touch, modulus, pull_n, thickness_m)
     count = c.points
-    return Made(
+    return MadeCurve(
         c.model, height_m - x[::-1], value[:count][::-1], height_m - turned, value[count:], c.stiffness_n_per_m,
         c.radius_m, c.half_angle_rad, c.poisson, c.noise, truth,
     )  # fmt: skip
 
 
-def drawn_curve(model: str, seed: int, *, is_layer: bool = False, noise: str = "") -> Made:
+def drawn_curve(model: str, seed: int, *, is_layer: bool = False, noise: str = "") -> MadeCurve:
     """Return a curve of a contact whose conditions are drawn."""
     random = np.random.default_rng([seed, is_layer, sorted(("hertz", "sneddon", "dmt", "jkr")).index(model)])
     return curve_under(drawn_conditions(model, random, is_layer=is_layer, noise=noise), random, is_layer=is_layer)
 
 
-def made_map(model: str, side: int, seed: int) -> list[list[Made]]:
+def made_map(model: str, side: int, seed: int) -> list[list[MadeCurve]]:
     """Return a map of curves, [x][y], over a hill, with a modulus and a pull that differ from place to place."""
     random = np.random.default_rng([seed, side])
     conditions = Conditions(
@@ -222,7 +222,7 @@ def made_map(model: str, side: int, seed: int) -> list[list[Made]]:
     ]
 
 
-def write_map(path: Path, curves: list[list[Made]], side_m: float = 1e-6) -> None:
+def write_map(path: Path, curves: list[list[MadeCurve]], side_m: float = 1e-6) -> None:
     """Write a map of curves as afmformats does: a group for each, with its place in the grid."""
     with h5py.File(path, "w") as file:
         file.attrs["software"], file.attrs["software version"] = "made_curves", "1"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from telenano_lab.experiments.bus import Answer, ExperimentBus
 from telenano_lab.experiments.extend import TrialData
 from telenano_lab.experiments.messages import Question
-from telenano_lab.experiments.operators import Simulated
+from telenano_lab.experiments.operators import SimulatedParticipant
 from telenano_lab.experiments.plan import PICTURE_DELAY, Plan, parameters_of
 from telenano_lab.experiments.types import Trial, TrialOutcome
 
@@ -65,7 +65,10 @@ class Desk:
 
     def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
         """Return the answers to an instrument by item; None without an answer. A simulated participant rates."""
-        hand, draw = Simulated(self.plan.experiment.operator.profile, trial.seed), random.Random(f"{name} {trial.seed}")
+        hand, draw = (
+            SimulatedParticipant(self.plan.experiment.operator.profile, trial.seed),
+            random.Random(f"{name} {trial.seed}"),
+        )
         return {
             question.name: draw.choice(question.options)
             if question.options

@@ -62,7 +62,7 @@ class Profile(Parameters):
     position_scale: float = Field(1e-6, gt=0.0, description="Motion of the base per motion of the hand, as in the law")
 
 
-class Simulated:
+class SimulatedParticipant:
     """A simulated participant, who is a pure function of profile and seed."""
 
     def __init__(self, profile: Mapping[str, Any], seed: int) -> None:

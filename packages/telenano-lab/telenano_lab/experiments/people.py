@@ -118,7 +118,7 @@ def digest_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-class Erased(NamedTuple):
+class ErasureResult(NamedTuple):
     """What an erasure removed: how many files and records, and how many copies had been published before."""
 
     files: int
@@ -126,7 +126,7 @@ class Erased(NamedTuple):
     published_before: int
 
 
-def erase(folder: Path, pseudonym: str) -> Erased:
+def erase(folder: Path, pseudonym: str) -> ErasureResult:
     """Remove all data of a participant.
 
     An erasure that was interrupted is done by doing it again. The journal keeps that there is nothing more to be done
@@ -159,7 +159,7 @@ def erase(folder: Path, pseudonym: str) -> Erased:
         left = _left(folder, pseudonym)
     if left:
         raise RigError(f"{folder}: {pseudonym} is still named in {', '.join(left)}; remove it there")
-    return Erased(files, len(mine), published)
+    return ErasureResult(files, len(mine), published)
 
 
 def _folders(parent: Path, pseudonym: str) -> Iterator[Path]:

@@ -31,7 +31,7 @@ class Levels(NamedTuple):
     is_numeric: bool
 
 
-class Expected(NamedTuple):
+class ExpectedEffect(NamedTuple):
     """An effect that is expected.
 
     Args:
@@ -72,7 +72,7 @@ class Expected(NamedTuple):
         return high if high <= MOST_PEOPLE else None
 
 
-def expected(factors: Sequence[Levels]) -> Iterator[Expected]:
+def expected(factors: Sequence[Levels]) -> Iterator[ExpectedEffect]:
     """Yield every factor and interaction of a design."""
     for number in range(1, len(factors) + 1):
         for chosen in itertools.combinations(factors, number):
@@ -83,7 +83,7 @@ def expected(factors: Sequence[Levels]) -> Iterator[Expected]:
                 rows.append(contrasts(kind) if is_in else average(len(factor.levels)))
                 own = _between_extremes(factor) if is_in else np.ones(len(factor.levels))
                 pattern = (pattern[:, None] * own).ravel()
-            yield Expected(" × ".join(factor.name for factor in chosen), product(rows), pattern)
+            yield ExpectedEffect(" × ".join(factor.name for factor in chosen), product(rows), pattern)
 
 
 def _between_extremes(factor: Levels) -> Matrix:

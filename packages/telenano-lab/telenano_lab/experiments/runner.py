@@ -23,7 +23,7 @@ from telenano_lab.experiments.types import Trial, TrialOutcome
 _PACKAGES = ("telenano", "numpy", "numba", "scipy")
 
 
-class Stopped(NamedTuple):
+class RunEnd(NamedTuple):
     """Why a run ended: of the plan, empty; or in words, before its plan did."""
 
     reason: str
@@ -169,7 +169,7 @@ class Runner:
             self.journal.write("interrupted", **facts)
             self._show(f"trial {trying['index']} of {trying['participant']} was interrupted and is done again")
 
-    def run(self, participants: Sequence[str]) -> Stopped:
+    def run(self, participants: Sequence[str]) -> RunEnd:
         """Run the sessions of participants, of a person one session.
 
         Raises:
@@ -193,12 +193,12 @@ class Runner:
                     # Who missed the criterion of a practice is no reason for the next one not to begin.
                     if progress_of(self.journal.records, participant).excluded and self.desk.action != "exclude":
                         break
-                    return Stopped(reason)
+                    return RunEnd(reason)
                 if is_person:
                     break
         if not remaining(self.plan, self.journal.records):
             self.journal.write("ended")
-        return Stopped(ended)
+        return RunEnd(ended)
 
     def _session(self, participant: str, session: int, trials: list[Trial]) -> str:
         """Run a session, and return why it ended before its plan did; empty if it did not."""

@@ -54,7 +54,7 @@ _UNITS = (
 _MOST_LEVELS = 50
 
 
-class Described(NamedTuple):
+class DictionaryRow(NamedTuple):
     """A row of the data dictionary.
 
     Args:
@@ -79,7 +79,7 @@ class Tables(NamedTuple):
 
     trials: list[Row]
     questionnaires: list[Row]
-    dictionary: tuple[Described, ...]
+    dictionary: tuple[DictionaryRow, ...]
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the trials; empty where it has none."""
@@ -141,7 +141,7 @@ def read_tables(folder: Path) -> Tables:
 
     try:
         document = json.loads((folder / "dictionary.json").read_text(encoding="utf-8"))
-        dictionary = tuple(Described(**{**row, "levels": tuple(row["levels"])}) for row in document)
+        dictionary = tuple(DictionaryRow(**{**row, "levels": tuple(row["levels"])}) for row in document)
         asked = folder / f"{QUESTIONNAIRES}.parquet"
         trials = pq.read_table(folder / f"{TRIALS}.parquet").to_pylist()
         return Tables(trials, pq.read_table(asked).to_pylist() if asked.exists() else [], dictionary)
@@ -223,12 +223,12 @@ def _as(kind: str, value: Any) -> Any:
     return float(value) if kind == "number" else str(value) if kind == "text" else value
 
 
-def _dictionary(table: str, rows: Sequence[Row], meanings: Mapping[str, tuple[str, str]]) -> list[Described]:
+def _dictionary(table: str, rows: Sequence[Row], meanings: Mapping[str, tuple[str, str]]) -> list[DictionaryRow]:
     names = dict.fromkeys(name for row in rows for name in row)
     return [_described(table, name, [row.get(name) for row in rows], meanings) for name in names]
 
 
-def _described(table: str, name: str, values: Sequence[Any], meanings: Mapping[str, tuple[str, str]]) -> Described:
+def _described(table: str, name: str, values: Sequence[Any], meanings: Mapping[str, tuple[str, str]]) -> DictionaryRow:
     kind = _type(values)
     if name.startswith(CONDITION):
         about = _unit_of(name), f"Level of the factor {name.removeprefix(CONDITION)}"
@@ -240,14 +240,14 @@ def _described(table: str, name: str, values: Sequence[Any], meanings: Mapping[s
     levels = sorted({_as(kind, value) for value in values if value is not None}) if listed else []
     if len(levels) > _MOST_LEVELS:
         levels = []
-    return Described(table, name, about[0], kind, about[1], tuple(levels))
+    return DictionaryRow(table, name, about[0], kind, about[1], tuple(levels))
 
 
 def _unit_of(name: str) -> str:
     return next((unit for suffix, unit in _UNITS if name.endswith(suffix)), "")
 
 
-def _write_parquet(path: Path, rows: Sequence[Row], described: Mapping[str, Described]) -> None:
+def _write_parquet(path: Path, rows: Sequence[Row], described: Mapping[str, DictionaryRow]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -259,7 +259,7 @@ def _write_parquet(path: Path, rows: Sequence[Row], described: Mapping[str, Desc
     pq.write_table(pa.Table.from_pylist(list(rows), pa.schema(fields)), path)
 
 
-def _write_csv(path: Path, rows: Sequence[Row], described: Mapping[str, Described]) -> None:
+def _write_csv(path: Path, rows: Sequence[Row], described: Mapping[str, DictionaryRow]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(described))
         writer.writeheader()

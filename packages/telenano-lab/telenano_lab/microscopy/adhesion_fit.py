@@ -54,7 +54,7 @@ _MOST_STEPS = 24
 _ENOUGH = 0.02
 
 
-class Fitted(NamedTuple):
+class FittedContact(NamedTuple):
     """The contact that was fitted: base [m], force as measured and of the model with the zero line [N], shape (n,)."""
 
     base_m: Array
@@ -78,7 +78,7 @@ class AdhesionFit(NamedTuple):
     transition: float
     wander_n: float
     wander_points: float
-    fitted: Fitted
+    fitted: FittedContact
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name, without the points."""
@@ -156,7 +156,7 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
     except np.linalg.LinAlgError as error:
         raise ConfigError(refusal) from error
     radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
-    drawn = Fitted(base, force, scale * (predicted(free) + noise.zero)[: len(base)])
+    drawn = FittedContact(base, force, scale * (predicted(free) + noise.zero)[: len(base)])
     scatter = float(np.sqrt(np.mean((drawn.measured_n - drawn.model_n) ** 2)))
     contact = _contact(model, radius, work)
     return AdhesionFit(

@@ -114,7 +114,7 @@ class MeasuredWays(NamedTuple):
     stiffness_n_per_m: float
 
 
-class Shown(NamedTuple):
+class FitPicture(NamedTuple):
     """What was fitted, for a picture: place of the base towards the sample [m], measured and fitted force [N]."""
 
     base_m: Array
@@ -145,7 +145,7 @@ class CurveFit(NamedTuple):
     modulus_change_error: float = math.nan
     points: int = 0
     refused: str = ""
-    shown: Shown | None = None
+    shown: FitPicture | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name, without what a picture is drawn from."""
@@ -228,7 +228,7 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         indentation_m=indented_m,
         load_n=load_n,
         points=len(way.base_m),
-        shown=Shown(way.base_m, way.force_n, model_n),
+        shown=FitPicture(way.base_m, way.force_n, model_n),
     )
     if touched < _LEAST_POINTS:
         raise _RefusedError(f"{touched} of its points are in contact, {_LEAST_POINTS} are needed: press deeper")

@@ -15,7 +15,7 @@ from telenano.analysis import FigureOptions, Session, summary_of
 from telenano.recording import demand_several, files_of, open_recordings, recordings_of
 from telenano.settings import LoadedScenario
 from telenano_lab.studies.figure_colours import LINES, ON_SCREEN, Look, looks
-from telenano_lab.studies.published import PANELS, Published, nearest
+from telenano_lab.studies.published import PANELS, PublishedPoints, nearest
 from telenano_lab.studies.repetitions import conditions_of, repetitions
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ _MARGIN = 0.08
 _LEAVES = "diverges, beyond the axes"
 
 
-class Compared(NamedTuple):
+class ComparedSession(NamedTuple):
     """A session, what it is called beside the others, its summary, and the scenario that ran."""
 
     name: str
@@ -97,7 +97,7 @@ def _named(path: Path) -> Path:
     return path.parent if path.stem == "session" else path.with_suffix("")
 
 
-def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compared]:
+def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[ComparedSession]:
     """Read sessions, each once.
 
     Args:
@@ -115,11 +115,11 @@ def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compar
     for name, recording in zip(names_of(list(opened)), opened.values(), strict=True):
         session = Session.of(recording)
         scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
-        rows.append(Compared(name, session, summary_of(session, recording), scenario))
+        rows.append(ComparedSession(name, session, summary_of(session, recording), scenario))
     return rows
 
 
-def rows_of(sessions: Sequence[Compared]) -> list[dict[str, Any]]:
+def rows_of(sessions: Sequence[ComparedSession]) -> list[dict[str, Any]]:
     """Return a row for each session: what distinguishes it first, then its figures, in the units of the headings."""
     changed = _differing([session.summary["parameters"] for session in sessions])
     rows = []
@@ -140,7 +140,7 @@ def _value(value: Any) -> Any:
     return " then ".join(value) if isinstance(value, list) else value
 
 
-def beside(sessions: Sequence[Compared], published: Published) -> dict[str, Any]:
+def beside(sessions: Sequence[ComparedSession], published: PublishedPoints) -> dict[str, Any]:
     """Return published points with the nearest point of each session, for JSON; None for a number that is not known."""
     rows = []
     for point in published.points:
@@ -162,7 +162,7 @@ class Drawn(NamedTuple):
     curves: tuple[tuple[Floats, Floats], ...]
 
     @classmethod
-    def of(cls, session: Compared) -> "Drawn":
+    def of(cls, session: ComparedSession) -> "Drawn":
         """Read the curves of a session."""
         series = session.session.series()
         path = series.tip_path()
@@ -180,7 +180,7 @@ class Condition(NamedTuple):
     """Sessions whose scenarios are the same but for their seeds, and what they are called in a figure."""
 
     label: str
-    sessions: tuple[Compared, ...]
+    sessions: tuple[ComparedSession, ...]
 
     @property
     def outcome(self) -> str:
@@ -191,7 +191,7 @@ class Condition(NamedTuple):
         return ", ".join(f"{count} of {len(self.sessions)} {name}" for name, count in verdicts.most_common())
 
 
-def conditions_in(sessions: Sequence[Compared]) -> list[Condition]:
+def conditions_in(sessions: Sequence[ComparedSession]) -> list[Condition]:
     """Return the sessions by what was set: a sweep with seeds has each of its conditions once.
 
     Where sessions differ by their seeds alone, a condition is called by its law, its round trip and the further keys in
@@ -206,7 +206,7 @@ def conditions_in(sessions: Sequence[Compared]) -> list[Condition]:
     return [Condition(label, group) for label, group in zip(labels, groups, strict=True)]
 
 
-def _labels(firsts: Sequence[Compared]) -> list[str]:
+def _labels(firsts: Sequence[ComparedSession]) -> list[str]:
     """Return what distinguishes sessions, in words: law, round trip, and each further key with its value."""
     known = [
         {key: value for key, value in conditions_of(session.scenario).items() if not _SAID.fullmatch(key)}
@@ -236,7 +236,7 @@ def _shown(value: Any) -> str:
 
 
 def compare_figures(
-    sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN, published: Sequence[Published] = ()
+    sessions: Sequence[ComparedSession], options: FigureOptions = ON_SCREEN, published: Sequence[PublishedPoints] = ()
 ) -> "list[Figure]":
     """Draw sessions beside one another: a condition is a colour, each of its sessions a thin line.
 
@@ -274,7 +274,7 @@ def _multiples(
     conditions: Sequence[Condition],
     drawn: Sequence[Sequence[Drawn]],
     options: FigureOptions,
-    published: Sequence[Published],
+    published: Sequence[PublishedPoints],
     limits: Sequence[Limits],
 ) -> "Figure":
     """Draw a panel a condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
@@ -318,7 +318,7 @@ def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
     figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=columns, fontsize=8, frameon=False)
 
 
-def _draw_published(panels: "Sequence[Axes]", published: Sequence[Published]) -> None:
+def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoints]) -> None:
     """Draw published points into the panels of their curves, each file with a marker of its own."""
     curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
     for number, file in enumerate(published):
@@ -336,7 +336,7 @@ def _draw_published(panels: "Sequence[Axes]", published: Sequence[Published]) ->
                 )  # fmt: skip
 
 
-def _draw_reference(panel: "Axes", session: Compared, label: str, width: float) -> None:
+def _draw_reference(panel: "Axes", session: ComparedSession, label: str, width: float) -> None:
     """Draw the force of the hand in a session, which the curves of a panel are compared with."""
     series = session.session.series()
     look: dict[str, Any] = {"color": FigureOptions.REFERENCE, "lw": width, "zorder": 0, "label": label}

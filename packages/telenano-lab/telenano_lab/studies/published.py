@@ -43,7 +43,7 @@ class Point(NamedTuple):
     note: str
 
 
-class Published(NamedTuple):
+class PublishedPoints(NamedTuple):
     """The points of a file, and where they are from."""
 
     source: str
@@ -53,13 +53,13 @@ class Published(NamedTuple):
         return tuple(point for point in self.points if point.panel == panel)
 
 
-def paper_points() -> Published:
+def paper_points() -> PublishedPoints:
     """Return what the paper's text says of the curves of its Fig. 12."""
     with importlib.resources.as_file(importlib.resources.files("telenano.settings") / "paper" / "fig12.csv") as path:
         return read_published(path)
 
 
-def read_published(path: Path) -> Published:
+def read_published(path: Path) -> PublishedPoints:
     """Read a file of points.
 
     Raises:
@@ -78,7 +78,7 @@ def read_published(path: Path) -> Published:
     if missing:
         raise ConfigError(f"{path}: has no column {', '.join(missing)}; must have {', '.join(_COLUMNS)}")
     points = tuple(_point(row, f"{path}, line {number}") for number, row in enumerate(rows, start=3))
-    return Published(lines[0].strip("# "), points)
+    return PublishedPoints(lines[0].strip("# "), points)
 
 
 def _point(row: dict[str, Any], place: str) -> Point:

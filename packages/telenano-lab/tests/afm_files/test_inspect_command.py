@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_lab.afm_files.inspect_command import inspected as inspection
-from telenano_lab.afm_files.map_files import Wanted, import_map
+from telenano_lab.afm_files.map_files import MapOptions, import_map
 
 from telenano.settings import read_by_package
 from telenano.testing import invoke
@@ -84,7 +84,7 @@ def test_an_empty_file_is_called_empty_whatever_takes_it(ending: str, tmp_path: 
     for what in ("heights", "curve", "deflections", "spectrum"):
         with pytest.raises(ConfigError, match="is empty"):
             read_by_package(path, what)
-    for read in (inspection, lambda one: import_map(one, Wanted({}))):
+    for read in (inspection, lambda one: import_map(one, MapOptions({}))):
         with pytest.raises(ConfigError, match="is empty"):
             read(path)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from recorded_maps import frequency_shift_hz
 from telenano_lab.afm_files import gwyddion
-from telenano_lab.afm_files.map_files import Wanted, import_map
+from telenano_lab.afm_files.map_files import MapOptions, import_map
 from telenano_lab.calibration.own_calibration import spectrum_of
 from telenano_lab.doubles.maker_files import (
     DOWN_N,
@@ -56,7 +56,7 @@ def is_the_curve(found: Curve, points: int = 200) -> None:
 def test_a_force_map_of_nanosurf_has_its_curves_in_their_places(tmp_path: Path) -> None:
     path = write_nid_map(tmp_path / "map.nid", 3, 2)
     is_the_curve(read_measured(path, 4))
-    found = import_map(path, Wanted({}, level="common")).map
+    found = import_map(path, MapOptions({}, level="common")).map
     assert (found.values.shape[:3], found.stiffness_n_per_m) == ((2, 3, 2), STIFFNESS_N_PER_M)
     assert found.x_m == pytest.approx([-40e-9, 0.0, 40e-9], rel=1e-9, abs=1e-15)
     # a column is 1 nm deeper than the one before it, in the row that was measured from right to left as well
@@ -105,7 +105,7 @@ def test_nanosurf_in_hdf5_gives_images_and_curves_of_several_lengths(tmp_path: P
     assert (surface.width_m, surface.depth_m) == pytest.approx((160e-9, 100e-9), rel=1e-9)
     is_the_curve(read_measured(path))
     is_the_curve(read_measured(path, 5), 190)
-    found = import_map(path, Wanted({})).map
+    found = import_map(path, MapOptions({})).map
     assert (found.values.shape[:3], found.x_m[1] - found.x_m[0]) == ((2, 3, 2), pytest.approx(4e-8 / 3))
 
 
@@ -131,7 +131,7 @@ def test_a_spectroscopy_of_nanonis_is_a_curve_of_force_or_a_map_of_its_shift(tmp
     path = write_nanonis_dat(
         tmp_path / "shift.dat", {"Z rel (m)": z, "Frequency Shift (Hz)": shift, "Frequency Shift [bwd] (Hz)": lost}
     )
-    found = import_map(path, Wanted({}))
+    found = import_map(path, MapOptions({}))
     assert (found.map.quantity, found.map.values.shape[:3]) == ("frequency_shift", (2, 1, 1))
     assert found.notes[0] == "4 values are no number, where curves were cut short; the others are taken"
     assert found.map.values[0, 0, 0].min() == pytest.approx(shift[:60].min(), rel=1e-2)
@@ -140,7 +140,7 @@ def test_a_spectroscopy_of_nanonis_is_a_curve_of_force_or_a_map_of_its_shift(tmp
     ):
         read_measured(path)
     path = write_nanonis_dat(tmp_path / "bias.dat", {"Bias calc (V)": z, "Current (A)": z}, "bias spectroscopy")
-    for read in (read_measured, lambda path: import_map(path, Wanted({}))):
+    for read in (read_measured, lambda path: import_map(path, MapOptions({}))):
         with pytest.raises(
             ConfigError, match=r"a spectroscopy over Bias calc \(V\); a curve of force or frequency shift"
         ):
@@ -150,9 +150,9 @@ def test_a_spectroscopy_of_nanonis_is_a_curve_of_force_or_a_map_of_its_shift(tmp
 def test_a_map_of_afm_workshop_asks_for_its_constants_and_takes_them(tmp_path: Path) -> None:
     path = write_afm_workshop_map(tmp_path / "map.zip", 3, 2)
     with pytest.raises(ConfigError, match="stiffness_n_per_m, sensitivity_m_per_v: the file has no such value"):
-        import_map(path, Wanted({}))
+        import_map(path, MapOptions({}))
     is_the_curve(read_measured(path, 3, CONSTANTS))
-    found = import_map(path, Wanted(CONSTANTS)).map
+    found = import_map(path, MapOptions(CONSTANTS)).map
     assert (found.values.shape[:3], found.stiffness_n_per_m) == ((2, 3, 2), STIFFNESS_N_PER_M)
     assert np.diff(found.x_m) == pytest.approx(40e-9, rel=1e-6)
 
@@ -168,14 +168,14 @@ def test_a_folder_of_waves_is_a_map_of_asylum(tmp_path: Path) -> None:
             columns = np.stack([base, force / 2.0, base], axis=1)
             content = wave(columns, labels=((1, "Raw"), (1, "Defl"), (1, "ZSnsr")), note=note)
             (tmp_path / f"Line{j:04}Point{i:04}.ibw").write_bytes(content)
-    found = import_map(tmp_path, Wanted({})).map
+    found = import_map(tmp_path, MapOptions({})).map
     assert (found.values.shape[:3], found.stiffness_n_per_m) == ((2, 3, 2), 2.0)
     assert (np.diff(found.x_m), np.diff(found.y_m)) == (pytest.approx(40e-9), pytest.approx(20e-9))
     # the pause at the sample is part of no way
     assert found.values[0, 2, 1] == pytest.approx(np.interp(found.z_m, HEIGHT_M[::-1], DOWN_N[::-1]), abs=2e-11)
     (tmp_path / "other").mkdir()
     with pytest.raises(ConfigError, match="a folder without the waves of a map, which are named as Line0003Point0012"):
-        import_map(tmp_path / "other", Wanted({}))
+        import_map(tmp_path / "other", MapOptions({}))
 
 
 def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) 
     far = float(np.median(DOWN_N[:20]))
     assert found.approach.force_n == pytest.approx(DOWN_N - far, rel=0, abs=1.1e-11)
     assert found.retract.force_n == pytest.approx(UP_N[::-1] - far, rel=0, abs=1.1e-11)
-    volume = import_map(write_nanoscope(tmp_path / "volume.spm", 3), Wanted({})).map
+    volume = import_map(write_nanoscope(tmp_path / "volume.spm", 3), MapOptions({})).map
     assert (volume.values.shape[:3], volume.stiffness_n_per_m) == ((2, 3, 3), STIFFNESS_N_PER_M)
     assert np.diff(volume.x_m) == pytest.approx(40e-9, rel=1e-9)
     for changes, words in (
@@ -207,7 +207,7 @@ def test_what_has_the_ending_and_no_curves_is_refused_with_a_way_out_and_not_in_
     with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
         archive.writestr("table.csv", "1,2\n")
     for path in (tmp_path / "other.zip", write_nsid(tmp_path / "image.h5")):
-        for read in (read_measured, lambda path: import_map(path, Wanted({}))):
+        for read in (read_measured, lambda path: import_map(path, MapOptions({}))):
             with pytest.raises(ConfigError, match=r"holds no force curves .*docs/fit\.md \(My file\)") as caught:
                 read(path)
             assert "Could not" not in str(caught.value)

@@ -10,7 +10,7 @@ import pytest
 from instrument_files import write_3ds, write_curves
 from recorded_maps import forces, frequency_shift_hz, members
 from telenano_lab.afm_files.force_map import map_params
-from telenano_lab.afm_files.map_files import Wanted, import_map
+from telenano_lab.afm_files.map_files import MapOptions, import_map
 from telenano_lab.afm_files.map_libraries import blocks_of, refuse_large_archive
 from telenano_lab.doubles.maker_files import adhesive
 
@@ -21,7 +21,7 @@ SHARED = Path(__file__).parents[5] / "shared" / "data"
 
 def test_force_curves_become_a_map_on_one_grid(tmp_path: Path) -> None:
     path, shares = write_curves(tmp_path / "curves.h5", 3, 2), []
-    found = import_map(path, Wanted({}), shares.append)
+    found = import_map(path, MapOptions({}), shares.append)
     z = found.map.z_m
     assert found.map.values.shape == (2, 3, 2, len(z))
     assert (z[0], z[-1]) == pytest.approx((0.0, 20e-9), rel=1e-9)
@@ -34,7 +34,7 @@ def test_force_curves_become_a_map_on_one_grid(tmp_path: Path) -> None:
             assert np.count_nonzero(np.abs(found.map.values[0, i, j] - down) > 1e-14) <= 1
             assert np.count_nonzero(np.abs(found.map.values[1, i, j] - up) > 1e-14) <= 1
     assert shares and shares == sorted(shares) and shares[-1] == 1.0
-    level = import_map(path, Wanted({}, level="common"))
+    level = import_map(path, MapOptions({}, level="common"))
     assert level.map.z_m[-1] == pytest.approx(20e-9 - 2.6e-9, rel=1e-3)
     assert level.notes[-1].startswith("87 %")
 
@@ -42,8 +42,8 @@ def test_force_curves_become_a_map_on_one_grid(tmp_path: Path) -> None:
 def test_force_curves_that_do_not_say_the_spring_constant_ask_for_it(tmp_path: Path) -> None:
     path = write_curves(tmp_path / "curves.h5", 2, 1, stiffness=None)
     with pytest.raises(ConfigError, match=r"curves\.h5: stiffness_n_per_m: is missing"):
-        import_map(path, Wanted({}))
-    assert import_map(path, Wanted({"stiffness_n_per_m": 3.0})).map.stiffness_n_per_m == 3.0
+        import_map(path, MapOptions({}))
+    assert import_map(path, MapOptions({"stiffness_n_per_m": 3.0})).map.stiffness_n_per_m == 3.0
 
 
 def test_a_large_archive_is_read_in_blocks_that_have_all_of_it(tmp_path: Path) -> None:
@@ -106,22 +106,22 @@ def test_a_plain_grid_in_hdf5_is_read_with_its_attributes(tmp_path: Path) -> Non
             file[name] = made.pop(name)
         file["value"].attrs["unit"] = made.pop("unit")
         file.attrs.update(made)
-    found = import_map(tmp_path / "grid.h5", Wanted({}))
+    found = import_map(tmp_path / "grid.h5", MapOptions({}))
     assert np.array_equal(found.map.values[0], members()["value"])
     assert found.map.stiffness_n_per_m == 2.0
 
 
 def test_a_grid_of_nanonis_is_read_with_both_ways(tmp_path: Path) -> None:
-    found = import_map(write_3ds(tmp_path / "grid.3ds"), Wanted({}))
+    found = import_map(write_3ds(tmp_path / "grid.3ds"), MapOptions({}))
     assert found.map.quantity == "frequency_shift"
     assert found.map.values.shape == (2, 4, 3, 64)
     expected = frequency_shift_hz(found.map.z_m)
     assert np.abs(found.map.values[0, 2, 1] - 1.02 * expected).max() < 1e-5
     assert np.abs(found.map.values[1, 0, 0] - 0.9 * expected).max() < 1e-5
     assert found.map.x_m == pytest.approx([-1.5e-9, -0.5e-9, 0.5e-9, 1.5e-9], rel=1e-9)
-    current = import_map(tmp_path / "grid.3ds", Wanted({}, channel="current"))
+    current = import_map(tmp_path / "grid.3ds", MapOptions({}, channel="current"))
     assert (current.map.quantity, len(current.map.values)) == ("current", 1)
-    stopped = import_map(write_3ds(tmp_path / "stopped.3ds", lines=2), Wanted({}))
+    stopped = import_map(write_3ds(tmp_path / "stopped.3ds", lines=2), MapOptions({}))
     assert stopped.map.values.shape == (2, 4, 2, 64)
     assert stopped.notes[0] == "the grid was stopped: 2 of 3 lines are whole and are taken"
 
@@ -138,14 +138,14 @@ def test_a_grid_of_nanonis_is_read_with_both_ways(tmp_path: Path) -> None:
 )
 def test_a_grid_of_nanonis_that_cannot_be_used_is_refused(tmp_path: Path, changes: dict[str, str], words: str) -> None:
     with pytest.raises(ConfigError, match=rf"grid\.3ds: {words}"):
-        import_map(write_3ds(tmp_path / "grid.3ds", **changes), Wanted({}))
+        import_map(write_3ds(tmp_path / "grid.3ds", **changes), MapOptions({}))
 
 
 def test_a_truncated_grid_of_nanonis_is_refused(tmp_path: Path) -> None:
     path = write_3ds(tmp_path / "grid.3ds")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(ConfigError, match=r"grid\.3ds: is no whole \.3ds file"):
-        import_map(path, Wanted({}))
+        import_map(path, MapOptions({}))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_truncated_grid_of_nanonis_is_refused(tmp_path: Path) -> None:
 def test_public_files_become_maps(name: str, given: dict[str, Any], shape: tuple[int, ...]) -> None:
     if not (SHARED / name).exists():
         pytest.skip("measured data are not beside the project: ../shared/data")
-    found = import_map(SHARED / name, Wanted(given))
+    found = import_map(SHARED / name, MapOptions(given))
     assert found.map.values.shape[:3] == shape
     assert np.isfinite(found.map.values).all()
 
@@ -168,7 +168,7 @@ def test_a_public_force_map_is_felt_within_the_noise_of_its_own_curves() -> None
     path = SHARED / "fmt-jpk-fd_map2x2_extracted.jpk-force-map"
     if not path.exists():
         pytest.skip("measured data are not beside the project: ../shared/data")
-    found = import_map(path, Wanted({}, points=2000)).map
+    found = import_map(path, MapOptions({}, points=2000)).map
     params, curves = map_params(found, 1e-6, 40.0, 1.0), []
     for curve in afmformats.load_data(path):
         segment = np.asarray(curve["segment"]).astype(int)
@@ -211,7 +211,7 @@ def test_what_a_grid_has_far_from_its_sample_is_said(
         tmp_path / "grid.npz", value=(force + noise) / (1e-9 if unit == "nN" else 1.0), z=z, **axes, unit=unit, sign=1,
         length_unit="m", axis="base", stiffness_n_per_m=1.0, source="made",
     )  # fmt: skip
-    notes = import_map(tmp_path / "grid.npz", Wanted({})).notes
+    notes = import_map(tmp_path / "grid.npz", MapOptions({})).notes
     assert any(words in note for note in notes) if words else not notes
 
 
@@ -232,11 +232,11 @@ def test_an_option_takes_off_what_a_grid_has_in_free_air_and_turns_its_sign(tmp_
         tmp_path / "grid.npz", value=sign * (force + noise), z=z, **axes, unit="N", sign=1, length_unit="m",
         axis="base", stiffness_n_per_m=1.0, source="made",
     )  # fmt: skip
-    found = import_map(tmp_path / "grid.npz", Wanted({"sign": int(sign)}, correct="tilt" if tilted else "offset"))
+    found = import_map(tmp_path / "grid.npz", MapOptions({"sign": int(sign)}, correct="tilt" if tilted else "offset"))
     assert np.abs(found.map.values[0] - true).max() < 0.03 * span_n
     assert any("is taken off" in note for note in found.notes)
     assert not any("free air, its force" in note or "turned" in note for note in found.notes)
-    plain = import_map(tmp_path / "grid.npz", Wanted({"sign": int(sign)}))
+    plain = import_map(tmp_path / "grid.npz", MapOptions({"sign": int(sign)}))
     assert np.abs(plain.map.values[0] - true).max() > 0.1 * span_n or abs(offset) < 0.2 * span_n
 
 
@@ -247,5 +247,5 @@ def test_curves_keep_what_they_have_in_free_air_where_a_person_wants_it(tmp_path
     (tmp_path / "curve.txt").write_text(f"height [nm]\tforce [nN]\n{rows}", encoding="utf-8")
     given = {"stiffness_n_per_m": 1.0}
     for correct, level in ((None, 0.0), ("offset", 0.0), ("nothing", 5e-9)):
-        found = import_map(tmp_path / "curve.txt", Wanted(given, correct=correct)).map
+        found = import_map(tmp_path / "curve.txt", MapOptions(given, correct=correct)).map
         assert found.values[0, 0, 0, -1] == pytest.approx(level, abs=1e-15)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from telenano_lab.assembly.find import Found, find_particles, fixed_places, sphere_m
+from telenano_lab.assembly.find import FoundParticle, find_particles, fixed_places, sphere_m
 from telenano_lab.assembly.particles.tip_shape import tip_shape
 
 from telenano.testing import run_program
@@ -27,7 +27,7 @@ def image(
     return heights + noise_m * np.random.Generator(np.random.PCG64(seed)).normal(size=heights.shape)
 
 
-def found_in(heights: np.ndarray) -> list[Found]:
+def found_in(heights: np.ndarray) -> list[FoundParticle]:
     return find_particles(heights, STEP, STEP, TIP)
 
 

@@ -11,7 +11,7 @@ from experiment_bench import plan_of
 from telenano_lab.experiments import tasks
 from telenano_lab.experiments.apparatus.base import Course, Take
 from telenano_lab.experiments.apparatus.live import Live
-from telenano_lab.experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
+from telenano_lab.experiments.apparatus.wanted import WantedSettings, constant_delays_ns, kept_keys, wanted_of
 from telenano_lab.experiments.desk import Desk
 from telenano_lab.experiments.disturbances import disturbances
 from telenano_lab.experiments.recorded_trial import RecordedTrial
@@ -128,7 +128,7 @@ class Moved(Live):
     def _ready(self) -> None:
         """Nothing is in emergency stop."""
 
-    def _rest(self, wanted: Wanted) -> None:
+    def _rest(self, wanted: WantedSettings) -> None:
         """The hand is at rest."""
 
     def _states(self) -> dict[str, Any]:
@@ -146,7 +146,7 @@ class Moved(Live):
     def _prepare_sample(self, document: Any) -> None:
         """There is nothing across."""
 
-    def _condition(self, wanted: Wanted) -> None:
+    def _condition(self, wanted: WantedSettings) -> None:
         self.conditions.append(self.off_nm)
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import yaml
 from experiment_bench import task_named
 from telenano_lab.experiments.asked import NASA_TLX
 from telenano_lab.experiments.extend import TrialData
-from telenano_lab.experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
+from telenano_lab.experiments.operators import SLOPE_OF_WAVE, SimulatedParticipant, round_trip_s
 from telenano_lab.experiments.plan import load_plan
 from telenano_lab.experiments.tasks import TASKS
 from telenano_lab.experiments.types import Trial
@@ -36,16 +36,16 @@ def test_a_hand_is_an_operator_of_the_rig_and_short_enough_for_a_command(name: s
     import json
 
     task, p = task_named(name, {})
-    given = Simulated({}, 1).settings(task, p, trial(name, 5))
+    given = SimulatedParticipant({}, 1).settings(task, p, trial(name, 5))
     section = nested(given, "made")["haptic_node"]
     validate(HapticConfig, section, "made", "haptic_node").operator.to_params()
     assert len(json.dumps(section["operator"])) < 4096
-    assert given == Simulated({}, 1).settings(task, p, trial(name, 5))
+    assert given == SimulatedParticipant({}, 1).settings(task, p, trial(name, 5))
 
 
 @pytest.mark.parametrize("ratio", [1.05, 1.3])
 def test_the_choices_of_an_observer_have_its_psychometric_function(ratio: float) -> None:
-    who = Simulated({"weber": 0.2, "lapse": 0.1}, 3)
+    who = SimulatedParticipant({"weber": 0.2, "lapse": 0.1}, 3)
     task, p = task_named("discriminate_stiffness", {"ratio": ratio})
     expected = 0.05 + 0.9 * 0.5 * math.erfc(-math.log(ratio) / 0.2 / math.sqrt(2.0))
     assert who.probability(ratio) == pytest.approx(expected, rel=1e-9)
@@ -63,17 +63,17 @@ def test_the_answer_that_it_has_learnt_to_wait_for_is_that_of_the_link() -> None
     task, p = task_named("touch_and_hold", {})
     ways = {"delay_node.forward.delay_s": 0.05, "delay_node.backward.delay_s": 0.07}
     assert round_trip_s(ways) == pytest.approx(0.12)
-    given = Simulated({}, 1).settings(task, p, trial(task.name, **ways))
+    given = SimulatedParticipant({}, 1).settings(task, p, trial(task.name, **ways))
     assert given["haptic_node.operator.answer_s"] == pytest.approx(0.12)
-    assert Simulated({}, 1).settings(task, p, trial(task.name))["haptic_node.operator.answer_s"] == 0.0
+    assert SimulatedParticipant({}, 1).settings(task, p, trial(task.name))["haptic_node.operator.answer_s"] == 0.0
     with pytest.raises(ConfigError, match=r"participant: weber"):
-        Simulated({"weber": -1.0}, 1)
+        SimulatedParticipant({"weber": -1.0}, 1)
 
 
 def test_ratings_are_on_the_scale() -> None:
     import random
 
-    who, draw = Simulated({"rating": 70.0}, 1), random.Random(1)
+    who, draw = SimulatedParticipant({"rating": 70.0}, 1), random.Random(1)
     values = {question.name: who.rate(0.0, 100.0, 5.0, draw) for question in NASA_TLX}
     assert all(0.0 <= value <= 100.0 and value % 5.0 == 0.0 for value in values.values())
     assert sum(values.values()) / len(values) == pytest.approx(70.0, abs=15.0)
@@ -84,7 +84,7 @@ def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: fl
     from telenano import simulate
 
     task, p = task_named(task_name, parameters)
-    who = Simulated({"noise": 0.0}, 1)
+    who = SimulatedParticipant({"noise": 0.0}, 1)
     ways = {f"delay_node.{way}.delay_s": 1e-3 * delay_ms for way in ("forward", "backward")}
     planned = trial(task_name, 2, **ways)
     operator = nested(who.settings(task, p, planned), "made")["haptic_node"]["operator"]

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 from telenano_lab.experiments.benchmark.session_advice import BenchmarkAdviser, benchmark_adviser, laws_as_shown
-from telenano_lab.experiments.benchmark.shown_range import Cell, Place, Shown
+from telenano_lab.experiments.benchmark.shown_range import Cell, LawRange, Place
 
 from telenano.extend.advice import Advice, AdvisedSession
 from telenano.sections import ControllerConfig
@@ -15,8 +15,8 @@ from telenano.wire import Message, example
 
 STATUS, STATE = (example(topic) for topic in ("law/status", "afm/state"))
 TABLE = {
-    "wave": Shown([Cell(Place(ms, 5.0, k, 10.0), 32, 32, 0.89) for ms in (0.0, 20.0) for k in (20.0, 80.0)], 0.1),
-    "passivity": Shown([Cell(Place(90.0, 20.0, k, 10.0), 32, 32, 0.89) for k in (20.0, 80.0)], 0.5),
+    "wave": LawRange([Cell(Place(ms, 5.0, k, 10.0), 32, 32, 0.89) for ms in (0.0, 20.0) for k in (20.0, 80.0)], 0.1),
+    "passivity": LawRange([Cell(Place(90.0, 20.0, k, 10.0), 32, 32, 0.89) for k in (20.0, 80.0)], 0.5),
 }
 TICK_NS = 50_000_000
 

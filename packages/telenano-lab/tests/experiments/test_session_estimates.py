@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from made_contacts import RATE_HZ, made_contact, made_line, samples_of
 from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate, Unknown
-from telenano_lab.experiments.benchmark.shown_range import Cell, Known, Place, Session, Shown, outside
+from telenano_lab.experiments.benchmark.shown_range import Cell, Estimate, LawRange, Place, Session, outside
 
 STIFFNESSES, DRIFTS = (20.0, 40.0, 80.0), (0.0, 10.0)
 HELD = ((0.0, 0.0), (20.0, 5.0), (50.0, 20.0), (16.0, 70.0))
 FAILED = ((80.0, 1.0), (60.0, 40.0))
-SHOWN = Shown(
+SHOWN = LawRange(
     [
         Cell(Place(*line, k, drift), 32, 32 if line in HELD else 5, 0.89 if line in HELD else 0.07)
         for line in (*HELD, *FAILED)
@@ -35,7 +35,7 @@ def test_a_constant_line_is_known_to_a_period_and_a_short_record_is_not() -> Non
     assert found is not None
     (there, uneven) = found
     assert there.value == pytest.approx(78.0) and 77.0 < there.low < 78.0 < there.high < 79.0
-    assert uneven == Known(0.0, 0.0, 0.5)
+    assert uneven == Estimate(0.0, 0.0, 0.5)
     assert line_of([0.078] * 60).estimate() is None
     line = line_of([0.078] * 200)
     line.forget()
@@ -65,7 +65,7 @@ def test_a_contact_that_is_left_is_forgotten() -> None:
     for time_s, base_m, force_n in samples_of(made_contact(3, 40.0, 0.0)):
         contact.record(time_s, base_m, force_n, touches=True)
         known = contact.stiffness()
-    assert isinstance(known, Known)
+    assert isinstance(known, Estimate)
     contact.record(41.0, 0.0, 0.0, touches=False)
     assert isinstance(contact.stiffness(), Unknown) and isinstance(contact.drift(), Unknown)
 
@@ -77,7 +77,7 @@ def test_without_noise_creep_and_hysteresis_stiffness_and_drift_are_those_of_the
         base_nm = 3.0 + 0.5 * math.sin(3.0 * time_s)
         contact.record(time_s, 1e-9 * base_nm, 1e-9 * 38.0 * (base_nm - 0.02 * time_s), touches=True)
     stiffness, drift = contact.stiffness(), contact.drift()
-    assert isinstance(stiffness, Known) and isinstance(drift, Known)
+    assert isinstance(stiffness, Estimate) and isinstance(drift, Estimate)
     assert stiffness.value == pytest.approx(38.0, rel=1e-9)
     assert drift.low < 20.0 < drift.high and drift.value == pytest.approx(20.0, abs=2.0)
 
@@ -86,7 +86,7 @@ def said_of(session: Session) -> str:
     """Return what is said of a session: vague is that of the middle of its intervals outside, and not all of them."""
     if outside(SHOWN, session) is not None:
         return "warned"
-    middle = Session(*(None if one is None else Known(one.value, one.value, one.value) for one in session))
+    middle = Session(*(None if one is None else Estimate(one.value, one.value, one.value) for one in session))
     return "silent" if outside(SHOWN, middle) is None else "vague"
 
 
@@ -126,10 +126,10 @@ def contact_shares(seeds: range) -> Counter[str]:
                 (truths[0], contact.stiffness(), "stiffness_n_per_m"),
                 (truths[1], contact.drift(), "drift_pm_per_s"),
             ):
-                said = said_of(Session(**{session: known})) if isinstance(known, Known) else "unknown"
+                said = said_of(Session(**{session: known})) if isinstance(known, Estimate) else "unknown"
                 found[f"{truth} {said}"] += 1
                 found[truth] += 1
-                if isinstance(known, Known):
+                if isinstance(known, Estimate):
                     value = stiffness if truth.startswith("K") else drift
                     found[f"{truth[0]} covered"] += known.low <= value <= known.high
                     found[f"{truth[0]} stated"] += 1

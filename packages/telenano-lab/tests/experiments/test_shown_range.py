@@ -5,10 +5,10 @@ import itertools
 import pytest
 from telenano_lab.experiments.benchmark.shown_range import (
     Cell,
-    Known,
+    Estimate,
+    LawRange,
     Place,
     Session,
-    Shown,
     advice,
     outside,
     read_shown,
@@ -21,8 +21,8 @@ def cell(line: tuple[float, float], stiffness: float, drift: float = 0.0, *, hel
     return Cell(Place(*line, stiffness, drift), 32, held, 0.89 if held == 32 else 0.4)
 
 
-def exactly(value: float) -> Known:
-    return Known(value, value, value)
+def exactly(value: float) -> Estimate:
+    return Estimate(value, value, value)
 
 
 NEAR, FAR, UNEVEN = (0.0, 0.0), (80.0, 2.0), (16.0, 70.0)
@@ -32,7 +32,7 @@ CELLS = [
     cell((20.0, 3.0), 20.0),
     *(cell(FAR, k, held=4) for k in (20.0, 80.0)),
 ]
-SHOWN = Shown(CELLS, 0.1)
+SHOWN = LawRange(CELLS, 0.1)
 
 
 @pytest.mark.parametrize(
@@ -59,11 +59,11 @@ def test_a_place_is_shown_where_harder_ones_were_held_and_no_easier_one_was_not(
 
 
 def test_a_failed_cell_between_two_that_were_held_is_not_shown() -> None:
-    hole = Shown([cell(NEAR, 20.0), cell(FAR, 20.0), cell(FAR, 40.0), cell(FAR, 38.0, held=4)], None)
+    hole = LawRange([cell(NEAR, 20.0), cell(FAR, 20.0), cell(FAR, 40.0), cell(FAR, 38.0, held=4)], None)
     assert hole.holds(Place(70.0, 1.0, 20.0, 0.0)) and hole.holds(Place(*FAR, 40.0, 0.0))
     assert not hole.holds(Place(70.0, 1.0, 37.0, 0.0))
     # an easier one that was failed, and is outweighed by no harder one
-    assert not Shown([*CELLS, cell((5.0, 0.0), 20.0, held=4)], None).holds(Place(10.0, 3.0, 30.0, 0.0))
+    assert not LawRange([*CELLS, cell((5.0, 0.0), 20.0, held=4)], None).holds(Place(10.0, 3.0, 30.0, 0.0))
 
 
 def test_too_few_runs_show_nothing_and_deny_nothing() -> None:
@@ -79,14 +79,14 @@ def test_too_few_runs_show_nothing_and_deny_nothing() -> None:
         (Session(exactly(15.0), exactly(20.0), exactly(50.0)), None),
         # what a rig's own processes add is not the line's
         (Session(exactly(5.0), exactly(5.0), exactly(80.0), exactly(8.0)), None),
-        (Session(Known(40.0, 15.0, 90.0)), None),
+        (Session(Estimate(40.0, 15.0, 90.0)), None),
         (Session(exactly(78.0), exactly(1.0)), "line"),
         (Session(exactly(5.0), exactly(90.0)), "line"),
-        (Session(stiffness_n_per_m=Known(100.0, 85.0, 150.0)), "stiffness"),
-        (Session(stiffness_n_per_m=Known(100.0, 75.0, 150.0)), None),
-        (Session(stiffness_n_per_m=Known(12.0, 10.0, 19.0)), "stiffness"),
-        (Session(drift_pm_per_s=Known(20.0, 12.0, 28.0)), "drift"),
-        (Session(drift_pm_per_s=Known(20.0, 8.0, 32.0)), None),
+        (Session(stiffness_n_per_m=Estimate(100.0, 85.0, 150.0)), "stiffness"),
+        (Session(stiffness_n_per_m=Estimate(100.0, 75.0, 150.0)), None),
+        (Session(stiffness_n_per_m=Estimate(12.0, 10.0, 19.0)), "stiffness"),
+        (Session(drift_pm_per_s=Estimate(20.0, 12.0, 28.0)), "drift"),
+        (Session(drift_pm_per_s=Estimate(20.0, 8.0, 32.0)), None),
         (Session(exactly(26.0), exactly(2.0), exactly(80.0)), "together"),
     ],
 )
@@ -95,8 +95,8 @@ def test_a_session_is_outside_where_nothing_within_its_intervals_was_shown(sessi
 
 
 def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
-    wider = Shown([*CELLS[:-2], *(cell(FAR, k, d) for k in (20.0, 80.0) for d in (0.0, 10.0))], 0.5)
-    table = {"one": SHOWN, "other": wider, "nearer": Shown(CELLS, 0.01)}
+    wider = LawRange([*CELLS[:-2], *(cell(FAR, k, d) for k in (20.0, 80.0) for d in (0.0, 10.0))], 0.5)
+    table = {"one": SHOWN, "other": wider, "nearer": LawRange(CELLS, 0.01)}
 
     def text(session: Session, choices: tuple[str, ...] = ("one", "other", "nearer")) -> str:
         axis = outside(SHOWN, session)
@@ -118,9 +118,9 @@ def test_the_sentences_say_what_happened_what_it_means_and_what_to_do() -> None:
         Session(exactly(5.0), exactly(90.0))
     )
     assert "stiffer than those that one held in the benchmark: 85 to 150 N/m, where it held 20 to 80 N/m" in text(
-        Session(stiffness_n_per_m=Known(100.0, 85.0, 150.0))
+        Session(stiffness_n_per_m=Estimate(100.0, 85.0, 150.0))
     )
-    assert "20 ± 8 pm/s, and it held up to 10 pm/s" in text(Session(drift_pm_per_s=Known(20.0, 12.0, 28.0)))
+    assert "20 ± 8 pm/s, and it held up to 10 pm/s" in text(Session(drift_pm_per_s=Estimate(20.0, 12.0, 28.0)))
     assert "26 ms there and back, 80 to 80 N/m together, and it held up to 16 ms" in text(
         Session(exactly(26.0), exactly(2.0), exactly(80.0))
     )

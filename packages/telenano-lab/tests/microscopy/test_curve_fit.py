@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from telenano_lab.doubles.made_curves import NOISES, Made, drawn_curve
+from telenano_lab.doubles.made_curves import NOISES, MadeCurve, drawn_curve
 from telenano_lab.microscopy.contact_models import JKR, Contact, forces
 from telenano_lab.microscopy.curve_fit import ContactShape, CurveFit, MeasuredWays, fit_curve
 
@@ -18,21 +18,21 @@ QUANTITIES = (("contact_m", "contact_error_m"), ("modulus_pa", "modulus_error_pa
 MOST_REFUSED = 0.3
 
 
-def shape_of(made: Made, *, told: bool = True) -> ContactShape:
+def shape_of(made: MadeCurve, *, told: bool = True) -> ContactShape:
     thickness_m = made.truth.thickness_m if told else 0.0
     return ContactShape(made.model, made.radius_m, made.half_angle_rad, made.poisson, thickness_m)
 
 
-def ways_of(made: Made) -> MeasuredWays:
+def ways_of(made: MadeCurve) -> MeasuredWays:
     return MeasuredWays(made.approach_m, made.approach_n, made.retract_m, made.retract_n, made.stiffness_n_per_m)
 
 
-def fitted(made: Made, *, told: bool = True) -> CurveFit:
+def fitted(made: MadeCurve, *, told: bool = True) -> CurveFit:
     ways = ways_of(made)
     return fit_curve(ways, shape_of(made, told=told))
 
 
-def covered(curves: Iterable[Made]) -> tuple[int, Counter[str]]:
+def covered(curves: Iterable[MadeCurve]) -> tuple[int, Counter[str]]:
     """Return how many curves were fitted, and of how many each quantity is within 1.96 errors."""
     count, held = 0, Counter[str]()
     for made in curves:
@@ -100,7 +100,7 @@ def test_a_thin_layer_that_is_not_told_is_refused_or_the_error_says_so() -> None
     assert silent <= 2
 
 
-def still(made: Made, **changed: object) -> CurveFit:
+def still(made: MadeCurve, **changed: object) -> CurveFit:
     ways = ways_of(made)
     return fit_curve(ways._replace(**changed), shape_of(made))
 

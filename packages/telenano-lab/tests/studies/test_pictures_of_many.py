@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from telenano_lab.studies.comparison import Compared, compare_figures, conditions_in
+from telenano_lab.studies.comparison import ComparedSession, compare_figures, conditions_in
 from telenano_lab.studies.figure_colours import looks
 
 from telenano.analysis import SessionSeries
@@ -38,7 +38,7 @@ def drawn(conditions: int, seeds: int, diverging: Sequence[int] = ()) -> list[An
             scenario = {"controller": {"wave": {"gain": float(number)}}, "seed": seed}
             summary = {"verdict": verdict, "law": "wave", "link_round_trip_ms": 20.0}
             session: Any = Session(1.0 + 0.01 * number, number in diverging)
-            rows.append(Compared(f"{number}-{seed}", session, summary, scenario))
+            rows.append(ComparedSession(f"{number}-{seed}", session, summary, scenario))
     return rows
 
 

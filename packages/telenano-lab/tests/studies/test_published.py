@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_lab.studies.comparison import Compared, beside, compare_figures
+from telenano_lab.studies.comparison import ComparedSession, beside, compare_figures
 from telenano_lab.studies.published import nearest, paper_points, read_published
 
 from telenano.analysis import SessionSeries
@@ -28,7 +28,7 @@ class Session:
         )  # fmt: skip
 
 
-SESSIONS: Any = [Compared("ours", Session(), {"verdict": "stable"}, {})]  # type: ignore[arg-type]
+SESSIONS: Any = [ComparedSession("ours", Session(), {"verdict": "stable"}, {})]  # type: ignore[arg-type]
 
 
 def test_what_the_paper_says_of_its_figure_is_met_by_a_hand_of_the_scenario() -> None:

@@ -42,7 +42,7 @@ from telenano_wide_area.datagram.reception import Reception, Way
 from telenano_wide_area.datagram.report import network_report
 from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
 from telenano_wide_area.datagram.sparse import SparseSamples, Taken, carried_by_tcp
-from telenano_wide_area.datagram.touch import Touch
+from telenano_wide_area.datagram.touch import ConnectionWatch
 from telenano_wide_area.relay.path import RelayPath
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
@@ -146,7 +146,7 @@ class DatagramEnd:
         self._place = place
         self._is_master = is_master
         self._offers: list[LinkKey] = []
-        self._touch = Touch(lambda: side.is_connected, machine, now)
+        self._touch = ConnectionWatch(lambda: side.is_connected, machine, now)
         self._agreement = Agreement(now, is_master=is_master)
         self._peer = place.peer
         self._relay = place.relay

@@ -39,7 +39,7 @@ _TOLD_SHARE = 0.25
 _LASTED_NS = 1_000_000_000
 
 
-class Arrived(NamedTuple):
+class ArrivedDatagram(NamedTuple):
     """A datagram of a train: when it arrived [ns], its number, and its size [bytes]."""
 
     at_ns: int
@@ -62,7 +62,7 @@ class Incoming:
         self._told: Measured | None = None
         self._other_since_ns: int | None = None
         self._by_queue = False
-        self._train: list[Arrived] = []
+        self._train: list[ArrivedDatagram] = []
         self._span: tuple[int, int] | None = None
         self._bytes = 0
         self._number = -1
@@ -117,7 +117,7 @@ class Incoming:
         if is_train:
             if not self._train:
                 self.wants_train = self.wants_train or marks[0] == ASKING_TRAIN
-            self._train.append(Arrived(now_ns, number, size))
+            self._train.append(ArrivedDatagram(now_ns, number, size))
 
     def measure(self, now_ns: int) -> None:
         """Look at what was carried: where that is more than was measured, it is open how much more the line carries."""
@@ -162,7 +162,7 @@ def _differ(before: Measured, after: Measured) -> bool:
     return apart and abs(after.bit_per_s - before.bit_per_s) > _TOLD_SHARE * before.bit_per_s
 
 
-def _spread(train: Sequence[Arrived]) -> Measured | None:
+def _spread(train: Sequence[ArrivedDatagram]) -> Measured | None:
     """Return the rate at which a train came; None where something else than the line has spread it."""
     # The first one tells when the others began to arrive, and was itself carried before.
     count = len(train) - 1

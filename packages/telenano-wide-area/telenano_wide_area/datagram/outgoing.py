@@ -7,7 +7,7 @@ from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, 
 from telenano_wide_area.datagram.body import TRAIN as TRAIN_MARK
 from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
-from telenano_wide_area.datagram.rate import WARN_QUEUE_NS, Delivery, RateControl, Seen
+from telenano_wide_area.datagram.rate import WARN_QUEUE_NS, Delivery, PathEstimate, RateControl
 from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
 from telenano_wide_area.settings import DatagramSettings
 
@@ -34,7 +34,7 @@ _REMIND_NS = 60_000_000_000
 _NEWEST_SHARE = 0.15
 
 
-class Sent(NamedTuple):
+class SentTotal(NamedTuple):
     """What was sent up to a time [ns]."""
 
     now_ns: int
@@ -54,7 +54,7 @@ class Outgoing:
         self._delivery = Delivery()
         self._beside, self._beside_ns = b"", now_ns
         self._whole_report_ns = now_ns
-        self._seen = Sent(now_ns, 0, 0)
+        self._seen = SentTotal(now_ns, 0, 0)
         # The mean size of a datagram [bytes], and what is sent in a second.
         self._bytes_each, self._bytes_per_s = 400.0, 0.0
         self._train_ns = now_ns - _TRAIN_PAUSE_NS
@@ -130,14 +130,14 @@ class Outgoing:
         if elapsed_s <= 0.0:
             return
         sent, datagrams = self.bytes - self._seen.bytes, self.datagrams - self._seen.datagrams
-        self._seen = Sent(now_ns, self.bytes, self.datagrams)
+        self._seen = SentTotal(now_ns, self.bytes, self.datagrams)
         self._bytes_per_s += _NEWEST_SHARE * (sent / elapsed_s - self._bytes_per_s)
         if datagrams:
             self._bytes_each += _NEWEST_SHARE * (sent / datagrams - self._bytes_each)
         rate, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
         if rate is None or queue_ns is None:
             return
-        seen = Seen(queue_ns, *rate, round_trip_ns, self.line.there_variation_ns)
+        seen = PathEstimate(queue_ns, *rate, round_trip_ns, self.line.there_variation_ns)
         self.control.update(now_ns, seen, LEAST_HZ * self._bytes_each)
         self._budget.limit(self.control.bytes_per_s, self._bytes_each, now_ns)
 

@@ -97,7 +97,7 @@ _SPAN_NS = 300_000_000
 Mode = Literal["free", "full", "shared"]
 
 
-class Seen(NamedTuple):
+class PathEstimate(NamedTuple):
     """What an end knows of the way that it sends on.
 
     queue_ns: the delay that stands [ns]; delivered_bytes_per_s: what arrived there lately; loss_share: of what was sent
@@ -214,7 +214,7 @@ class RateControl:
         # The delay that sending less did not lower, until when that is believed [ns], and the share lost meanwhile.
         self._excused_ns, self._excused_until_ns, self._lost_anyway = 0, 0, 0.0
 
-    def update(self, now_ns: int, seen: Seen, least_bytes_per_s: float) -> None:
+    def update(self, now_ns: int, seen: PathEstimate, least_bytes_per_s: float) -> None:
         """Take what is seen of the line now, some twenty times a second; never send less than the least."""
         elapsed_s = 0.0 if self._at_ns is None else min(1.0, max(0.0, (now_ns - self._at_ns) * 1e-9))
         self._at_ns = now_ns
@@ -252,7 +252,7 @@ class RateControl:
         if self.bytes_per_s >= self.most_bytes_per_s:
             self.mode = "free"
 
-    def _is_of_others(self, trial: Trial, now_ns: int, seen: Seen) -> bool:
+    def _is_of_others(self, trial: Trial, now_ns: int, seen: PathEstimate) -> bool:
         """Return whether sending less does not lower a queue, or is not what lowers it."""
         less = max(0.0, 1.0 - self.bytes_per_s / max(1.0, trial.carried_bytes_per_s))
         fell_ns = trial.queue_ns - seen.queue_ns
@@ -267,16 +267,16 @@ class RateControl:
         is_carried = self._is_carried(seen) or trial.steps > _MOST_STEPS
         return trial.steps > 1 and is_carried and acts_ns >= _TRIED_NS and fell_ns < least_ns
 
-    def _is_carried(self, seen: Seen) -> bool:
+    def _is_carried(self, seen: PathEstimate) -> bool:
         """Return whether the line carries what is sent now: less, and it is full of it; more, and its queue goes."""
         return _CARRIED * self.bytes_per_s <= seen.delivered_bytes_per_s <= _MORE * self.bytes_per_s
 
     @staticmethod
-    def _shows_ns(trial: Trial, seen: Seen) -> int:
+    def _shows_ns(trial: Trial, seen: PathEstimate) -> int:
         """Return how long a reduction takes to show: what was sent less comes behind the queue, and is told of."""
         return seen.round_trip_ns + max(trial.queue_ns, seen.queue_ns)
 
-    def _excuse(self, trial: Trial, now_ns: int, seen: Seen) -> float:
+    def _excuse(self, trial: Trial, now_ns: int, seen: PathEstimate) -> float:
         """Return the rate again that was in force before a trial, or nearly so."""
         self._trial = self._last = None
         self._excused_ns, self._excused_until_ns = max(trial.queue_ns, seen.queue_ns), now_ns + _EXCUSED_FOR_NS
@@ -286,7 +286,7 @@ class RateControl:
         carried = self._full_at[0] if self._full_at is not None else trial.carried_bytes_per_s
         return max(self.bytes_per_s, min(trial.before_bytes_per_s, _RESTORED * carried))
 
-    def _reduced(self, now_ns: int, rate: float, seen: Seen) -> float:
+    def _reduced(self, now_ns: int, rate: float, seen: PathEstimate) -> float:
         """Return a share of what is delivered, to see whether the queue goes."""
         before, last = self._trial, self._last
         last = last if before is None and last is not None and now_ns - last.begin_ns < _SOON_NS else None
@@ -310,7 +310,7 @@ class RateControl:
         share = max(_LEAST_SHARE, _SHARE - (seen.queue_ns - FULL_NS) * _SHARE_PER_NS)
         return min(rate, share * seen.delivered_bytes_per_s)
 
-    def _by_losses(self, now_ns: int, rate: float, seen: Seen) -> float:
+    def _by_losses(self, now_ns: int, rate: float, seen: PathEstimate) -> float:
         if now_ns < self._ready_ns:
             return rate
         self._ready_ns = now_ns + max(_LOSS_PERIOD_NS, seen.round_trip_ns)

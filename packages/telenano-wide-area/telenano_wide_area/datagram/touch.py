@@ -10,7 +10,7 @@ LOSSY_NS = 4_000_000_000
 LOSSY_SHARE = 0.01
 
 
-class Touch:
+class ConnectionWatch:
     """Watches the connections over TCP of an end; `is_kept` while one is there, and for a moment after the last."""
 
     def __init__(self, is_connected: Callable[[], bool], machine: str, now_ns: int) -> None:

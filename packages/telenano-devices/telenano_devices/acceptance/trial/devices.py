@@ -19,7 +19,7 @@ _BAUD = 1_000_000
 _NAMING = ("host", "service", "library", "name", "calibration", "port")
 
 
-class Tried(NamedTuple):
+class TriedDevice(NamedTuple):
     """A device to be tried: how its recording is made, and what of the command line names somebody or something.
 
     is_emulated: whether it is at this machine, and says nowhere what it is.
@@ -37,7 +37,7 @@ def tried(
     port: str | None,
     mass_kg: float,
     independent_stop: str,
-) -> Tried:
+) -> TriedDevice:
     """Return the device of a name.
 
     Args:
@@ -69,10 +69,10 @@ def tried(
 
         return make_take(config, mass_kg, independent_stop, guide=guide)
 
-    return Tried(record, named)
+    return TriedDevice(record, named)
 
 
-def _instrument(name: str, section: dict[str, Any], calibration: Path | None, named: tuple[str, ...]) -> Tried:
+def _instrument(name: str, section: dict[str, Any], calibration: Path | None, named: tuple[str, ...]) -> TriedDevice:
     from telenano.devices import driver_of
     from telenano_devices.acceptance.instrument.instruments import config_of, make_take
 
@@ -89,10 +89,10 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
         run_ahead()
         return make_take(config, guide)
 
-    return Tried(record, (*named, host), host in _LOOPBACK)
+    return TriedDevice(record, (*named, host), host in _LOOPBACK)
 
 
-def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> Tried:
+def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) -> TriedDevice:
     from telenano.devices import HandleCalibration, SerialHandle
     from telenano_devices.acceptance.handle.take import facts_of, record_take
 
@@ -109,7 +109,7 @@ def _handle(port: str | None, calibration: Path | None, named: tuple[str, ...]) 
         finally:
             driver.close()
 
-    return Tried(record, named)
+    return TriedDevice(record, named)
 
 
 def _named(options: dict[str, Any], key: str = "") -> list[str]:

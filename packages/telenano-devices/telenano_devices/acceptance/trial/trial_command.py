@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from telenano_devices.acceptance.take import Guide, Verdict
-    from telenano_devices.acceptance.trial.devices import Tried
+    from telenano_devices.acceptance.trial.devices import TriedDevice
     from telenano_devices.acceptance.trial.trial_file import Trial
 
 _NOT_PASSED = 1
@@ -77,7 +77,9 @@ def trial(
         raise typer.Exit(_NOT_PASSED)
 
 
-def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable[[], list[Verdict]]" = list) -> "Trial":
+def make_trial(
+    driver: str, device: "TriedDevice", guide: "Guide", computer: "Callable[[], list[Verdict]]" = list
+) -> "Trial":
     """Try a device, and return what was found, without names, paths, hosts and addresses.
 
     Args:

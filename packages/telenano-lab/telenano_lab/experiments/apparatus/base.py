@@ -11,7 +11,7 @@ from telenano.recording import ColumnTable
 from telenano_lab.experiments.desk import AbortedError, Answers, Desk
 from telenano_lab.experiments.extend import Judged, Series, TrialData
 from telenano_lab.experiments.journal import now_utc
-from telenano_lab.experiments.operators import Simulated
+from telenano_lab.experiments.operators import SimulatedParticipant
 from telenano_lab.experiments.plan import Plan, checked_document, parameters_of
 from telenano_lab.experiments.types import Trial, TrialOutcome
 
@@ -118,10 +118,10 @@ class Apparatus(ABC):
         origin = f"{self.plan.path}: trial {trial.index} of {trial.participant}"
         return checked_document(self.plan, trial.task, trial.task_parameters, settings, trial.seed, origin)
 
-    def simulated(self, trial: Trial) -> Simulated | None:
+    def simulated(self, trial: Trial) -> SimulatedParticipant | None:
         """Return the simulated participant of a trial; None where a person does it."""
         operator = self.plan.experiment.operator
-        return Simulated(operator.profile, trial.seed) if operator.kind == "simulated" else None
+        return SimulatedParticipant(operator.profile, trial.seed) if operator.kind == "simulated" else None
 
     def steering(self, course: Course) -> Any:
         """Return what makes the hand that steers the tip in a course (`pushing`); None for none."""

@@ -37,7 +37,7 @@ from telenano_lab.experiments.apparatus.page_hand import PageHand
 from telenano_lab.experiments.apparatus.rig_process import RigProcess, wait_for_others
 from telenano_lab.experiments.apparatus.wanted import (
     NO_HAND,
-    Wanted,
+    WantedSettings,
     constant_delays_ns,
     kept_keys,
     of_way,
@@ -104,7 +104,7 @@ class Live(Apparatus):
         self._site_file = DEFAULT_SITE_FILE
         self._rig: RigProcess | None = None
         self._kept = ""
-        self._set = Wanted({}, {}, "", {}, {})
+        self._set = WantedSettings({}, {}, "", {}, {})
         self._document: Mapping[str, Any] = {}
         # When the trial began: the places of hand and base, and how far the base was from that of the hand [m].
         self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
@@ -268,7 +268,7 @@ class Live(Apparatus):
                         return
         raise RigError(f"the rig did not begin its session; see {rig.folder}")
 
-    def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: Wanted) -> RigProcess:
+    def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: WantedSettings) -> RigProcess:
         """Return a rig in a condition, whose hand and tip are coupled as those of a new one are.
 
         A law keeps the places at which it was coupled, and a silence can move them against each other: then the tip is
@@ -363,7 +363,7 @@ class Live(Apparatus):
                     return states
         raise RigError("the devices of the rig are silent; see the logs in its folder")
 
-    def _rest(self, wanted: Wanted) -> None:
+    def _rest(self, wanted: WantedSettings) -> None:
         """Bring the hand to its start and to rest over a clean link, and change the law."""
         before = self._set
         self._place_m = self._go_home() if wanted.operator else self._await_rest()
@@ -376,7 +376,7 @@ class Live(Apparatus):
                 self._command("set", target, changes)
         self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
 
-    def _condition(self, wanted: Wanted) -> None:
+    def _condition(self, wanted: WantedSettings) -> None:
         """Give the operator its force profile, and the link its condition."""
         if wanted.operator:
             self._command("set", HAND, {"operator": wanted.operator})
@@ -420,7 +420,7 @@ class Live(Apparatus):
                     break
         return place_m
 
-    def _verified(self, wanted: Wanted) -> dict[str, Any]:
+    def _verified(self, wanted: WantedSettings) -> dict[str, Any]:
         """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
         expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
         network = LinkSettings().changed(wanted.link).network_name

@@ -13,7 +13,7 @@ NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
 _SIMULATED = ("simulated", "simulated_impedance")
 
 
-class Wanted(NamedTuple):
+class WantedSettings(NamedTuple):
     """What a running rig is set to: the law, the link, the operator and the disturbances, by key of `set`."""
 
     law: dict[str, Scalar]
@@ -37,7 +37,7 @@ def kept_keys(document: Mapping[str, Any]) -> dict[str, Any]:
     return {**kept, "interactive": flat.get("haptic_node.operator.kind") == "interactive"}
 
 
-def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
+def wanted_of(document: Mapping[str, Any], seed: int) -> WantedSettings:
     """Return what a running rig is set to for a trial, with every default in it, so that nothing of the last one stays.
 
     Args:
@@ -54,7 +54,7 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
     is_person = operator.get("kind") == "interactive" or hand.get("driver", "simulated") not in _SIMULATED
     disturbed = {name: document.get(name, {}).get("disturbances", {}) for name in ("haptic_node", "afm_node")}
     flat = {name: flatten({"disturbances": keys}) for name, keys in disturbed.items()}
-    return Wanted(
+    return WantedSettings(
         law={key: value for key, value in law.items() if key != "period_s" and _is_scalar(value)},
         link=dict(link),
         operator="" if is_person else json.dumps(operator or NO_HAND),

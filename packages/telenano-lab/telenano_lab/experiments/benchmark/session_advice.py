@@ -12,7 +12,7 @@ from telenano.sections import LAWS, ControllerConfig
 from telenano.settings import section_of
 from telenano.wire import AfmState, LawStatus, Message, Scalar
 from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate
-from telenano_lab.experiments.benchmark.shown_range import Known, Session, Shown, advice, outside, read_shown
+from telenano_lab.experiments.benchmark.shown_range import Estimate, LawRange, Session, advice, outside, read_shown
 
 # It is judged this often [ns].
 _LOOK_NS = 500_000_000
@@ -32,7 +32,7 @@ class BenchmarkAdviser:
         now_ns: Callable[[], int],
         laws: Collection[str],
         absent_laws: Mapping[str, str] = MappingProxyType({}),
-        read_table: Callable[[], Mapping[str, Shown]] = read_shown,
+        read_table: Callable[[], Mapping[str, LawRange]] = read_shown,
     ) -> None:
         """Prepare to watch.
 
@@ -84,8 +84,8 @@ class BenchmarkAdviser:
         return Session(
             there,
             uneven,
-            stiffness if isinstance(stiffness, Known) else None,
-            drift if isinstance(drift, Known) else None,
+            stiffness if isinstance(stiffness, Estimate) else None,
+            drift if isinstance(drift, Estimate) else None,
         )
 
     def _judged(self) -> Advice | None:

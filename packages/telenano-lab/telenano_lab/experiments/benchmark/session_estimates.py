@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis import DEVIATIONS, half_width, student
-from telenano_lab.experiments.benchmark.shown_range import Known
+from telenano_lab.experiments.benchmark.shown_range import Estimate
 
 Series = npt.NDArray[np.float64]
 # The line is estimated over this time, and not before the second has passed [s].
@@ -60,7 +60,7 @@ class LineEstimate:
         """Forget all ages, where those that come are of another session."""
         self._ages.clear()
 
-    def estimate(self) -> tuple[Known, Known] | None:
+    def estimate(self) -> tuple[Estimate, Estimate] | None:
         """Return mean age and unevenness [ms]; None where too few are known."""
         if not self._ages or self._ages[-1][0] - self._ages[0][0] < _LINE_LEAST_S:
             return None
@@ -71,17 +71,17 @@ class LineEstimate:
         error = _error_of_mean(means)
         half = student(means.size - 1) * error + _STEP_MS
         mean = float(ages.mean())
-        return Known(mean, max(0.0, mean - half), mean + half), _unevenness(ages, error)
+        return Estimate(mean, max(0.0, mean - half), mean + half), _unevenness(ages, error)
 
 
-def _unevenness(ages: Series, error: float) -> Known:
+def _unevenness(ages: Series, error: float) -> Estimate:
     """Return the unevenness by order statistics of as many ages as would be independent."""
     count = min(float(ages.size), max(4.0, float(ages.var()) / max(error * error, 1e-12)))
     half = DEVIATIONS * math.sqrt(UNEVEN_SHARE * (1.0 - UNEVEN_SHARE) / count)
     middle = float(np.median(ages))
     shares = UNEVEN_SHARE, max(0.5, UNEVEN_SHARE - half), min(1.0, UNEVEN_SHARE + half)
     value, low, high = (float(np.quantile(ages, share)) - middle for share in shares)
-    return Known(value, max(0.0, low - _STEP_MS), high + _STEP_MS)
+    return Estimate(value, max(0.0, low - _STEP_MS), high + _STEP_MS)
 
 
 def _means(times: Series, values: Series) -> Series:
@@ -113,7 +113,7 @@ class ContactEstimate:
         self._samples: deque[tuple[float, float, float]] = deque()
         # the time of each second that has passed [s], and where the base was at its end [nm]
         self._steps: deque[tuple[float, float]] = deque()
-        self._stiffness: Known | None = None
+        self._stiffness: Estimate | None = None
 
     def record(self, time_s: float, base_m: float, force_n: float, *, touches: bool) -> None:
         """Take note of a sample; touches: the tip follows the hand on the sample."""
@@ -134,7 +134,7 @@ class ContactEstimate:
         self._samples.clear()
         self._stiffness = None
 
-    def stiffness(self) -> Known | Unknown:
+    def stiffness(self) -> Estimate | Unknown:
         """Return the stiffness [N/m] that the base meets, as it was known last in this contact."""
         if len(self._samples) < 40:
             return self._stiffness or Unknown("the tip has not touched the sample for long enough")
@@ -143,7 +143,7 @@ class ContactEstimate:
             self._stiffness = estimate
         return self._stiffness or Unknown("the hand did not move enough")
 
-    def drift(self) -> Known | Unknown:
+    def drift(self) -> Estimate | Unknown:
         """Return how fast the contact drifts [pm/s], without its sign."""
         stiffness = self.stiffness()
         if isinstance(stiffness, Unknown):
@@ -163,7 +163,7 @@ class ContactEstimate:
         half = 1e3 * (math.hypot(scatter, crept) + pressed)
         value = 1e3 * abs(speed + crept)
         # The base is commanded further than the piezo goes, as it is where the contact looks too soft.
-        return Known(value, max(0.0, value - half) * (1.0 - _SOFTER), value + half)
+        return Estimate(value, max(0.0, value - half) * (1.0 - _SOFTER), value + half)
 
     def _creep(self, times: Series) -> Series:
         """Return how far a piezo goes by itself after the steps of the base, where that is its whole step a decade."""
@@ -179,7 +179,7 @@ def _slope(times: Series, values: Series) -> float:
     return float(off @ values / (off @ off))
 
 
-def _stiffness(times: Series, base: Series, force: Series) -> Known | None:
+def _stiffness(times: Series, base: Series, force: Series) -> Estimate | None:
     """Return the slope of force over base beside a drift, with its interval; None where it is not known."""
     away = _without_trend(times, base)
     square = float(away @ away)
@@ -195,7 +195,7 @@ def _stiffness(times: Series, base: Series, force: Series) -> Known | None:
     half = student(freedom) * math.sqrt(float(pulls @ pulls) * pulls.size / freedom) / square
     if slope <= 0.0 or half > _KNOWN_TO * slope:
         return None
-    return Known(slope, (1.0 - _STIFFER) * (slope - half), (slope + half) / (1.0 - _SOFTER))
+    return Estimate(slope, (1.0 - _STIFFER) * (slope - half), (slope + half) / (1.0 - _SOFTER))
 
 
 def _without_trend(times: Series, values: Series) -> Series:

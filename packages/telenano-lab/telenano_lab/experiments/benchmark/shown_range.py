@@ -34,7 +34,7 @@ _ADDED_BY_RIG = (RIG_MS, RIG_MS, 0.0, 0.0)
 _NOTHING = (0.0, 0.0, 0.0, 0.0)
 
 
-class Known(NamedTuple):
+class Estimate(NamedTuple):
     """An estimate and the interval of 95 % that it lies in."""
 
     value: float
@@ -45,10 +45,10 @@ class Known(NamedTuple):
 class Session(NamedTuple):
     """What is known of a session: ages in ms, N/m, and pm/s; None where nothing is."""
 
-    round_trip_ms: Known | None = None
-    unevenness_ms: Known | None = None
-    stiffness_n_per_m: Known | None = None
-    drift_pm_per_s: Known | None = None
+    round_trip_ms: Estimate | None = None
+    unevenness_ms: Estimate | None = None
+    stiffness_n_per_m: Estimate | None = None
+    drift_pm_per_s: Estimate | None = None
 
 
 class Place(NamedTuple):
@@ -81,7 +81,7 @@ class Cell(NamedTuple):
         return not self.was_held and self.runs > 0 and self.held / self.runs < _FAILED_BELOW
 
 
-class Shown:
+class LawRange:
     """What a law was shown to hold; tracking_error: how near the tip followed the swing in the runs that were held."""
 
     def __init__(self, cells: Sequence[Cell], tracking_error: float | None) -> None:
@@ -135,7 +135,7 @@ def _on_as_hard_a_line(held: Place, place: Place) -> bool:
     return place._replace(stiffness_n_per_m=held.stiffness_n_per_m).is_as_easy_as(held)
 
 
-def _clipped(value: float, estimate: Known | None, added: float) -> float:
+def _clipped(value: float, estimate: Estimate | None, added: float) -> float:
     """Return the nearest to a value within what is known, of which so much may be the rig's own."""
     return value if estimate is None else max(0.0, estimate.low - added, min(value, estimate.high))
 
@@ -158,11 +158,11 @@ class _Table(msgspec.Struct):
 
 
 @cache
-def read_shown(path: Path = TABLE) -> Mapping[str, Shown]:
+def read_shown(path: Path = TABLE) -> Mapping[str, LawRange]:
     """Return what each law of a table was shown to hold, by its name; OSError or msgspec.MsgspecError for no table."""
     table = msgspec.json.decode(path.read_bytes(), type=_Table)
     return {
-        name: Shown(
+        name: LawRange(
             [
                 Cell(Place(table.lines[line].round_trip_ms, table.lines[line].unevenness_ms, k, drift), runs, held, low)
                 for line, k, drift, runs, held, low, _, _ in law.cells
@@ -173,7 +173,7 @@ def read_shown(path: Path = TABLE) -> Mapping[str, Shown]:
     }
 
 
-def outside(shown: Shown, session: Session) -> Axis | None:
+def outside(shown: LawRange, session: Session) -> Axis | None:
     """Return by what a session is outside of what a law was shown to hold; None where it may be inside.
 
     It is `together` where line, sample and drift were each shown with others, and not with one another.
@@ -189,7 +189,7 @@ def outside(shown: Shown, session: Session) -> Axis | None:
 
 
 def advice(
-    table: Mapping[str, Shown],
+    table: Mapping[str, LawRange],
     law: str,
     axis: Axis,
     session: Session,
@@ -216,7 +216,7 @@ def advice(
     return f"{happened} {means} Take {remedy}: no law held such a session in the benchmark."
 
 
-def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+def _of_line(shown: LawRange, law: str, session: Session) -> tuple[str, str]:
     there, uneven = session.round_trip_ms, session.unevenness_ms
     beginning = f"The line is outside of the range in which {law} held in the benchmark: "
     there_ms = f"{there.value:.0f} ms there and back" if there is not None else "any length"
@@ -224,7 +224,9 @@ def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
         return f"{beginning}{there_ms}, {_up_to(shown, session)}.", "a shorter line"
     lengths = Session(there)
     held = {place.unevenness_ms for place in shown.held}
-    most = max((ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Known(ms, ms, ms)))), default=0.0)
+    most = max(
+        (ms for ms in held if shown.holds_some(lengths._replace(unevenness_ms=Estimate(ms, ms, ms)))), default=0.0
+    )
     longer = uneven.value if uneven is not None else 0.0
     return (
         f"{beginning}{there_ms}, at times {longer:.0f} ms more, and it held up to {most:.0f} ms more.",
@@ -232,7 +234,7 @@ def _of_line(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     )
 
 
-def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+def _of_stiffness(shown: LawRange, law: str, session: Session) -> tuple[str, str]:
     held, estimate = [place.stiffness_n_per_m for place in shown.held], session.stiffness_n_per_m
     if estimate is None or not held:
         return f"{law} held no sample in the benchmark.", "another law"
@@ -244,14 +246,14 @@ def _of_stiffness(shown: Shown, law: str, session: Session) -> tuple[str, str]:
     )
 
 
-def _of_drift(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+def _of_drift(shown: LawRange, law: str, session: Session) -> tuple[str, str]:
     most = max((place.drift_pm_per_s for place in shown.held), default=0.0)
     limit = f"held up to {most:g} pm/s" if most else "held only without drift"
     text = f"The contact drifts faster than {law} held in the benchmark: {_drift(session)}, and it {limit}."
     return text, "a pause until the instrument rests"
 
 
-def _of_all(shown: Shown, law: str, session: Session) -> tuple[str, str]:
+def _of_all(shown: LawRange, law: str, session: Session) -> tuple[str, str]:
     line, sample = session.round_trip_ms, session.stiffness_n_per_m
     parts = [f"{line.value:.0f} ms there and back"] if line is not None else []
     parts += [f"{sample.low:.3g} to {sample.high:.3g} N/m"] if sample is not None else []
@@ -266,11 +268,11 @@ def _drift(session: Session) -> str:
     return "" if estimate is None else f"{estimate.value:.0f} ± {0.5 * (estimate.high - estimate.low):.0f} pm/s"
 
 
-def _up_to(shown: Shown, session: Session) -> str:
+def _up_to(shown: LawRange, session: Session) -> str:
     """Return in words which round trips the law was shown to hold on the sample and with the drift of a session."""
     lengths = {place.round_trip_ms for place in shown.held}
     rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
-    held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Known(ms, ms, ms)), _NOTHING)]
+    held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Estimate(ms, ms, ms)), _NOTHING)]
     somewhere = "" if session.stiffness_n_per_m is not None else " on some sample"
     return f"and it held up to {max(held):.0f} ms{somewhere}" if held else "and it held over no line"
 
