@@ -22,7 +22,7 @@ from pathlib import Path
 
 import zmq
 
-from telenano.console.command_client import send_control
+from telenano.console.send_commands import send_control
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.commands import Command
 from telenano.settings.included import DEFAULT_SITE_FILE

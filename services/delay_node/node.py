@@ -10,7 +10,7 @@ from services.delay_node.far_stop import FarStop, FarStopState
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from telenano.link.engine import LinkState
 from telenano.link.fate import Fate, Release
-from telenano.link.questions import Questions
+from telenano.link.ping_times import Questions
 from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
 from telenano.runtime.loop.node import NodeBus, NodeContext

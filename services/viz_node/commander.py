@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from telenano.console.command_client import arm_steps, send_control
 from telenano.console.coupling import recouple
 from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
 from telenano.console.going_back import send_way
+from telenano.console.send_commands import arm_steps, send_control
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import Scalar

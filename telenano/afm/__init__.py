@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.afm.contact.maugis_dugdale import MaugisDugdale as MaugisDugdale
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sim import simulated_afm as simulated_afm
-    from telenano.afm.tip_guard import TipGuard as TipGuard
+    from telenano.afm.standalone_guard import TipGuard as TipGuard
 else:
     __getattr__, __dir__ = face(
         __name__,

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from telenano.recording.tolerance import Tolerances
+from telenano.recording.field_differences import Tolerances
 from telenano.wire.codec import WireError, decode_header
 
 # This number of in a row are alike where the two are in step: one message and its duplicate are not enough.

@@ -82,7 +82,7 @@ def law_names(incomplete: str) -> list[str]:
 
 def law_name(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, without importing one."""
-    from telenano.laws.law_names import LAW_NAMES
+    from telenano.sections.law_names import LAW_NAMES
     from telenano.settings.plugins import installed
 
     return [name for name in (*LAW_NAMES, *installed("laws")) if name.startswith(incomplete)]

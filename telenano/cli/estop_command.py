@@ -231,7 +231,7 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
     """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
     # This import brings models and keys, which takes longer.
-    from telenano.console.command_client import send_control
+    from telenano.console.send_commands import send_control
     from telenano.runtime.loop.commands import Command
 
     site: Literal["master", "slave"] = "slave" if request.site == "slave" else "master"

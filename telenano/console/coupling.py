@@ -14,7 +14,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
 
-from telenano.console.command_client import send_control
+from telenano.console.send_commands import send_control
 from telenano.numerics.frames import to_paper_axis
 from telenano.runtime.loop.arming import PLACE_TIP
 from telenano.runtime.loop.commands import Command

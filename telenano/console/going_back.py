@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.console.command_client import arm_devices, send_controls
+from telenano.console.send_commands import arm_devices, send_controls
 from telenano.runtime.loop.arming import ARM_TIP, return_to
 from telenano.runtime.loop.commands import Command
 from telenano.wire.errors import RigError

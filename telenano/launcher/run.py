@@ -15,7 +15,7 @@ from telenano.extend.advice import AdvisedSession, Adviser
 from telenano.launcher.advisers import Advisers, absent_laws, advisers_for
 from telenano.launcher.external_recording import ExternalRecording, readable_here
 from telenano.launcher.felt_adviser import FeltAdviser
-from telenano.launcher.held import HeldForNodes
+from telenano.launcher.files_for_nodes import HeldForNodes
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import Inheritance, NodeProcesses, node_command
 from telenano.launcher.rig_node import RigNode

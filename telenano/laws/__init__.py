@@ -3,7 +3,7 @@
 Their settings and the table of laws are in `telenano.sections`.
 """
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 __getattr__, __dir__ = face(
     __name__,

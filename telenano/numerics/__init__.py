@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.numerics.compiler import always_compiled as always_compiled

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.recording.arrays import last_force_profile as last_force_profile
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import write_mcap as write_mcap
     from telenano.recording.export import write_viewer_mcap as write_viewer_mcap
+    from telenano.recording.field_differences import Tolerances as Tolerances
     from telenano.recording.made_records import recorded as recorded
     from telenano.recording.messages import RecordedChannel as RecordedChannel
     from telenano.recording.messages import RecordedMessage as RecordedMessage
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from telenano.recording.session_identity import demand_several as demand_several
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.tables import columns_of as columns_of
-    from telenano.recording.tolerance import Tolerances as Tolerances
     from telenano.recording.writer import FileSettings as FileSettings
     from telenano.recording.writer import RecordingWriter as RecordingWriter
 else:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
-from telenano.timing.clock_line import Bound, Bounds, ClockLine, are_apart
+from telenano.timing.clock_fit import Bound, Bounds, ClockLine, are_apart
 
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.

@@ -161,7 +161,7 @@ class RecordedMessage(NamedTuple):
         try:
             if topic in RECORD_TOPICS:
                 from telenano.recording.records import RECORDS
-                from telenano.wire.faults import made
+                from telenano.wire.refusals import made
 
                 return made(RECORDS[topic], self.fields())
             return read(topic, self.payload)

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from telenano.recording.chunk_messages import ChunkMessages
+    from telenano.recording.indexed_chunks import ChunkMessages
 
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once.
@@ -326,7 +326,7 @@ class Recording(RecordedFields):
         if not block.whole or block.data_start == block.offset:
             return None
         # it needs NumPy, and a summary by the index does not
-        from telenano.recording.chunk_messages import messages_in
+        from telenano.recording.indexed_chunks import messages_in
 
         is_known = block.offset in self._indexed and not whole
         found = messages_in(data, block.data_end, content, channels.selected if is_known else None)

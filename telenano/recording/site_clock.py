@@ -2,7 +2,7 @@
 
 Two machines have two clocks. What the link measured of their difference is in the recording: `link/status` has it ten
 times a second, with the bounds between which it lies, and `clock/pong` has when each question was sent and when it
-arrived. The lines through these bounds have offset and drift (`telenano.timing.clock_line`), a line for as long as
+arrived. The lines through these bounds have offset and drift (`telenano.timing.clock_fit`), a line for as long as
 one fits.
 
 The bounds are half the round trip apart from the estimate, because no exchange can tell a difference of the clocks from
@@ -24,7 +24,7 @@ from telenano.recording.arrays import replay_shifts
 from telenano.recording.clock_course import bounds_of, knots, mean_drift, stretches
 from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
 from telenano.recording.multi_file import RecordingSource
-from telenano.timing.clock_line import Bound, Bounds
+from telenano.timing.clock_fit import Bound, Bounds
 from telenano.wire.errors import RecordingError
 from telenano.wire.nodes import LINK, name_of, site_of
 

@@ -15,8 +15,8 @@ import zmq
 from pydantic import BaseModel
 
 from telenano.analysis.plugins import differences, recorded_plugins
+from telenano.recording.field_differences import Tolerances
 from telenano.recording.reader import Recording
-from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun_bus import DifferenceError, RerunBus, RerunOutlet
 from telenano.rerun.rerun_inputs import JOURNAL, RecordedNode, Turn, start_ns, turns_of
 from telenano.runtime.bus.address_book import AddressBook

@@ -6,8 +6,8 @@ from typing import Any
 import msgspec
 
 from telenano.analysis.forwarded import ForwardedMessage, compare_forwarded
+from telenano.recording.field_differences import Tolerances
 from telenano.recording.messages import RecordedMessage
-from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
 from telenano.runtime.bus.publisher import version_of
 from telenano.timing.clock import TurnClock

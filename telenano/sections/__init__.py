@@ -5,7 +5,7 @@ The models beside which they stand are pure steps; a section makes the parameter
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.sections.afm_parts import AfmControllerConfig as AfmControllerConfig

@@ -6,7 +6,7 @@ named here serves any other way to test as well. docs/extending/tests.md has a t
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.testing.bench import HandRig as HandRig

@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.timing.clock import NEVER_NS as NEVER_NS
     from telenano.timing.clock import Clock as Clock
-    from telenano.timing.clock_line import ClockLine as ClockLine
+    from telenano.timing.clock_fit import ClockLine as ClockLine
     from telenano.timing.clock_offset import STEP_NS as STEP_NS
     from telenano.timing.clock_offset import OffsetFilter as OffsetFilter
     from telenano.timing.loop_age import STAGES as STAGES

@@ -7,7 +7,7 @@ arrives here at t4. With the delays d_there and d_back and the other clock ahead
     t3 - t4 <= o <= t2 - t1,  round trip = (t4 - t1) - (t3 - t2) = d_there + d_back        (RFC 5905, section 8).
 
 Queues only ever add delay, so the fastest question and the fastest answer of each second are kept, and the line between
-them has offset and drift (`telenano.timing.clock_line`). Only the difference of the two least delays enters, and no
+them has offset and drift (`telenano.timing.clock_fit`). Only the difference of the two least delays enters, and no
 exchange can reveal it. Neither is below zero, so the error is never above half of their sum, the uncertainty that is
 given. A way that becomes longer changes nothing of that. What the line takes now is another question, which the
 exchanges of the last second answer (`telenano.timing.line_present`).
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from telenano.timing.clock_line import MOST_DRIFT, Bounds, ClockLine, are_apart
+from telenano.timing.clock_fit import MOST_DRIFT, Bounds, ClockLine, are_apart
 from telenano.timing.line_present import LinePresent
 from telenano.wire.messages import LinkClock
 

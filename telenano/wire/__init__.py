@@ -7,7 +7,7 @@ stop above all.
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano.wire.codec import compose as compose
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from telenano.wire.errors import cause as cause
     from telenano.wire.errors import known_names as known_names
     from telenano.wire.examples import example as example
-    from telenano.wire.faults import made as made
     from telenano.wire.instrument import AfmProgram as AfmProgram
     from telenano.wire.messages import AfmScanline as AfmScanline
     from telenano.wire.messages import AfmState as AfmState
@@ -58,6 +57,7 @@ if TYPE_CHECKING:
     from telenano.wire.ranges import DurationS as DurationS
     from telenano.wire.ranges import Range as Range
     from telenano.wire.received import Received as Received
+    from telenano.wire.refusals import made as made
     from telenano.wire.topics import OWN_TOPICS as OWN_TOPICS
     from telenano.wire.topics import TOPICS as TOPICS
     from telenano.wire.topics import Topic as Topic

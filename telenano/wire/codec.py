@@ -1,7 +1,8 @@
 """Encoding and decoding of messages.
 
 A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`. One pass
-in C decodes and checks, another one checks and encodes; what they refuse is read part by part (`telenano.wire.faults`).
+in C decodes and checks, another one checks and encodes; what they refuse is read part by part by
+`telenano.wire.refusals`.
 """
 
 import contextlib
@@ -14,7 +15,8 @@ import msgpack
 import msgspec
 from msgspec import Raw
 
-from telenano.wire.faults import (
+from telenano.wire.messages import Message, Record, SessionControl
+from telenano.wire.refusals import (
     REFUSALS,
     Beyond,
     FaultError,
@@ -27,7 +29,6 @@ from telenano.wire.faults import (
     read_record,
     source_fault,
 )
-from telenano.wire.messages import Message, Record, SessionControl
 from telenano.wire.topics import TOPICS, Topic, row_of
 
 MAX_MESSAGE_BYTES = 1 << 20

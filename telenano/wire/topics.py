@@ -13,11 +13,11 @@ import msgspec
 
 from telenano.wire import messages as m
 from telenano.wire import network_messages as network
-from telenano.wire.faults import Fault, faults_of
 from telenano.wire.instrument import AfmProgram
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import NODES, name_of, site_of
 from telenano.wire.patterns import matches
+from telenano.wire.refusals import Fault, faults_of
 from telenano.wire.schema import json_schema
 
 Delivery = Literal["latest", "lossless"]

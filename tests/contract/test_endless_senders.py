@@ -23,7 +23,8 @@ from telenano_wide_area.relay import forwarder
 
 from services.player import node as player
 from services.viz_node import live
-from telenano.console import command_client, emergency_stop
+from telenano.console import emergency_stop
+from telenano.console import send_commands as command_client
 from telenano.console.live_recording import LiveRecording
 from telenano.extend.hands import DeviceError as HandError
 from telenano.extend.instruments import DeviceError
@@ -241,7 +242,7 @@ LOOPS: dict[str, Callable[[Patch, Path], None]] = {
     f"{HAPTIC}/vendor_service.py: Conversation.drop": service_of_a_handle,
     f"{UDP}: UdpPorts._take_answers": datagrams_of_the_target,
     f"{UDP}: UdpPorts._take_from_clients": datagrams_of_clients,
-    "telenano/console/command_client.py: _new_subscriptions": console_subscriptions,
+    "telenano/console/send_commands.py: _new_subscriptions": console_subscriptions,
     "telenano/console/emergency_stop.py: _Inlet.read_subscription": inlet_subscriptions,
     f"{HAPTIC}/servo_process.py: ProcessLink.open": answer_of_a_servo,
     "services/player/node.py: ReplayPublisher.read_subscriptions": player_subscriptions,

@@ -104,7 +104,7 @@ def clocks() -> None:
     draw = np.random.default_rng(1)
     bound = [(n * 10**9, int(draw.exponential(1e6))) for n in range(1, 60)]
     below = [(n * 10**9, -int(draw.exponential(1e6))) for n in range(1, 60)]
-    raise TelenanoError(f"drift {_function('telenano.timing.clock_line:ClockLine.through')(bound, below).drift}")  # type: ignore[attr-defined]
+    raise TelenanoError(f"drift {_function('telenano.timing.clock_fit:ClockLine.through')(bound, below).drift}")  # type: ignore[attr-defined]
 
 
 # what is refused or said of what does not fit, by the name in the table of the page

@@ -20,7 +20,7 @@ from scipy import signal
 from telenano.analysis import wilson
 from telenano.recording.clock_course import bounds_of, stretches
 from telenano.timing import OffsetFilter
-from telenano.timing.clock_line import Bounds
+from telenano.timing.clock_fit import Bounds
 
 Column = NDArray[np.float64]
 BEGAN_NS = 1_700_000_000 * 10**9

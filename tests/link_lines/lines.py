@@ -15,7 +15,7 @@ import zmq
 from telenano_wide_area.doubles.datagram_bench import Pair, Side
 
 from telenano.link.declared_delay import ONE_MACHINE, between_sites
-from telenano.link.questions import Questions
+from telenano.link.ping_times import Questions
 from telenano.timing import OffsetFilter
 
 MS = 1_000_000

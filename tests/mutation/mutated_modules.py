@@ -101,7 +101,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/analysis/test_holds.py",
         "tests/unit/analysis/test_verdict_noise.py",
     ),
-    "telenano/afm/tip_guard.py": ("tests/unit/afm/test_tip_guard.py",),
+    "telenano/afm/standalone_guard.py": ("tests/unit/afm/test_standalone_guard.py",),
     "telenano/runtime/loop/hang_guard.py": ("tests/unit/runtime/test_hang_guard.py",),
     "telenano/runtime/loop/device_node.py": ("tests/unit/runtime/test_runtime_device_node.py",),
 }

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 from in_memory import InMemory
 
 from telenano.numerics.compiler import compiled_form, is_step
+from telenano.recording.field_differences import Tolerances
 from telenano.recording.reader import Recording
-from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun
 from telenano.sections.controller_section import LAWS, OWN_LAWS
 from telenano.virtual import LINK_NODE, NODES, record_session

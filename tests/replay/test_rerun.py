@@ -33,8 +33,8 @@ from references import (
 
 import telenano.wire.codec
 from telenano.extend.virtual_impedance import VirtualImpedanceConfig
+from telenano.recording.field_differences import Tolerances
 from telenano.recording.reader import Recording
-from telenano.recording.tolerance import Tolerances
 from telenano.rerun.rerun import rerun
 from telenano.rerun.rerun_bus import RerunBus
 from telenano.wire import Message

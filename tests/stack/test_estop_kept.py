@@ -16,7 +16,7 @@ import pytest
 from ledger import record
 from stack_rig import Rig, arm, mode
 
-from telenano.console.command_client import send_control
+from telenano.console.send_commands import send_control
 from telenano.runtime.loop.commands import Command
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import RigError

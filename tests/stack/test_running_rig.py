@@ -24,7 +24,7 @@ from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.requests import PROTOCOL
-from telenano.console.command_client import send_control
+from telenano.console.send_commands import send_control
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.runtime.bus.address_book import AddressBook

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import telenano
-from telenano.faces import names_of
+from telenano.lazy_exports import names_of
 
 LIBRARY = Path(telenano.__path__[0])
 FACES = sorted(path.parent.name for path in LIBRARY.glob("*/__init__.py") if "import face" in path.read_text("utf-8"))

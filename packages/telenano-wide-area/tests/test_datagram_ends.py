@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from telenano_wide_area.datagram.agreement import REKEY_NS, Agreement
 from telenano_wide_area.datagram.arrivals import ArrivalRecord, LinkNetwork
 from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPORT, packed, parse, short_report
+from telenano_wide_area.datagram.command_reach import ConnectionWatch
 from telenano_wide_area.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
 from telenano_wide_area.datagram.reception import FIRST_NS
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
@@ -23,7 +24,6 @@ from telenano_wide_area.datagram.sealing import (
     Opener,
     Sealer,
 )
-from telenano_wide_area.datagram.touch import ConnectionWatch
 from telenano_wide_area.doubles.datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from telenano_wide_area.sealed import RejectedError
 

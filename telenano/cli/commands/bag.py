@@ -256,8 +256,8 @@ def rerun(
 ) -> None:
     """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
     with report_errors(as_json):
+        from telenano.recording.field_differences import Tolerances
         from telenano.recording.reader import Recording
-        from telenano.recording.tolerance import Tolerances
         from telenano.rerun.rerun import rerun as run_again
 
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())

@@ -13,11 +13,11 @@ from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
-from telenano.console.command_client import arm_devices, parse_parameters, send_control
 from telenano.console.coupling import recouple
 from telenano.console.going_back import WayBack, go_back
 from telenano.console.lease import CONSOLE
 from telenano.console.lease_register import holding
+from telenano.console.send_commands import arm_devices, parse_parameters, send_control
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.timing.clock import process_start_ns

@@ -37,11 +37,11 @@ from telenano.cli.output import (
     say,
 )
 from telenano.cli.sweep import SEED
+from telenano.launcher.disk_space import check_room
 from telenano.launcher.fan_out import fan_out
 from telenano.launcher.page import inherited_by_page
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.launcher.rigs import own_rig
-from telenano.launcher.room import check_room
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from telenano.recording.multi_file import open_recordings
 from telenano.runtime.security.keyring import Keyring

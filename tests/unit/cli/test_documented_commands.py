@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from telenano.cli.lazy_commands import load
 from telenano.cli.model_options import validated
 from telenano.cli.root import app
-from telenano.console.command_client import parse_parameters
+from telenano.console.send_commands import parse_parameters
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.runtime.wiring.observer import known_name
 from telenano.sections.program_requests import requested

@@ -23,7 +23,7 @@ from telenano.testing import NodeBench as Bench
 from test_afm_programs import Imager
 from telenano.wire.errors import ConfigError, RefusedError
 from telenano.sections.afm_section import AfmConfig
-from telenano.console.command_client import parse_parameters
+from telenano.console.send_commands import parse_parameters
 from telenano.wire.node_state import pack, restore
 from telenano.settings.config import validate
 from services.viz_node.commander import forms

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from recorder_samples import sample
 
-from telenano.console.command_client import Attention, _in_force, addressed, parse_parameters, send_control
+from telenano.console.send_commands import Attention, _in_force, addressed, parse_parameters, send_control
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.security.keyring import Keyring

@@ -19,7 +19,8 @@ import zmq
 from services.player.node import ReplayPublisher
 from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
-from telenano.console import command_client, emergency_stop
+from telenano.console import emergency_stop
+from telenano.console import send_commands as command_client
 from telenano.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher

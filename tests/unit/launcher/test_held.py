@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from telenano.launcher.held import HeldForNodes
+from telenano.launcher.files_for_nodes import HeldForNodes
 from telenano.launcher.plan import UpRequest, make_plan
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring

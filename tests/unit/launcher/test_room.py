@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from telenano.launcher.disk_space import check_room
 from telenano.launcher.plan import Plan, UpRequest, make_plan
-from telenano.launcher.room import check_room
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.descriptors import Descriptors, check_rig, needed_by
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE

@@ -22,9 +22,9 @@ from telenano.extend.laws import (
     the_hands_force,
 )
 from telenano.laws import wave
-from telenano.laws.law_names import LAW_NAMES
 from telenano.lockstep.law_rules import RULES, broken_rules
 from telenano.sections.controller_section import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
+from telenano.sections.law_names import LAW_NAMES
 from telenano.sections.own_laws import WaveConfig
 
 T = 1e-3

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from telenano.link.questions import NEVER_NS, Questions
+from telenano.link.ping_times import NEVER_NS, Questions
 
 MS = 1_000_000
 ROUND_TRIP_NS = 20 * MS

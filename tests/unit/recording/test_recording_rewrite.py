@@ -12,13 +12,13 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from telenano_lab.studies.recording_diff import diff_recordings
 
 from telenano.recording.channel_filter import Selection
+from telenano.recording.field_differences import Tolerances
 from telenano.recording.mcap_scan import MAGIC
 from telenano.recording.messages import RecordedMessage
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.rewrite import filter_recording, merge_recordings, split_recording
-from telenano.recording.tolerance import Tolerances
 from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
 from telenano.wire import encode

@@ -17,7 +17,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_session import Session
 from telenano.console import RigHand
-from telenano.console.command_client import send_control
+from telenano.console.send_commands import send_control
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.commands import Command

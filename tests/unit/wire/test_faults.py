@@ -14,8 +14,8 @@ from wire_contract import present_fields
 from telenano.testing.filled_messages import CASES, WITH_OPTIONAL, examples, has_optional_keys
 from telenano.wire import compose
 from telenano.wire.codec import WireError, accept
-from telenano.wire.faults import Fault
 from telenano.wire.messages import Array
+from telenano.wire.refusals import Fault
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
 Path = tuple[str | int, ...]

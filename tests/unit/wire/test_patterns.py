@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 import pytest
 
 from telenano.recording.channel_filter import Selection
-from telenano.recording.tolerance import Tolerances
+from telenano.recording.field_differences import Tolerances
 from telenano.settings.link_settings import DirectionSettings
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import is_meant

@@ -10,7 +10,7 @@ of the servo its wire.
 
 from typing import TYPE_CHECKING
 
-from telenano.faces import face
+from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
     from telenano_devices.impedance.impedance import impedance_driver as impedance_driver

@@ -16,7 +16,7 @@ from telenano_lab.experiments.effects import Factor
 from telenano_lab.experiments.psychophysics.function import Psychometric
 from telenano_lab.experiments.table import Row, Tables, write_tables
 from telenano_lab.studies.figure_colours import LINES, looks
-from telenano_lab.studies.page import write_images
+from telenano_lab.studies.image_files import write_images
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -134,7 +134,7 @@ def _run_all(
         frontier_figure,
         situation_rows,
     )
-    from telenano_lab.studies.page import write_images
+    from telenano_lab.studies.image_files import write_images
 
     plan = plan_of(
         option_values.laws(law),

@@ -76,7 +76,7 @@ def traces_of(reports: Iterable[LinkNetwork]) -> dict[Direction, NetworkTrace]:
     """Return the trace of each direction of which there are reports; TelenanoError when one has too few datagrams.
 
     Reports from before the clocks were compared have no delays, and are left out. The delays rest on one line of what
-    the slave's clock is ahead, through the fastest datagrams of both directions (`telenano.timing.clock_line`): what
+    the slave's clock is ahead, through the fastest datagrams of both directions (`telenano.timing.clock_fit`): what
     each report knew of the clocks when it was made differs from one to the next. Where one direction lacks, they stay
     as they were reported.
     """

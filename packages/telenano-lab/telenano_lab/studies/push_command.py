@@ -8,7 +8,7 @@ from telenano.analysis import FigureOptions, Page
 from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, refuse_unused, report_errors, results_in
 from telenano_lab.studies import option_values
 from telenano_lab.studies.figure_colours import looks
-from telenano_lab.studies.page import write_images
+from telenano_lab.studies.image_files import write_images
 from telenano_lab.studies.study_options import OutOption, WorkersOption
 from telenano_lab.studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
 

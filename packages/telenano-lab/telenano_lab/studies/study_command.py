@@ -26,11 +26,11 @@ from telenano.cli import (
 from telenano.runtime import AddressBook
 from telenano.settings import profile_named
 from telenano_lab.studies.gallery_command import gallery_command
+from telenano_lab.studies.image_files import write_images
 from telenano_lab.studies.loops.felt import FELT, refusals
 from telenano_lab.studies.loops.sample import drawn_cells
 from telenano_lab.studies.loops.stability import Axes, LineResult, run_stability
 from telenano_lab.studies.network_command import network_command
-from telenano_lab.studies.page import write_images
 from telenano_lab.studies.pages.felt_page import write_felt
 from telenano_lab.studies.pages.transparency_page import (
     Feel,

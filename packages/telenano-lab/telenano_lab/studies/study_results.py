@@ -12,8 +12,8 @@ import typer
 
 from telenano.analysis import Page, cell_text
 from telenano.cli import print_json, print_rows, progress, results_in, say
+from telenano_lab.studies.image_files import write_tables
 from telenano_lab.studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
-from telenano_lab.studies.page import write_tables
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins again"

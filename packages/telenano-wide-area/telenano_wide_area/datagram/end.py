@@ -31,6 +31,7 @@ from telenano_wide_area.datagram.body import (
     parse,
     short_report,
 )
+from telenano_wide_area.datagram.command_reach import ConnectionWatch
 from telenano_wide_area.datagram.full_queue import Measured
 from telenano_wide_area.datagram.held_samples import HeldSamples
 from telenano_wide_area.datagram.incoming import Incoming
@@ -42,7 +43,6 @@ from telenano_wide_area.datagram.reception import Reception, Way
 from telenano_wide_area.datagram.report import network_report
 from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
 from telenano_wide_area.datagram.sparse import SparseSamples, Taken, carried_by_tcp
-from telenano_wide_area.datagram.touch import ConnectionWatch
 from telenano_wide_area.relay.path import RelayPath
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings

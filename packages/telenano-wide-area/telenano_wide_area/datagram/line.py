@@ -3,7 +3,7 @@
 With the times t1 to t4 of `clock_offset`, the way there appears to take f = t2 - t1 and the way back b = t4 - t3, each
 with the offset of the clocks in it, which drifts: f rises as b falls. A queue only ever adds to one of them. So every f
 bounds the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which
-clocks are known (`telenano.timing.clock_line`), are the delays of the empty line.
+clocks are known (`telenano.timing.clock_fit`), are the delays of the empty line.
 
 What a datagram took beyond its line was queueing or jitter. The least of that within a tenth of a second is a queue
 that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012): jitter comes and goes within it.

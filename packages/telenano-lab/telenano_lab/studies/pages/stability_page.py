@@ -12,10 +12,10 @@ from telenano.analysis import VERDICT_COLOURS, FigureOptions, Page
 from telenano.cli import results_in
 from telenano.wire import RigError
 from telenano_lab.studies.figure_colours import ON_SCREEN, looks
+from telenano_lab.studies.image_files import write_images, write_tables
 from telenano_lab.studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from telenano_lab.studies.loops.stability import LineResult
 from telenano_lab.studies.loops.theory import hybrid_of, llewellyn
-from telenano_lab.studies.page import write_images, write_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes

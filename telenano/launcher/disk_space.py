@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from telenano.launcher.held import named_bytes
+from telenano.launcher.files_for_nodes import named_bytes
 from telenano.launcher.plan import Plan
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.local_endpoint import runtime_directory

@@ -1,6 +1,6 @@
 import pytest
 
-from telenano.recording.tolerance import Tolerances
+from telenano.recording.field_differences import Tolerances
 from telenano.wire.errors import ConfigError
 
 LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}

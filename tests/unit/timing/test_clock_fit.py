@@ -10,7 +10,7 @@ from telenano_wide_area.datagram.line import Line
 
 from telenano.recording.clock_course import bounds_of, knots, stretches
 from telenano.recording.site_clock import SiteClock
-from telenano.timing.clock_line import Bounds
+from telenano.timing.clock_fit import Bounds
 from telenano.timing.clock_offset import OffsetFilter
 
 BEGAN_NS, LENGTH_S, SET_S = 1_700_000_000 * 10**9, 240.0, 100.0
