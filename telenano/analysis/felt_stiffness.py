@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.intervals import student
+from telenano.numerics.regression import regression
 from telenano.sections.controller_section import KNOWN_LAWS, LAWS, ControllerConfig
 from telenano.settings.config import section_of
 
@@ -184,9 +185,11 @@ def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
         return None
     # A tremor of the hand, around 9 Hz, is taken off way and force alike; a swing keeps its ratio of both.
     frequency_hz = _frequency_hz(time_s, way_m)
-    time_s, way_m, force_n = (np.convolve(values, (0.25, 0.5, 0.25), "valid") for values in (time_s, way_m, force_n))
+    time_s, way_m, force_n = (
+        0.25 * values[:-2] + 0.5 * values[1:-1] + 0.25 * values[2:] for values in (time_s, way_m, force_n)
+    )
     since = (time_s - time_s.mean()) / max(float(np.ptp(time_s)), 1e-9)
-    drift = np.stack([np.ones_like(since), since, since * since], axis=1)
+    drift = (np.ones_like(since), since, since * since)
     away, pressed = _beside(drift, way_m), _beside(drift, force_n)
     deviation = float(away.std())
     parts = np.unique(np.floor((time_s - time_s[0]) / _ALIKE_S), return_inverse=True)[1]
@@ -195,42 +198,36 @@ def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
     if freedom < 2 or not deviation > 1e-9 * float(np.abs(way_m).max(initial=0.0)):
         return None
     speed = _beside(drift, np.gradient(way_m, time_s))
-    columns = np.stack([away / deviation, speed / max(float(speed.std()), 1e-300)], axis=1)
-    inverse = np.linalg.pinv(columns.T @ columns)
-    found = inverse @ (columns.T @ pressed)
-    left = pressed - columns @ found
-    scores = np.stack([np.bincount(parts, column * left) for column in columns.T], axis=1)
-    spread = inverse @ (scores.T @ scores) @ inverse * (freedom + _TERMS) / freedom
-    half = student(freedom) * math.sqrt(max(float(spread[0, 0]), 0.0))
+    columns = (away / deviation, speed)
+    found, left = regression(columns, pressed)
+    # What the speed leaves of the way has the slope: its error is that of the sums of its products, part by part.
+    _, own = regression(columns[1:], columns[0])
+    scores = np.bincount(parts, own * left) / float((own * own).sum())
+    half = student(freedom) * math.sqrt(float((scores * scores).sum()) * (freedom + _TERMS) / freedom)
     rate = _beside(drift, np.gradient(force_n, time_s))
-    way_share = _share(np.stack([pressed, rate], axis=1), away)
+    way_share = _share((pressed, rate), away)
     turns = _turns(away, 0.5 * deviation)
-    return _Slope(
-        float(found[0]) / deviation, half / deviation, _share(columns, pressed), way_share, frequency_hz, turns
-    )
+    return _Slope(found[0] / deviation, half / deviation, _share(columns, pressed), way_share, frequency_hz, turns)
 
 
 def _frequency_hz(time_s: Series, way_m: Series) -> float:
     """Return the frequency of a swing that is as fast for its size as a motion."""
-    away = _beside(np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1), way_m)
+    away = _beside((np.ones_like(time_s), time_s - time_s.mean()), way_m)
     speed = np.diff(away) / np.maximum(np.diff(time_s), 1e-9)
     size = float(away.std())
     return float(np.sqrt(np.mean(speed * speed))) / size / (2.0 * math.pi) if size > 0.0 else 0.0
 
 
-def _beside(drift: Series, values: Series) -> Series:
+def _beside(drift: Sequence[Series], values: Series) -> Series:
     """Return what a drift leaves of values."""
-    found, *_ = np.linalg.lstsq(drift, values, rcond=None)
-    return np.asarray(values - drift @ found, dtype=np.float64)
+    return regression(drift, values)[1]
 
 
-def _share(columns: Series, values: Series) -> float:
+def _share(columns: Sequence[Series], values: Series) -> float:
     """Return the share of the variance of values that columns explain; 0 where there is none."""
-    whole = float(values @ values)
-    scale = np.maximum(columns.std(axis=0), 1e-300)
-    found, *_ = np.linalg.lstsq(columns / scale, values, rcond=None)
-    left = values - (columns / scale) @ found
-    return 1.0 - float(left @ left) / whole if whole > 0.0 else 0.0
+    whole = float((values * values).sum())
+    left = regression(columns, values)[1]
+    return 1.0 - float((left * left).sum()) / whole if whole > 0.0 else 0.0
 
 
 def _turns(away: Series, least: float) -> int:

@@ -65,6 +65,20 @@ def curve() -> None:
     raise TelenanoError(_function("telenano_lab.microscopy.curve_fit:fit_curve")(ways, shape).refused)  # type: ignore[attr-defined]
 
 
+def felt() -> None:
+    fits = importlib.import_module("telenano.analysis.felt_stiffness")
+    time_s = np.arange(0.0, 10.0, 0.05)
+    draw = np.random.default_rng(1)
+    tip = np.stack([time_s, 1e-9 * np.sin(time_s), 2e-8 * np.sin(time_s)])
+    # The hand swings, and its force swings at another frequency.
+    hand = np.stack(
+        [time_s, 1e-3 * np.sin(3.0 * time_s), np.cos(5.0 * time_s) + 0.1 * draw.standard_normal(len(time_s))]
+    )
+    raise TelenanoError(
+        str(_function("telenano.analysis.felt_stiffness:felt_over")(hand, tip, 100.0, fits.SampleFacts()))
+    )
+
+
 def psychometric() -> None:
     model = importlib.import_module("telenano_lab.experiments.psychophysics.function").Psychometric()
     found = _function("telenano_lab.experiments.psychophysics.fit:fit")([(float(n), True) for n in range(20)], model)
@@ -117,6 +131,7 @@ ESTIMATORS: dict[str, tuple[Callable[[], None], str]] = {
     "psychometric function": (psychometric, "threshold None, low None, high None"),
     "loss of a tapping contact by phase and amplitude": (phase, "1 spans of"),
     "place and radius of a particle in an image": (particle, "clusters .*True"),
+    "stiffness that the hand feels": (felt, "moved otherwise than its force says"),
     "delay of a line": (delay, "apart in .*10-s windows"),
     "clocks of two sites": (clocks, r"drift 0\.0"),
 }

@@ -51,7 +51,7 @@ COMMANDS: Mapping[str, str] = {
     "law list": "law list",
     "law show": "law show wave",
     "new": "new law my_law --out {out}/made",
-    "bag merge": "bag merge {parts} --out {out}/made.mcap",
+    "bag merge": "bag merge --same-session {parts} --out {out}/made.mcap",
     "link fit": "link fit {log} --out {out} --anyway",
     "scan": "scan --pixels 4 --lines 4 --out {out}",
     "bag plot": "bag plot {demo} afm/state.tip_force_n --out {out}/made.png",

@@ -13,7 +13,7 @@ from telenano.wire.extras import how_to_add_package
 
 
 def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing: entries.Loaded[Any] = entries.Loaded({}, {})
+    nothing: entries.LoadedEntries[Any] = entries.LoadedEntries({}, {})
     monkeypatch.setattr(entries, "load", lambda *given: nothing)
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})

@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.lockstep import Trajectory
+from telenano.numerics import regression
 from telenano_lab.studies.loops.cells import Cell, course_of, run_cell, scales_of
 
 Series = npt.NDArray[np.float64]
@@ -299,9 +300,8 @@ def tone(time_s: Series, values: Series, frequency_hz: float) -> tuple[complex, 
         frequency_hz: The frequency of the swing [Hz].
     """
     omega, off = 2.0 * math.pi * frequency_hz, time_s - time_s.mean()
-    columns = np.stack([np.cos(omega * time_s), np.sin(omega * time_s), np.ones_like(off), off], axis=1)
-    found, *_ = np.linalg.lstsq(columns, values, rcond=None)
-    return complex(found[0], -found[1]), values - columns @ found
+    found, left = regression((np.cos(omega * time_s), np.sin(omega * time_s), np.ones_like(off), off), values)
+    return complex(found[0], -found[1]), left
 
 
 def _demodulated(course: Trajectory, begin_s: float, cell: Cell, frequency_hz: float) -> _Tones:
