@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.intervals import student
-from telenano.numerics.regression import regression
+from telenano.numerics.least_squares import regression
 from telenano.sections.controller_section import KNOWN_LAWS, LAWS, ControllerConfig
 from telenano.settings.config import section_of
 

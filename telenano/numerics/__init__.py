@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from telenano.numerics.digests import source_digest as source_digest
     from telenano.numerics.discretisation import decay as decay
     from telenano.numerics.frames import to_site_frame as to_site_frame
-    from telenano.numerics.regression import regression as regression
+    from telenano.numerics.least_squares import regression as regression
 else:
     __getattr__, __dir__ = face(__name__)

@@ -107,6 +107,7 @@ COMMANDS: Mapping[str, str] = {
 }
 # Words with which an option acts that does nothing, or is refused, with those of its command.
 ACTS: Mapping[str, str] = {
+    "bag split --size": "bag split {demo} --out {out} --size 400000",
     "simulate --overwrite": COMMANDS["simulate"],
     "bag diff --topics": "bag diff {raw} {again}",
     "bag diff --exclude": "bag diff {raw} {again}",

@@ -59,7 +59,7 @@ class Host:
 
     def configure(self) -> wire.Limits:
         self.send(wire.encode_config, self.session, LIMITS)
-        (configured,) = [answer for answer in self.pass_ms(5) if isinstance(answer, wire.Configured)]
+        (configured,) = [answer for answer in self.pass_ms(5) if isinstance(answer, wire.ConfigAnswer)]
         return configured.limits
 
     def command(self, mode: int, position: int = 0, force: int = 0) -> wire.HandleState:

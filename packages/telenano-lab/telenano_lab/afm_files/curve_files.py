@@ -73,7 +73,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
         path: The file.
         stiffness: The spring constant [N/m] in place of that of the file, as text.
         sensitivity: The sensitivity [m/V] likewise.
-        table: What a person says of a text table (`text_curves.Said`), as JSON.
+        table: What a person says of a text table (`text_curves.TableOptions`), as JSON.
         report: The descriptor that takes the advance.
     """
     constants = _given(stiffness, sensitivity)
