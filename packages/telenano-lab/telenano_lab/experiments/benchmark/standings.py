@@ -25,7 +25,7 @@ _ABOUT = (
 )
 
 
-class Stood(NamedTuple):
+class Stood(msgspec.Struct, frozen=True):
     """A law in a situation: its runs, what came of them, and whether it is behind the best."""
 
     law: str
@@ -38,7 +38,7 @@ class Stood(NamedTuple):
 
     def as_dict(self) -> dict[str, object]:
         """Return the law as plain data."""
-        return self._asdict()
+        return msgspec.structs.asdict(self)
 
 
 class Standings(NamedTuple):
@@ -71,21 +71,11 @@ def text_of(standings: Standings) -> str:
     return head + ',\n "situations": [\n' + ",\n".join(situations) + "\n ]\n}\n"
 
 
-class _Law(msgspec.Struct):
-    law: str
-    runs: int
-    held: int
-    sound: int | None
-    made_energy: int | None
-    tracking_error: float | None
-    is_behind: bool
-
-
 class _Place(msgspec.Struct):
     line: str
     instrument: str
     sample: str
-    laws: list[_Law]
+    laws: list[Stood]
 
 
 class _Table(msgspec.Struct):
@@ -105,12 +95,7 @@ def read_standings(path: Path = TABLE) -> Standings:
         table = msgspec.json.decode(path.read_bytes(), type=_Table)
         if table.benchmark != VERSION:
             raise ValueError(f"it is of benchmark {table.benchmark}, and this is benchmark {VERSION}")
-        situations = {
-            Situation(place.line, place.instrument, place.sample): [
-                Stood(*msgspec.structs.astuple(law)) for law in place.laws
-            ]
-            for place in table.situations
-        }
+        situations = {Situation(place.line, place.instrument, place.sample): place.laws for place in table.situations}
     except (OSError, msgspec.MsgspecError, ValueError) as error:
         raise ConfigError(f"{path}: the table cannot be used: {error}; install the package anew") from error
     return Standings(situations, table.digest)
