@@ -270,7 +270,7 @@ class _Means:
     """Means of samples over `MEAN_S`, of the newest `WINDOW_S`."""
 
     def __init__(self) -> None:
-        # time [s], way [m], force [N], and of how many samples each is the sum
+        # Each row has sums of time [s], way [m] and force [N], and the number of samples in them.
         self._sums: deque[list[float]] = deque()
         self._place = -1
 

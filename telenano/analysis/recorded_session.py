@@ -224,14 +224,16 @@ class Session:
         document = LoadedScenario.attached(recording.path, recording.attachments).scenario
         origin = f"{recording.path}: scenario.yaml"
         controller = validate(ControllerConfig, document.controller_in_force, origin, "controller")
-        turns = laws_in_turn(recording, self.start_ns, self.end_ns) or [(0.0, controller.law)]
+        turns = [(0.0, law) for law in self.conditions["law"]]
+        if len(turns) > 1:
+            # When one law followed another one is read only where there were several.
+            turns = laws_in_turn(recording, self.start_ns, self.end_ns)
         ends_s = [from_s for from_s, _ in turns[1:]] + [self.duration_s]
-        spans = []
-        for (from_s, law), to_s in zip(turns, ends_s, strict=True):
-            scale, reason = scale_of(controller, law)
-            if changes_scale(self.conditions["changed"]):
-                scale, reason = None, SCALE_CHANGED.reason
-            spans.append(Span(from_s, to_s, scale, reason))
+        is_changed = changes_scale(self.conditions["changed"])
+        spans = [
+            Span(from_s, to_s, *((None, SCALE_CHANGED.reason) if is_changed else scale_of(controller, law)))
+            for (from_s, law), to_s in zip(turns, ends_s, strict=True)
+        ]
         coupled = self.touches() & np.isin(self.tip["mode"], ("follow",))
         if series.hand_time_s.size:
             is_on = np.searchsorted(series.hand_time_s, series.tip_time_s).clip(0, series.hand_time_s.size - 1)

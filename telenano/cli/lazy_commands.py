@@ -261,11 +261,9 @@ MEANT = {
     **dict.fromkeys(("ping", "latency", "delay"), _AGES),
     **dict.fromkeys(("gui", "web", "ui", "page"), _PAGE),
     "ls": "`telenano bag list` has the recordings of this folder, and `telenano scenario list` the experiments",
-    "logs": "each node of a session writes its log to the folder `logs` beside its recording",
-    "log": "each node of a session writes its log to the folder `logs` beside its recording",
+    **dict.fromkeys(("log", "logs"), "each node of a session writes its log to the folder `logs` beside its recording"),
     "test": "`telenano doctor` tests this machine, and `telenano device trial` a device",
-    "head": "`telenano bag cat FILE` prints the messages of a recording",
-    "dump": "`telenano bag cat FILE` prints the messages of a recording",
+    **dict.fromkeys(("head", "dump"), "`telenano bag cat FILE` prints the messages of a recording"),
     "import": "`telenano sample import` reads a surface, and `telenano inspect FILE` says what is in a file",
     **dict.fromkeys(
         ("arm", "couple", "mark"),

@@ -138,10 +138,11 @@ def usage_text(error: Any) -> str:
     option = getattr(error, "option_name", "") if message.lower().startswith("no such option") else ""
     if path in (" up", " simulate") and (meant := _MEANT.get(option) or _meant_option(error.ctx.command, option)):
         message = f"{message.partition('; ')[0]}: {meant}"
-    if not path and option in ("--verbose", "-v"):
-        message = f"{message}: {_MEANT[option]}"
-    elif not path and option in (of_up := _long_options(error.ctx.command.command_at("up"))):
-        message = f"{message.partition('; ')[0]}: it stands behind a command, as in `telenano up fig12 {of_up[option]}`"
+    if not path and option:
+        of_up = _long_options(error.ctx.command.command_at("up"))
+        behind = f"it stands behind a command, as in `telenano up fig12 {of_up[option]}`" if option in of_up else ""
+        if meant := behind or _MEANT.get(option, ""):
+            message = f"{message.partition('; ')[0]}: {meant}"
     if path in (" up", " simulate") and (setting := re.search(r"extra argument\S* \(([\w.]+=\S*?)[ )]", message)):
         message = f"{message}: a key of the scenario is changed by --set {setting[1]}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"

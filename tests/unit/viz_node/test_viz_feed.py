@@ -301,7 +301,7 @@ def test_the_limit_of_a_guard_comes_with_the_node_that_has_one_and_with_no_other
     nodes = feed.take()["nodes"]
     assert nodes["afm_node@slave"]["force_limit_n"] == 1.5e-7
     assert "force_limit_n" not in nodes["haptic_node@master"]
-    # what was recorded before the key was there has none
+    # A report that was recorded before the key was there has none.
     old = {key: value for key, value in golden("node/health").items() if key != "force_limit_n"}
     feed.record(SeenMessage("node/health", "afm_node@slave", START_NS, old))
     assert "force_limit_n" not in feed.take()["nodes"]["afm_node@slave"]

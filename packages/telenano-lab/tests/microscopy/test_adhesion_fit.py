@@ -180,7 +180,7 @@ def covered(curve: Curve, config: AfmConfig, kind: str, seeds: int, size: float 
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_300_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str) -> None:
     shares = covered(curve, SOFT, kind, 300)
-    # what docs/force-curves.md states
+    # These are the shares that docs/force-curves.md states.
     assert all(0.93 <= share <= 0.975 if kind == "white" else share >= 0.9 for share in shares), shares
 
 

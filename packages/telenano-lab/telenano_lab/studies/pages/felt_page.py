@@ -135,7 +135,7 @@ def markdown() -> str:
     return text
 
 
-# what the command took
+# The command took so much time of one processor [min].
 MINUTES = 8
 
 
