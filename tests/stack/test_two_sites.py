@@ -210,13 +210,21 @@ def test_a_listener_reads_everything_of_a_rig_without_encryption(tmp_path: Path)
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoSites]:
+def sites(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoSites]:
     found = TwoSites(tmp_path_factory.mktemp("two_sites"), guest=True)
     found.master.lean = found.slave.lean = True
     try:
         yield found
     finally:
         found.close()
+
+
+@pytest.fixture
+def rig(sites: TwoSites) -> TwoSites:
+    """Give both sites in a session, which begins here where the test of a late start does not run."""
+    if sites.master.process is None:
+        sites.start("--duration", "3600", "--set", CONSTANT_PUSH)
+    return sites
 
 
 def process_of(site: Site, node: str) -> int:
@@ -265,16 +273,16 @@ def clients(rig: TwoSites, known: tuple[str, str, str], *strangers: tuple[str, s
     return int(received), [int(process.communicate(timeout=90)[0].split()[0]) for process in trying]
 
 
-def test_a_listener_reads_what_is_not_encrypted(rig: TwoSites, tmp_path: Path) -> None:
+def test_a_listener_reads_what_is_not_encrypted(sites: TwoSites, tmp_path: Path) -> None:
     """Show that the listener of the last test would read the messages if it could."""
     processes = [
-        site.python(text, SLAVE, "5799") for site, text in ((rig.slave, PLAIN_SENDER), (rig.master, PLAIN_RECEIVER))
+        site.python(text, SLAVE, "5799") for site, text in ((sites.slave, PLAIN_SENDER), (sites.master, PLAIN_RECEIVER))
     ]
     try:
         for process, line in zip(processes, ("bound\n", "received\n"), strict=True):
             assert process.stdout is not None
             assert process.stdout.readline() == line
-        seen = sniff(rig.slave, LISTENED_S, tmp_path / "wire")
+        seen = sniff(sites.slave, LISTENED_S, tmp_path / "wire")
     finally:
         for process in processes:
             process.kill()
@@ -284,18 +292,18 @@ def test_a_listener_reads_what_is_not_encrypted(rig: TwoSites, tmp_path: Path) -
 
 @pytest.mark.check("takes 11 s")
 @pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/", "services/delay_node/")
-def test_late_start_of_the_slave_is_waited_for(rig: TwoSites) -> None:
-    rig.master.start("--duration", "3600", "--set", CONSTANT_PUSH)
-    reported_s = rig.wait_until(
-        lambda: rig.master.has_log("delay_node@master", "afm_node@slave has not been reached at tcp://"),
+def test_late_start_of_the_slave_is_waited_for(sites: TwoSites) -> None:
+    sites.master.start("--duration", "3600", "--set", CONSTANT_PUSH)
+    reported_s = sites.wait_until(
+        lambda: sites.master.has_log("delay_node@master", "afm_node@slave has not been reached at tcp://"),
         "the word that the slave is not reached",
     )
     record("the slave's address is not reached", "reported 5 s after the start of the link, with address and machine")
     assert reported_s > 4.0
-    assert not rig.running()
-    assert "afm_node@slave" in rig.master.log.read_text()
-    rig.slave.start()
-    began_s = rig.wait_until(rig.running, "a session that begins by itself")
+    assert not sites.running()
+    assert "afm_node@slave" in sites.master.log.read_text()
+    sites.slave.start()
+    began_s = sites.wait_until(sites.running, "a session that begins by itself")
     record(
         "the slave's site starts late", f"the session began by itself, {began_s:.0f} s after the slave's start command"
     )
@@ -493,9 +501,6 @@ def arrivals(rig: TwoSites, since_ns: int) -> list[int]:
 
 @pytest.mark.parametrize("seconds", [5, pytest.param(60, marks=pytest.mark.endurance)])
 def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, seconds: int) -> None:
-    # the long one is the only one of this rig in `make endurance`
-    if rig.master.process is None:
-        rig.start("--duration", "600")
     take_up_again(rig)
     fault = Fault(rig)
     rig.cable.pull()
@@ -527,8 +532,6 @@ def test_an_end_of_the_link_that_stands_still_leaves_both_sides_safe_and_comes_b
     rig: TwoSites, node: str, seconds: int
 ) -> None:
     """A process that is stopped keeps its sockets and its keys: what waited in them meanwhile may not be obeyed."""
-    if rig.master.process is None:
-        rig.start("--duration", "1200")
     take_up_again(rig)
     site = rig.master if node.endswith("@master") else rig.slave
     process_id = process_of(site, node)
