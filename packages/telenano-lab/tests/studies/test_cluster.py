@@ -185,15 +185,18 @@ def keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 STRANGER = """
 import os, sys
 from dask.distributed import Client
-with Client(sys.argv[1], timeout="5s") as stranger:
-    print(stranger.run_on_scheduler(os.getpid))
+try:
+    with Client(sys.argv[1], timeout="5s") as stranger:
+        print(stranger.run_on_scheduler(os.getpid))
+except (OSError, ValueError, TypeError):
+    print("refused")
 """
 
 
-def asks(address: str) -> "subprocess.CompletedProcess[str]":
-    """Have a program with the environment of this one ask a scheduler for its process."""
+def answer(address: str) -> str:
+    """Return what a program with the environment of this one is told that asks a scheduler for its process."""
     command = [sys.executable, "-c", STRANGER, address]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S).stdout.strip()
 
 
 def test_with_tls_a_study_runs_and_a_stranger_is_refused(
@@ -208,14 +211,11 @@ def test_with_tls_a_study_runs_and_a_stranger_is_refused(
         dask.config.refresh()
         found = sweep_of(tmp_path, cluster.address).run(CELLS[:4])
         assert [result.cell for result in found] == CELLS[:4]
-        assert asks(cluster.address).stdout.split() == [str(cluster.scheduler.pid)]
+        assert answer(cluster.address) == str(cluster.scheduler.pid)
         for key in keys:
             monkeypatch.delenv(key)
         for address in (cluster.address, cluster.address.replace("tls", "tcp")):
-            refused = asks(address)
-            assert refused.returncode != 0, address
-            assert refused.stdout == ""
-            assert refused.stderr.splitlines()[-1].startswith(("OSError:", "ValueError:", "TypeError:")), refused.stderr
+            assert answer(address) == "refused", address
     finally:
         cluster.close()
         for key in keys:
