@@ -1,1 +1,1 @@
-"""Images and force curves: of the simulated instrument in simulated time, and of the instrument of a running rig."""
+"""Images and force curves, from the simulated instrument in simulated time or from the instrument of a running rig."""

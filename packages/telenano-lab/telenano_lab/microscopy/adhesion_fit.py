@@ -1,16 +1,15 @@
 """Radius of the tip and work of adhesion from the contact part of a force curve, with their uncertainties.
 
 The retraction from the load to the pull-off is compared with Maugis and Dugdale's contact (Eq. 7-11, E5, E6) at the
-reduced modulus of the configuration, and with the constant pull of the meniscus in contact (E4) where there is one.
-The model is followed as the instrument does, in equilibrium with the spring at each base, so that noise of the
-deflection is noise of the force and of nothing else. Free are the radius R, the work of adhesion w and the place of
-the surface, and with them the zero of the force and its drift in time, which the end of the retraction, away from the
-sample, tells.
+reduced modulus of the configuration, plus the constant pull of the meniscus in contact (E4) where there is one. As in
+the instrument, the model is in equilibrium with the spring at each base, so noise of the deflection enters the force
+alone. The free parameters are the radius R, the work of adhesion w and the place of the surface, and also the zero of
+the force and its drift in time, which the end of the retraction, away from the sample, determines.
 
-The noise need not be white: it is taken for white noise and a wander that forgets itself within a correlation time,
-whose sizes are those of the greatest restricted likelihood (`correlated_noise`). The uncertainties are those of
-generalized least squares with that noise. They do not know of an error of the spring constant, of the modulus or of the
-model, and grow where the curve hardly tells R and w apart.
+The noise need not be white: it is modelled as white noise plus noise with a finite correlation time, whose sizes
+maximize the restricted likelihood (`correlated_noise`). The uncertainties are those of generalized least squares with
+that noise, and grow where the curve hardly distinguishes R from w. They exclude errors of the spring constant, of the
+modulus and of the model.
 """
 
 import math
@@ -39,16 +38,16 @@ _LEAST_POINTS = 12
 _GRID = 600
 # The fit begins at each of these shifts of the contact point.
 _SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
-# next to the pull-off the contact may end a little earlier or later than the model's
+# This share of the contact before the pull-off is left out: it may end a little earlier or later than in the model.
 _LEFT_OUT = 0.03
-# The fit looks for values between these bounds.
+# Bounds of the fitted values.
 _RADII_M = (1e-10, 1e-4)
 _WORKS_J_PER_M2 = (1e-6, 10.0)
-# a fit this near to a bound has ended there, as a logarithm
+# A fit this near to a bound, as a difference of logarithms, counts as ended there.
 _AT_BOUND = 0.02
-# The free part is this share of the way after the last jump, at its end: nearer to the sample the tip is attracted.
+# Free of force is this share of the way after the last jump, at its end; nearer to the sample the tip is attracted.
 _FREE_SHARE = 0.6
-# The fit with the noise that was found ends after at most this number of steps.
+# The fit with the estimated noise ends after at most this number of steps.
 _MOST_STEPS = 24
 # The fit has ended when a step changes its parameters by less than this share of their errors.
 _ENOUGH = 0.02
@@ -63,10 +62,10 @@ class FittedContact(NamedTuple):
 
 
 class AdhesionFit(NamedTuple):
-    """R [m] and w [J/m^2] with standard errors, scatter about the fit [N], points used, transition parameter lambda.
+    """R [m] and w [J/m^2] with standard errors, scatter about the fit [N], number of points, transition parameter.
 
-    wander_n: standard deviation of the part of the noise that is correlated in time [N]; wander_points: over how many
-    points it is.
+    wander_n: standard deviation of the part of the noise that is correlated in time [N]; wander_points: its correlation
+    length in points. transition: lambda of Maugis.
     """
 
     radius_m: float
@@ -88,7 +87,7 @@ class AdhesionFit(NamedTuple):
 class _Model(NamedTuple):
     modulus_pa: float
     contact_distance_m: float
-    # pull of the meniscus for a radius [N/m]
+    # Pull of the meniscus per radius of the tip [N/m].
     capillary_n_per_m: float
 
 
@@ -99,15 +98,15 @@ def _forces(contact: Any, depths_m: Array, out: Array) -> None:
 
 
 def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None = None) -> AdhesionFit:
-    """Fit radius and work of adhesion to the contact of a curve.
+    """Fit the radius of the tip and the work of adhesion to the contact of a curve.
 
     Args:
         curve: The curve.
-        config: The moduli, Poisson ratios, sigma and meniscus that the contact is taken to have.
-        reduced_modulus: The reduced modulus [Pa], in the place of that of the moduli.
+        config: The source of moduli, Poisson ratios, sigma and meniscus of the contact.
+        reduced_modulus: The reduced modulus [Pa], used instead of that of the moduli.
 
     Raises:
-        ConfigError: The curve has too few points in contact, or has no such contact.
+        ConfigError: The curve has too few points in contact, or the model does not fit it.
     """
     from scipy.optimize import least_squares
 
@@ -118,13 +117,13 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
     radius = config.tip_sample.tip_radius_m
     work = max(-(part.pull_n - model.capillary_n_per_m * radius), 0.05 * -part.pull_n) / (1.75 * math.pi * radius)
     start = np.array([math.log(radius), math.log(work), 0.0])
-    # the point of the curve where it begins, by Hertz
+    # Hertz gives the indentation at the load, and from it the starting place of the surface.
     indentation = (max(load_n, 1e-12) / (4.0 / 3.0 * model.modulus_pa * math.sqrt(radius))) ** (2.0 / 3.0)
     origin = part.deepest_m - indentation
     scale = max(float(np.ptp(force)), 1e-12) * 1e-3
 
     def predicted(free: Array) -> Array:
-        """Return the model's forces in contact, and none away from the sample, in units of `scale`."""
+        """Return the model's forces in contact, and zeros away from the sample, in units of `scale`."""
         return np.concatenate([_predicted(model, free, base - origin, k, load_n), np.zeros(len(part.free_n))]) / scale
 
     def residuals(free: Array) -> Array:
@@ -134,7 +133,7 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         [math.log(_RADII_M[0]), math.log(_WORKS_J_PER_M2[0]), -1e3],
         [math.log(_RADII_M[1]), math.log(_WORKS_J_PER_M2[1]), 1e3],
     )
-    # the end of the contact makes minima of its own where the surface is taken a little too high or too low
+    # The end of the contact makes local minima where the surface is assumed a little too high or too low.
     fits = [
         least_squares(
             residuals,
@@ -176,11 +175,13 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
 def _with_noise(
     predicted: Callable[[Array], Array], free: Array, part: "_Part", scale: float, refusal: str
 ) -> tuple[Array, Array, Noise]:
-    """Return the free values in the noise that the curve has, with their standard errors, and that noise.
+    """Return the free values fitted in the estimated noise, their standard errors, and that noise.
 
-    Each step finds the noise of what is left, and goes by generalized least squares with it; offset and drift of the
-    force are free in each. One that goes back goes half as far, and so do those after it: where the curve hardly tells
-    radius and work apart, whole steps go to and fro over the minimum, and where they end is chance.
+    Each step estimates the noise of the residuals and moves by generalized least squares with it; offset and drift of
+    the
+    force are free in each. A step that reverses the one before is halved, and so are all later ones: where the curve
+    hardly
+    distinguishes radius from work, whole steps would oscillate about the minimum and end anywhere.
     """
     measured = np.concatenate([part.force_n, part.free_n]) / scale
     times = part.place / max(float(part.place[-1]), 1.0)
@@ -195,7 +196,7 @@ def _with_noise(
         noise = correlated_noise(measured - present, np.stack(columns, axis=1), part.place)
         errors = np.sqrt(np.diag(noise.covariance))[2:]
         noise = noise._replace(zero=columns[0] * noise.coefficients[0] + columns[1] * noise.coefficients[1])
-        # a step that is too long for the linear model is cut
+        # A step beyond the range of the linear model is cut.
         move = np.clip(noise.coefficients[2:], -3.0 * errors, 3.0 * errors)
         if (move / errors) @ (before / errors) < 0.0:
             share *= 0.5
@@ -208,7 +209,7 @@ def _with_noise(
 
 
 def _refuse_bounds(free: Array, refusal: str) -> None:
-    """Raise ConfigError where a fit ended at a bound, which it names."""
+    """Raise ConfigError if a fit ended at a bound, and name that bound."""
     found = (("radius", _RADII_M, "m"), ("work of adhesion", _WORKS_J_PER_M2, "J/m^2"))
     for value, (name, bounds, unit) in zip(free[:2].tolist(), found, strict=True):
         low, high = math.log(bounds[0]) + _AT_BOUND, math.log(bounds[1]) - _AT_BOUND
@@ -268,19 +269,19 @@ def _contact_part(curve: Curve) -> _Part:
 
 
 def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float) -> Array:
-    """Return the forces [N] in equilibrium with a spring k [N/m] at bases [m] whose zero is near the surface's."""
+    """Return the forces [N] in equilibrium with a spring k [N/m] at bases [m] measured from near the surface."""
     radius, work = math.exp(free[0]), math.exp(free[1])
     contact = _contact(model, radius, work)
     dry_n = max(load_n - model.capillary_n_per_m * radius, 0.0)
     deepest = contact.indentation_m(1.2 * dry_n + 0.1 * contact.force_unit_n)
     _, first = contact.pull_off()
-    # fine where the contact ends
+    # The grid is finest where the contact ends.
     depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
     forces = np.empty(_GRID)
     compiled_form(_forces)(contact, depths, forces)
     forces += model.capillary_n_per_m * radius
     bases = np.maximum.accumulate(depths + free[2] * 1e-9 + forces / k)
-    # beyond both ends along the spring, so that the fit is led back
+    # Beyond both ends the force continues along the spring, which leads the fit back.
     predicted = np.interp(base, bases, forces)
     predicted += np.where(base > bases[-1], (base - bases[-1]) * k, 0.0)
     return np.asarray(predicted + np.where(base < bases[0], (base - bases[0]) * k, 0.0))

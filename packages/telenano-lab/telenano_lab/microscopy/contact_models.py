@@ -2,9 +2,9 @@
 
     F = k (x - x0 - d),   F = F(d)
 
-x is the place of the base towards the sample, x0 the one at which the tip, not bent, touches the surface, not indented,
-d the indentation and k the spring constant. Both F and d are functions of one variable s, so that the place of the base
-is one too, which is inverted by Newton's steps between bounds. E* is the reduced modulus, R the radius of the tip:
+x is the place of the base towards the sample, x0 the one at which the undeflected tip touches the undeformed surface, d
+the indentation and k the spring constant. F and d are functions of one variable s, and so is the place of the base,
+which is inverted by Newton steps between bounds. E* is the reduced modulus, R the radius of the tip:
 
 | model | s | d | F | source |
 |---|---|---|---|---|
@@ -13,11 +13,11 @@ is one too, which is inverted by Newton's steps between bounds. E* is the reduce
 | dmt | sqrt(d) | s^2 | that of Hertz, less the pull-off | B. V. Derjaguin and others, JCIS 53 (1975) 314 |
 | jkr | sqrt(a) | s^4/R - sqrt(4 P/(3 R E*)) s | K s^6 - 2 sqrt(K P) s^3, K = 4 E*/(3 R) | K. L. Johnson, 1971 |
 
-a is the radius of the contact and P the pull-off, 2 pi w R of DMT and 3/2 pi w R of JKR. A sample of the thickness h on
-a hard ground, to which it is bonded, presses more than Hertz, by the factor 1 + 1.133 c + 1.283 c^2 + 0.769 c^3 +
-0.0975 c^4 with c = sqrt(R d)/h, for a Poisson ratio of 0.5 (E. K. Dimitriadis and others, Biophys. J. 82 (2002) 2798).
+a is the radius of the contact and P the pull-off, 2 pi w R of DMT and 3/2 pi w R of JKR. A sample of thickness h bonded
+to a hard ground presses more than Hertz, by the factor 1 + 1.133 c + 1.283 c^2 + 0.769 c^3 + 0.0975 c^4 with
+c = sqrt(R d)/h, for a Poisson ratio of 0.5 (E. K. Dimitriadis and others, Biophys. J. 82 (2002) 2798).
 
-Everything here is arithmetic and square roots, in one order, so that every processor gives the same bits.
+The code uses only arithmetic and square roots in a fixed order, so that every processor gives the same bits.
 """
 
 import math
@@ -38,9 +38,9 @@ _ENOUGH = 1e-13
 
 
 class Contact(NamedTuple):
-    """A contact: number of the model, R [m], tangent of the half angle, spring [N/m], E* [Pa], pull-off [N], 1/h [1/m].
+    """A contact: model number, R [m], tangent of the half angle, spring constant [N/m], E* [Pa], pull-off [N], 1/h.
 
-    per_thickness_per_m is 0 for a sample that is thick.
+    per_thickness_per_m is 1/h [1/m], 0 for a thick sample.
     """
 
     model: int
@@ -54,7 +54,7 @@ class Contact(NamedTuple):
 
 @compiled
 def at(contact: Contact, s: float) -> tuple[float, float, float, float]:
-    """Return indentation [m] and force [N] at a value of s, and what they change by with s."""
+    """Return indentation [m] and force [N] at a value of s, and their derivatives by s."""
     e, r = contact.modulus_pa, contact.radius_m
     if contact.model == 1:
         b = 2.0 / math.pi * e * contact.tangent
@@ -81,17 +81,18 @@ def at(contact: Contact, s: float) -> tuple[float, float, float, float]:
 
 @compiled
 def _base(contact: Contact, s: float) -> tuple[float, float]:
-    """Return the place of the base from the touch [m] at a value of s, and what it changes by with s."""
+    """Return the place of the base from the touch [m] at a value of s, and its derivative by s."""
     depth, force, depth_slope, force_slope = at(contact, s)
     return depth + force / contact.stiffness_n_per_m, depth_slope + force_slope / contact.stiffness_n_per_m
 
 
 @compiled
 def end_of(contact: Contact) -> float:
-    """Return the s at which the contact ends on the way back: 0, or where JKR's has no equilibrium any more."""
+    """Return the s at which the contact ends on the way back: 0, or for JKR the end of its equilibria."""
     if contact.model != 3 or not contact.pull_off_n > 0.0:
         return 0.0
-    # beyond the radius of the greatest pull, to the fourth part of which a displaced contact goes at the least
+    # The upper bound is the contact radius of the greatest pull; under controlled displacement the contact ends below
+    # it.
     high = math.sqrt(_cube_root(contact.pull_off_n * 3.0 * contact.radius_m / (4.0 * contact.modulus_pa)))
     low = 0.0
     for _ in range(200):
@@ -105,7 +106,7 @@ def end_of(contact: Contact) -> float:
 
 @compiled
 def _cube_root(value: float) -> float:
-    """Return the cube root of a positive number, by Newton's steps: of arithmetic alone."""
+    """Return the cube root of a positive number by Newton steps, using arithmetic alone."""
     guess = 1.0
     while guess * guess * guess < value:
         guess *= 2.0
@@ -120,8 +121,9 @@ def _cube_root(value: float) -> float:
 def forces(contact: Contact, touch_m: float, base_m: Array, out_n: Array, depth_m: Array) -> None:
     """Fill the forces [N] and indentations [m] at places of the base [m]; before the touch both are 0.
 
-    A contact that pulls is followed on its way back to where it ends. Beyond that the force falls ever faster, at first
-    not at all: a fit whose contact ends before that of the curve is led back, over no edge.
+    An adhesive contact is followed on its way back to its end. Beyond that the force falls quadratically from the end,
+    so
+    that a fit whose contact ends before that of the curve is led back without an edge.
     """
     k, count = contact.stiffness_n_per_m, base_m.shape[0]
     soft_m = 0.02 * abs(base_m[count - 1] - base_m[0]) + 1e-15

@@ -1,17 +1,18 @@
-"""Linear regression in noise that is partly white and partly wanders: the noise by restricted likelihood, then GLS.
+"""Linear regression in noise that is partly white and partly correlated: restricted likelihood, then GLS.
 
-The covariance of two points at the indices i and j is v (1 [i = j] + r exp(-|i - j| / T)): white noise, and one of
-Ornstein and Uhlenbeck. The ratio r and the correlation T are weighted by the restricted likelihood (H. D. Patterson, R.
-Thompson, Biometrika 58 (1971) 545), which counts what the regression itself takes out of the noise. A drift slower than
-the record looks like a wander whose T is as long, and a random walk like one whose T is many records. A residual alone
-would be believed to be white, and the errors be too small by the square root of how many points hang together.
+The covariance of two points at the indices i and j is v (1 [i = j] + r exp(-|i - j| / T)): white noise plus an
+Ornstein-Uhlenbeck process, called the wander. The ratio r and the correlation length T are weighted by the restricted
+likelihood (H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545), which allows for the degrees of freedom that the
+regression itself uses. A drift slower than the record looks like a wander whose T is as long as the record, a random
+walk like one whose T is many records. Assuming white residuals would make the errors too small by the square root of
+the number of points that are correlated.
 
-One record hardly tells how strong its slowest wander is. So an error is the mean over what the noise may be, and no
-less than that of the least favourable noise whose likelihood is within exp(2) of the greatest (the support of A. W. F.
-Edwards, Likelihood, 1972, ch. 5).
+One record hardly determines how strong its slowest wander is. So an error is the mean over all candidate noises, but
+no less than that of the least favourable noise whose likelihood is within exp(2) of the greatest (the support of A. W.
+F. Edwards, Likelihood, 1972, ch. 5).
 
-A wander of this kind remembers its last value only. So each point less what those before it tell of it, over its own
-deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is white, and takes one pass over the points.
+A wander of this kind depends on its last value only. So each point less its prediction from the points before it, over
+its own deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is white, and takes one pass.
 """
 
 import math
@@ -25,11 +26,11 @@ from telenano.numerics import compiled, compiled_form
 
 Array = npt.NDArray[np.float64]
 
-# Correlation as shares of the record, in points no less than _LEAST_POINTS, and ratio of the variances.
+# Candidates: correlation length as shares of the record, at least _LEAST_POINTS, and ratio of the variances.
 _SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _LEAST_POINTS = 2.0
 RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-# noise is believed possible whose log likelihood is so much less than the greatest
+# A noise counts as possible if its log likelihood is at most this much below the greatest.
 _SUPPORT = 2.0
 
 
@@ -48,18 +49,18 @@ class Noise(NamedTuple):
 
 
 def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequence[float] = RATIOS) -> Noise:
-    """Regress values, shape (n,), on columns, shape (n, p), in white noise and a wander over an index that rises, (n,).
+    """Regress values on columns in white noise plus a wander along an ascending index.
 
     Args:
-        values: The values.
-        columns: The columns.
-        index: The index.
-        ratios: Variances of the wander that are possible, in that of the white noise; averages over many points have
-            less white noise, and as much wander.
+        values: The values, shape (n,).
+        columns: The columns, shape (n, p).
+        index: The index, shape (n,), ascending.
+        ratios: Candidate variances of the wander in units of that of the white noise. Averages over many points need
+            greater ones: averaging reduces the white noise and leaves the wander.
 
-    Raises: numpy.linalg.LinAlgError where the columns do not tell the coefficients apart.
+    Raises: numpy.linalg.LinAlgError where the columns do not distinguish the coefficients.
     """
-    # columns of one size: their products must not decide which of them are distinguished
+    # Columns are scaled to one norm: their scales must not decide which of them are distinguished.
     size = np.array([math.sqrt(math.fsum((column * column).tolist())) for column in columns.T])
     if not (np.isfinite(size).all() and size.all()):
         raise np.linalg.LinAlgError("a column is nothing")
@@ -78,9 +79,9 @@ def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequen
         -0.5 * freedom * math.log(v) - log - half
         for v, log, half in zip(variance.tolist(), logs.tolist(), halves.tolist(), strict=True)
     ])  # fmt: skip
-    # before the values are looked at, noise that wanders in some way is as likely as noise that does not
+    # A priori, noise with any wander is as likely as white noise alone.
     gains[1:] -= math.log(len(gains) - 1)
-    # what the noise is like is known no better than the likelihood tells: the mean over all, each with its weight
+    # The noise is known no better than its likelihood: average over all candidates, weighted by it.
     best = int(np.argmax(gains))
     shares = [math.exp(gain) for gain in (gains - gains[best]).tolist()]
     whole = math.fsum(shares)
@@ -91,7 +92,7 @@ def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequen
     for share, found, spread in zip(shares, coefficients - mean, each, strict=True):
         covariance += share / whole * (spread + found[:, None] * found[None, :])
     worst = np.diagonal(each[gains >= gains[best] - _SUPPORT], axis1=1, axis2=2).max(axis=0)
-    # Each coefficient has one factor, so that the covariance stays positive definite.
+    # The factors scale rows and columns alike, so the covariance stays positive definite.
     grown = np.sqrt(np.maximum(worst / np.diagonal(covariance), 1.0)) / size
     deviation = math.sqrt(float(variance[best]))
     return Noise(
@@ -104,9 +105,10 @@ def correlated_noise(values: Array, columns: Array, index: Array, ratios: Sequen
 
 
 def _whitened(values: Array, index: Array, ratio: Array, points: Array) -> tuple[Array, Array]:
-    """Return values, shape (n, p), as they are in white noise of the variance 1, for each of m kinds of noise.
+    """Return values, shape (n, p), whitened to the variance 1 for each of m candidate noises.
 
-    Returns: those, shape (m, n, p), and half the logarithm of the determinant of the covariance, shape (m,).
+    Returns: the whitened values, shape (m, n, p), and half the logarithm of the determinant of the covariance, shape
+    (m,).
     """
     count, width = values.shape
     white, logs = np.empty((len(ratio), count, width)), np.zeros(len(ratio))
@@ -117,7 +119,7 @@ def _whitened(values: Array, index: Array, ratio: Array, points: Array) -> tuple
 
 @compiled
 def _whiten(values: Array, steps: Array, ratio: Array, points: Array, white: Array, logs: Array) -> None:
-    """Fill white, shape (m, n, p), and logs, shape (m,); the points one after another, on every processor alike."""
+    """Fill white, shape (m, n, p), and logs, shape (m,); the order of the points is fixed, so all processors agree."""
     count, width = values.shape
     expected = np.zeros(width)
     for kind in range(ratio.shape[0]):
@@ -126,7 +128,7 @@ def _whiten(values: Array, steps: Array, ratio: Array, points: Array, white: Arr
         for column in range(width):
             expected[column] = 0.0
         for i in range(count):
-            # the points of a record are mostly as far apart as those before
+            # Most points have the same distance as the two before, so the exponential is reused.
             if steps[i] != before:
                 before = steps[i]
                 kept = math.exp(-before / points[kind])
@@ -138,7 +140,7 @@ def _whiten(values: Array, steps: Array, ratio: Array, points: Array, white: Arr
                 innovation = values[i, column] - ahead
                 white[kind, i, column] = innovation * root
                 expected[column] = ahead + gain * innovation
-            # a logarithm for many points at once
+            # The product needs one logarithm for many points.
             product *= total
             if product > 1e200:
                 total_log += math.log(product)
@@ -149,10 +151,10 @@ def _whiten(values: Array, steps: Array, ratio: Array, points: Array, white: Arr
 
 @compiled
 def _regress(white: Array, coefficients: Array, inverse: Array, squares: Array, halves: Array) -> bool:
-    """Regress the last column of white, shape (m, n, p + 1), on the others; return whether they are distinguished.
+    """Regress the last column of white, shape (m, n, p + 1), on the others; return False if they are not distinguished.
 
-    It fills the coefficients, shape (m, p), the inverse of the normal matrix, shape (m, p, p), the sum of the squares
-    that are left, shape (m,), and half the logarithm of the determinant of the normal matrix, shape (m,).
+    Fill the coefficients, shape (m, p), the inverse of the normal matrix, shape (m, p, p), the sum of the squared
+    residuals, shape (m,), and half the logarithm of the determinant of the normal matrix, shape (m,).
     """
     kinds, count, width = white.shape
     free = width - 1
@@ -166,7 +168,8 @@ def _regress(white: Array, coefficients: Array, inverse: Array, squares: Array, 
             for row in range(width):
                 for column in range(row + 1):
                     lower[row, column] += white[kind, i, row] * white[kind, i, column]
-        # Cholesky's factor of the normal matrix with the values as its last row: what is left of them stands last
+        # Cholesky factor of the normal matrix with the values as its last row: its last element squared is the residual
+        # sum.
         half = 0.0
         for row in range(width):
             whole = lower[row, row]

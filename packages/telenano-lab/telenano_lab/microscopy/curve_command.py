@@ -1,4 +1,4 @@
-"""`telenano curve`: a force curve in simulated time or of a running rig, its marks, a measured one beside it."""
+"""`telenano curve`: a force curve in simulated time or of a running rig, its marks, and a measured one beside it."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class CurveModel(StrEnum):
-    """Which cantilever is simulated."""
+    """Model of the simulated cantilever."""
 
     QUASI_STATIC = "quasi_static"
     DYNAMIC = "dynamic"
@@ -98,7 +98,7 @@ def curve(
         measured = None if overlay is None else curves.read_measured(overlay, number, flag_overrides(lacking or ()))
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
-        # A curve of a real tip is not lost by a signal that comes while its files are written.
+        # A signal while the files are written must not lose a curve of a real tip.
         with finishing() as finish, results_in(out) as folder:
             if live:
                 curve_taken = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
@@ -115,7 +115,7 @@ def curve(
             fit: dict[str, Any] | None = None
             contact = None
             if measured is not None:
-                # a curve that this contact does not describe is worth a look all the same
+                # A curve that this contact does not describe is still drawn.
                 try:
                     contact = fit_adhesion(measured, config, reduced_modulus)
                     fit = contact.as_dict()
@@ -145,7 +145,7 @@ def _live(
     *,
     as_json: bool,
 ) -> "Curve":
-    """Have a running rig take a curve; RigError when it ended before it was complete."""
+    """Take a curve with a running rig; RigError if it ended before it was complete."""
     from telenano_lab.microscopy.force_curve import curve_of_samples
     from telenano_lab.microscopy.live_program import LiveCurve
 

@@ -1,22 +1,22 @@
-"""Contact point, modulus and adhesion of a force curve, each with a standard error that counts noise which wanders.
+"""Contact point, modulus and adhesion of a force curve, each with a standard error that allows for correlated noise.
 
     curve = MeasuredWays(height_m, force_n, height_m, force_n, stiffness_n_per_m)
     found = fit_curve(curve, ContactShape("hertz", radius_m=30e-9))
     found.modulus_pa, found.modulus_error_pa, found.refused
 
-Hertz and Sneddon are fitted to the whole approach, DMT and JKR to the retraction from the load to shortly before the
-pull-off, and to its end away from the sample. Free are the contact point, the modulus, with DMT and JKR the pull-off,
-and the zero line of the force and its tilt. The model is in equilibrium with the spring at each place of the base
-(`contact_models`), so that noise of the deflection is noise of the force and of nothing else: against a measured
-indentation, in which the same noise stands, a fit of a soft lever is biased. The noise is white and wanders, in a way
-that the residuals tell (`correlated_noise`).
+Hertz and Sneddon are fitted to the whole approach. DMT and JKR are fitted to the retraction from the load to shortly
+before the pull-off, and to its free end away from the sample. The free parameters are the contact point, the modulus,
+the pull-off (DMT and JKR only), the zero line of the force and its tilt. At each place of the base the model is in
+equilibrium with the spring (`contact_models`), so noise of the deflection enters the force alone. A fit against the
+measured indentation, which contains the same noise, would be biased for a soft lever. The noise is white noise plus a
+correlated part, estimated from the residuals (`correlated_noise`).
 
-With Hertz and Sneddon the adhesion is what the retraction pulls with at its last jump: a line or a parabola through the
-points before the jump, with the zero line behind it; of a retraction that comes off without a jump it is the lowest
-point. Where neither is seen the adhesion is 0, and its error such that
-the interval of 95 % reaches to the least jump that would have been seen.
+With Hertz and Sneddon the adhesion is the pull at the last jump of the retraction: a line or parabola through the
+points before the jump, against the zero line behind it. A retraction that comes off without a jump gives the lowest
+point. Where neither is seen the adhesion is 0, and its error is such that the 95 % interval reaches to the least jump
+that would have been seen.
 
-A curve is refused where its figures would be worth nothing: the reason says what was seen, and what can be done.
+A curve whose figures would be worthless is refused; the reason says what was seen and what can be done about it.
 """
 
 import math
@@ -32,41 +32,41 @@ from telenano_lab.microscopy.correlated_noise import RATIOS, Noise, correlated_n
 
 Array = npt.NDArray[np.float64]
 
-# A way is averaged over neighbours to no more than this number of points.
+# Neighbouring points of a way are averaged until at most this number of points is left.
 _MOST_POINTS = 256
-# A fit needs this number of points in contact, and away from the sample.
+# A fit needs at least this number of points in contact, and as many away from the sample.
 _LEAST_POINTS = 10
-# This share of the way, at its end away from the sample, is taken for free until the contact is known.
+# Until the contact is known, this share of the way, at its end away from the sample, counts as free of force.
 _FREE_SHARE = 0.25
-# Next to the pull-off the contact may end a little earlier or later than the model's.
+# This share of the contact before the pull-off is left out: it may end a little earlier or later than in the model.
 _LEFT_OUT = 0.03
-# Points of the contact within this share of it from the end that the model has are left out as well.
+# Points within this share of the contact from the end that the model predicts are left out as well.
 _NEXT_TO_END = {DMT: 0.02, JKR: 0.1}
-# Points before the last jump of a retraction, and behind it, that tell its pull.
+# Number of points before and behind the last jump of a retraction from which its pull is found.
 _BEFORE_JUMP, _BEHIND_JUMP = 24, 120
-# The load, a pull or a jump is seen where it is so many times its noise.
+# A load, a pull or a jump counts as seen where it exceeds its noise by this factor.
 _SEEN = 6.0
-# An error of the modulus above this share of it is refused.
+# A modulus is refused where its standard error exceeds this share of it.
 _GREATEST_SHARE = 0.5
-# A modulus that changes over the depth by more than this share, and by so many errors, is none.
+# A fit is refused where the modulus changes over the depth by more than this share and by more than so many errors.
 _LEAST_CHANGE, _CHANGE_ERRORS = 0.1, 4.0
-# A change of so many errors that is not refused is in the errors of contact point and modulus.
+# A smaller change of more than so many errors is added to the errors of contact point and modulus.
 _DOUBT_ERRORS = 2.0
-# More than this share of the points at the greatest force are a detector at its end.
+# The detector is saturated where more than this share of the points has the greatest force.
 _FLAT_SHARE = 0.05
 _NOISE_STEPS = 6
-# Averages over neighbours have less white noise, and as much that wanders.
+# Averaging over neighbours reduces the white noise and leaves the correlated noise, so greater ratios are possible.
 _OF_AVERAGES = (*RATIOS, 300.0, 1000.0)
-# Places of the touch at which the fit begins are tried at this number of points of the way.
+# Number of contact points along the way that are tried as the start of a fit.
 _STARTS = 80
 
 
 class ContactShape(NamedTuple):
-    """What the contact is taken to be.
+    """The assumed contact of tip and sample.
 
-    model: hertz, sneddon, dmt or jkr. radius_m: of the tip [m], for all but sneddon. half_angle_rad: of the cone [rad],
-    for sneddon. poisson: of the sample. thickness_m: of the sample on a hard ground [m], 0 for a thick one; for hertz
-    and dmt, at a Poisson ratio of 0.5.
+    model: hertz, sneddon, dmt or jkr. radius_m: radius of the tip [m], for all models but sneddon. half_angle_rad: half
+    angle of the cone [rad], for sneddon. poisson: Poisson ratio of the sample. thickness_m: thickness of a sample on a
+    hard ground [m], 0 for a thick one; only with hertz and dmt, and a Poisson ratio of 0.5.
     """
 
     model: str
@@ -76,7 +76,7 @@ class ContactShape(NamedTuple):
     thickness_m: float = 0.0
 
     def checked(self) -> "ContactShape":
-        """Return it; ConfigError names what is missing, or does not go together."""
+        """Return the shape itself; ConfigError names a value that is missing, out of range or unfit for the model."""
         if self.model not in MODELS:
             raise ConfigError(f"model: is {self.model!r}; it must be one of {', '.join(MODELS)}")
         if self.model == "sneddon":
@@ -97,14 +97,14 @@ class ContactShape(NamedTuple):
 
     @property
     def reduced(self) -> float:
-        """What the reduced modulus is of the modulus: 1/(1 - nu^2)."""
+        """Return the ratio of the reduced modulus to the modulus, 1/(1 - nu^2)."""
         return 1.0 / (1.0 - self.poisson * self.poisson)
 
 
 class MeasuredWays(NamedTuple):
-    """Approach and retraction: height of the base, rising away from the sample, ascending [m], force on the tip [N].
+    """Approach and retraction: height of the base [m], ascending away from the sample, and force on the tip [N].
 
-    retract_m and retract_n are empty where there is no retraction.
+    retract_m and retract_n are empty if there is no retraction.
     """
 
     approach_m: Array
@@ -115,7 +115,7 @@ class MeasuredWays(NamedTuple):
 
 
 class FitPicture(NamedTuple):
-    """What was fitted, for a picture: place of the base towards the sample [m], measured and fitted force [N]."""
+    """Data for a picture of a fit: place of the base towards the sample [m], measured and fitted force [N]."""
 
     base_m: Array
     measured_n: Array
@@ -123,12 +123,12 @@ class FitPicture(NamedTuple):
 
 
 class CurveFit(NamedTuple):
-    """The figures of a curve with standard errors, NaN where there are none; `refused` says why, or is empty.
+    """Results of a fit with standard errors, NaN where there are none; `refused` is the reason of a refusal, or empty.
 
-    contact_m: height of the base at which the tip, not bent, touches the surface. modulus_pa: Young's. adhesion_n: the
-    greatest pull. residual_n: root mean square of what the fit leaves. wander_n: deviation of the noise that wanders.
-    indentation_m: the greatest. load_n: the greatest force. modulus_change, modulus_change_error: by which share the
-    modulus changes from no depth to the greatest.
+    contact_m: height of the base at which the undeflected tip touches the surface. modulus_pa: Young's modulus.
+    adhesion_n: greatest pull. residual_n: root mean square of the residuals. wander_n: standard deviation of the
+    correlated noise. indentation_m: greatest indentation. load_n: greatest force. modulus_change, modulus_change_error:
+    share by which the modulus changes from depth zero to the greatest depth.
     """
 
     contact_m: float = math.nan
@@ -148,7 +148,7 @@ class CurveFit(NamedTuple):
     shown: FitPicture | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures by name, without what a picture is drawn from."""
+        """Return the figures by name, without the reason of a refusal and the data for the picture."""
         return {name: value for name, value in self._asdict().items() if name not in ("refused", "shown")}
 
 
@@ -162,14 +162,14 @@ class _Way(NamedTuple):
 
 
 class _RefusedError(Exception):
-    """A curve whose figures would be worth nothing."""
+    """A curve whose figures would be worthless; the message is the reason."""
 
 
 def fit_curve(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
-    """Fit a contact to a curve; a curve that cannot be fitted is returned with the reason.
+    """Fit a contact to a curve; if it cannot be fitted, return a `CurveFit` with the reason in `refused`.
 
     Raises:
-        ConfigError: The shape is no contact, or the spring constant is none.
+        ConfigError: The shape is invalid, or the spring constant is not a positive finite number.
     """
     shape.checked()
     if not 0.0 < curve.stiffness_n_per_m < math.inf:
@@ -250,7 +250,7 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
             f" model {shape.model} does not describe it; {more} may"
         )
     if abs(change.share) > _DOUBT_ERRORS * change.error:
-        # The figures that a fit without the change would give are as likely.
+        # A fit without the change is as likely, so its shift of each figure is added to the errors.
         errors = [math.sqrt(error**2 + moved**2) for error, moved in zip(errors, change.moved, strict=True)]
         if not errors[1] < _GREATEST_SHARE:
             raise _RefusedError(
@@ -269,14 +269,14 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
 
 
 def _way(height_m: Array, force_n: Array, name: str) -> _Way:
-    """Return a way in the order of time, averaged over neighbours; the height is that of the base, rising upwards."""
+    """Return a way in the order of time, averaged over neighbours; height_m rises away from the sample."""
     sound = np.isfinite(height_m) & np.isfinite(force_n)
     base, force = -height_m[sound], force_n[sound]
     if len(base) < 4 * _LEAST_POINTS:
         raise _RefusedError(f"its {name} has {len(base)} valid points; {4 * _LEAST_POINTS} are needed")
     over = -(-len(base) // _MOST_POINTS)
     count = len(base) // over
-    # Points that make no whole average are left out at the end away from the sample, where there are most.
+    # Surplus points that do not fill an average are dropped at the end away from the sample, where points abound.
     cut = slice(len(base) - count * over, None) if base[0] < base[-1] else slice(0, count * over)
     means = []
     for values in (base[cut], force[cut]):
@@ -289,7 +289,7 @@ def _way(height_m: Array, force_n: Array, name: str) -> _Way:
 
 
 def _line(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return the mean of y at the mean of x, the slope, and the deviation about the line."""
+    """Return the mean of y, at the mean of x, the slope of the regression line, and the standard deviation about it."""
     n = len(x)
     mean_x, mean_y = math.fsum(x.tolist()) / n, math.fsum(y.tolist()) / n
     dx, dy = x - mean_x, y - mean_y
@@ -300,7 +300,10 @@ def _line(x: Array, y: Array) -> tuple[float, float, float]:
 
 
 def _free_end(way: _Way, *, turned: bool) -> tuple[float, float]:
-    """Return the zero of the force and its noise at the end of a way that is away from the sample."""
+    """Return the zero of the force and its noise [N], from the end of a way that is away from the sample.
+
+    turned: True for a retraction, whose free end comes last.
+    """
     count = max(int(_FREE_SHARE * len(way.base_m)), _LEAST_POINTS)
     part = slice(-count, None) if turned else slice(0, count)
     zero, _, noise = _line(way.base_m[part], way.force_n[part])
@@ -308,10 +311,10 @@ def _free_end(way: _Way, *, turned: bool) -> tuple[float, float]:
 
 
 def _refuse_flat(force_n: Array, noise_n: float) -> None:
-    """Refuse a curve whose greatest values are all alike, as of a detector at its end."""
+    """Refuse a curve of which too many points share the greatest force, as with a saturated detector."""
     sound = force_n[np.isfinite(force_n)]
     top = int(np.count_nonzero(sound == sound.max()))
-    # a converter of few steps has equal values everywhere
+    # A converter of few bits repeats every value often, not only the greatest.
     _, counts = np.unique(sound, return_counts=True)
     usual = float(np.median(counts))
     if top > max(_FLAT_SHARE * len(sound), 4.0 * usual, 5.0):
@@ -319,7 +322,7 @@ def _refuse_flat(force_n: Array, noise_n: float) -> None:
 
 
 def _refuse_dip(way: _Way, model_n: Array, depth_m: Array, noise_n: float, load_n: float) -> None:
-    """Refuse an approach that is pulled in before it touches, which these models do not have."""
+    """Refuse an approach with an attraction before contact, which Hertz and Sneddon do not describe."""
     left = way.force_n - model_n
     width = 5
     sums = np.zeros(len(left) - width + 1)
@@ -338,14 +341,14 @@ def _refuse_dip(way: _Way, model_n: Array, depth_m: Array, noise_n: float, load_
 
 
 class _Pull(NamedTuple):
-    """The end of the contact on a retraction: place of the base [m] and force [N] of the last points before it."""
+    """The end of the contact on a retraction: mean place of the base [m] and mean force [N] of its last points."""
 
     base_m: float
     force_n: float
 
 
 def _pulling(way: _Way, model: str) -> tuple[_Way, npt.NDArray[np.bool_], _Pull]:
-    """Return the contact of a retraction up to shortly before its pull-off with its end away from the sample."""
+    """Return the contact up to shortly before the pull-off plus the free end, a mask of the contact, the pull-off."""
     zero_n, noise_n = _free_end(way, turned=True)
     pull = _last_in_contact(way)
     depth = zero_n - math.fsum(way.force_n[max(pull - 2, 0) : pull + 1].tolist()) / min(3, pull + 1)
@@ -353,7 +356,7 @@ def _pulling(way: _Way, model: str) -> tuple[_Way, npt.NDArray[np.bool_], _Pull]
         raise _RefusedError(f"its retraction has no pull-off, which {model} needs: take hertz or sneddon")
     last = max(round((1.0 - _LEFT_OUT) * pull), 0)
     count = len(way.base_m)
-    # behind the jump the lever may swing, and nearer to the sample the tip is attracted
+    # Points just behind the jump are left out: there the lever may ring, and nearer to the sample the tip is attracted.
     first = pull + 1 + max(round(0.2 * (count - pull)), 1)
     if last < _LEAST_POINTS or count - first < _LEAST_POINTS:
         raise _RefusedError(
@@ -373,12 +376,12 @@ def _last_in_contact(way: _Way) -> int:
     for place in range(width):
         before = before + force[place : count - 2 * width + 1 + place]
         behind = behind + force[width + place : count - width + 1 + place]
-    # only where the tip pulls: the jump is from below the zero line
+    # The index is the last of the group before the rise.
     return int(np.argmax(behind - before)) + width - 1
 
 
 def _lowest(force: Array, width: int) -> int:
-    """Return the number of the point in the middle of the lowest mean over a few."""
+    """Return the index of the middle point of the group of `width` points that has the lowest mean."""
     sums = np.zeros(len(force) - width + 1)
     for place in range(width):
         sums = sums + force[place : len(force) - width + 1 + place]
@@ -386,9 +389,9 @@ def _lowest(force: Array, width: int) -> int:
 
 
 def _smooth_pull(way: _Way, lowest: int, last: int, noise_n: float) -> tuple[float, float] | None:
-    """Return the greatest pull [N] and its error where a retraction comes off without a jump; None where it jumps.
+    """Return the greatest pull [N] and its error for a retraction that comes off without a jump; None where it jumps.
 
-    A stiff lever follows the contact past its greatest pull: there a parabola goes through the points on both sides.
+    A stiff lever follows the contact past its greatest pull, so a parabola is fitted to the points on both sides of it.
     """
     force, count = way.force_n, len(way.force_n)
     half = min(_BEFORE_JUMP // 2, max(count // 60, 5))
@@ -400,7 +403,7 @@ def _smooth_pull(way: _Way, lowest: int, last: int, noise_n: float) -> tuple[flo
     deep = math.fsum(force[lowest - width // 2 : lowest + width // 2].tolist()) / width
     before = math.fsum(force[max(last + 1 - width, 0) : last + 1].tolist()) / min(width, last + 1)
     zero = math.fsum(force[behind].tolist()) / len(behind)
-    # before its greatest step the force has risen again: the greatest pull is not where a branch ends
+    # Without a jump, the force has risen again before its greatest step, so the greatest pull is no end of a branch.
     if not (lowest < last and before - deep > _SEEN * noise_n and zero - deep > 2.0 * _SEEN * noise_n):
         return None
     chosen = np.concatenate([inside, behind])
@@ -415,9 +418,9 @@ def _smooth_pull(way: _Way, lowest: int, last: int, noise_n: float) -> tuple[flo
 
 
 def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
-    """Return what a retraction pulls with at its last jump [N], and its standard error; 0 where none is seen.
+    """Return the pull of a retraction at its last jump [N] and its standard error; the pull is 0 where no jump is seen.
 
-    An average over neighbours would have the jump in it, so that the points are taken as they are, and near the jump.
+    Only points near the jump are used, and unaveraged, because an average over neighbours would mix both sides of it.
     """
     sound = np.isfinite(curve.retract_m) & np.isfinite(curve.retract_n)
     base, force = -curve.retract_m[sound], curve.retract_n[sound]
@@ -436,7 +439,7 @@ def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
         return 0.0, least_n / 1.96
     chosen = np.concatenate([before, behind])
     is_before = (chosen <= last).astype(np.float64)
-    # the jump is somewhere between two points
+    # The jump lies at an unknown place between two points.
     edge = 0.5 * float(base[last] + base[last + 1])
     x = (base[chosen] - edge) / max(abs(float(base[before[0]]) - edge), 1e-15)
     columns = np.stack([np.ones(len(chosen)), x, is_before, is_before * x, is_before * x * x], axis=1)
@@ -487,7 +490,7 @@ def _start(
 def _start_of_jkr(
     radius_m: float, k: float, pull_n: float, top: tuple[float, float], low_m: float
 ) -> tuple[float, float]:
-    """Return E* [Pa] and touch [m] with which the way from the greatest pull, at low_m, to the top is as measured."""
+    """Return E* [Pa] and touch [m] for which the model's way from the pull-off, at low_m, to the top is as measured."""
     top_m, top_n = top
 
     def bases(modulus: float) -> tuple[float, float]:
@@ -548,7 +551,7 @@ def _contact(problem: _Problem, free: Array) -> Contact:
 def _predict(
     problem: _Problem, free: Array, base_m: Array, touching: npt.NDArray[np.bool_], out: Array, depth_m: Array
 ) -> None:
-    """Fill the forces, in the scale of the problem, and the indentations [m]."""
+    """Fill out with the forces, in units of the problem's force scale, and depth_m with the indentations [m]."""
     scale = problem.force_scale_n
     contact = _contact(problem, free)
     forces(contact, free[0] * problem.length_scale_m, base_m, out, depth_m)
@@ -563,13 +566,13 @@ def _predict(
 def _slopes(
     problem: _Problem, free: Array, base_m: Array, touching: npt.NDArray[np.bool_], which: Array, jacobian: Array
 ) -> None:
-    """Fill what the forces change by with each parameter that is free, shape (n, p), by central differences."""
+    """Fill jacobian, shape (n, p), with the derivatives of the forces by each free parameter (central differences)."""
     count = base_m.shape[0]
     ahead, behind, depth = np.empty(count), np.empty(count), np.empty(count)
     moved = free.copy()
     for column in range(which.shape[0]):
         one = int(which[column])
-        # the touch is in shares of the whole way
+        # The touch is a share of the whole way.
         step = 1e-6 if one == 0 else 1e-5
         moved[one] = free[one] + step
         _predict(problem, moved, base_m, touching, ahead, depth)
@@ -582,7 +585,7 @@ def _slopes(
 
 @compiled
 def _is_of_a_sample(free: Array) -> bool:
-    """Return whether modulus and pull-off are such as a sample has."""
+    """Return whether the logarithm of the modulus and the pull-off lie in a range that a sample can have."""
     return bool(-10.0 < free[1] < 35.0 and abs(free[2]) < 50.0)
 
 
@@ -590,7 +593,7 @@ def _is_of_a_sample(free: Array) -> bool:
 def _descend(
     problem: _Problem, free: Array, base_m: Array, force: Array, touching: npt.NDArray[np.bool_], which: Array
 ) -> bool:
-    """Change free to the least squares of the residuals, by Levenberg's steps; return whether they came to an end."""
+    """Move free to the least-squares minimum by Levenberg-Marquardt steps; return whether they converged."""
     count, width = base_m.shape[0], which.shape[0]
     model, depth, jacobian = np.empty(count), np.empty(count), np.empty((count, width))
     normal, factor, step = np.empty((width, width)), np.empty((width, width)), np.empty(width)
@@ -642,7 +645,7 @@ def _descend(
             allowed = positive
             for row in range(width):
                 one = int(which[row])
-                # a logarithm goes by no more than a factor of e, and the touch by a fifth of the way
+                # A step is limited: a logarithm to a factor of e, the touch to a fifth of the way.
                 most = 0.2 if one == 0 else 1.0
                 moved[one] += min(max(step[row], -most), most)
             allowed = allowed and _is_of_a_sample(moved)
@@ -669,7 +672,7 @@ def _descend(
 
 
 def _add_early_end(problem: _Problem, free: Array, pull: _Pull, errors: list[float], indented_m: float) -> None:
-    """Add to the errors what a contact that ends in the fit before it does in the curve is wrong by at the least."""
+    """Add to the errors the least error that follows where the fitted contact ends before the measured one."""
     early_m = max(_end_of(problem, free) - pull.base_m, 0.0)
     pull_n = problem.stiffness_n_per_m * early_m / problem.force_scale_n
     shares = (
@@ -686,7 +689,7 @@ def _well_on_branch(
 ) -> tuple[_Way, npt.NDArray[np.bool_]]:
     """Return a retraction without the points of its contact that are next to the end of the contact in the model.
 
-    What the force changes by there with the place of the end has no bound, or stands for the end alone.
+    There the derivative of the force by the place of the end is unbounded, or the points determine the end alone.
     """
     end_m = _end_of(problem, free)
     top_m = float(way.base_m[0])
@@ -697,7 +700,7 @@ def _well_on_branch(
 
 
 def _end_of(problem: _Problem, free: Array) -> float:
-    """Return the place of the base at which the contact of a fit ends on the way back [m]."""
+    """Return the place of the base at which the fitted contact ends on the way back [m]."""
     contact = compiled_form(_contact)(problem, free)
     depth, force, _, _ = at(contact, compiled_form(end_of)(contact))
     return float(free[0]) * problem.length_scale_m + depth + force / problem.stiffness_n_per_m
@@ -718,9 +721,9 @@ def _least_squares(problem: _Problem, start: Array, way: _Way, contact: npt.NDAr
 def _in_noise(
     problem: _Problem, free: Array, way: _Way, contact: npt.NDArray[np.bool_]
 ) -> tuple[Array, Noise, Array, Array, Array]:
-    """Return the free values in the noise that the curve has, and that noise with the covariance of those that vary.
+    """Return free values fitted in the estimated noise, that noise, the Jacobian, fitted forces [N], indentations [m].
 
-    Beside these the derivatives, the fitted forces [N] and the indentations [m].
+    The noise carries the covariance of the parameters that vary.
     """
     which = _which(problem.model)
     places = which.astype(int)
@@ -734,7 +737,7 @@ def _in_noise(
         noise = correlated_noise(force - model, jacobian, way.place, _OF_AVERAGES)
         errors = np.sqrt(np.diagonal(noise.covariance))
         move = np.clip(noise.coefficients, -3.0 * errors, 3.0 * errors)
-        # A step that goes back goes half as far, and so do those after it.
+        # A step that reverses the one before is halved, and so are all later ones.
         if math.fsum(((move / errors) * (before / errors)).tolist()) < 0.0:
             share *= 0.5
         before = move
@@ -749,7 +752,7 @@ def _in_noise(
 
 
 class _Change(NamedTuple):
-    """By which share the modulus changes over the depth, its standard error, and what each parameter moves by then."""
+    """Share by which the modulus changes over the depth, its standard error, and the shift of each parameter."""
 
     share: float
     error: float

@@ -1,4 +1,4 @@
-"""Both models of the cantilever beside each other: the points of a force curve, quasi-static and with Eq. 4 in full."""
+"""Comparison of both cantilever models by the marks of a force curve: quasi-static, and with Eq. 4 in full."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -10,9 +10,9 @@ STIFFNESSES_N_PER_M = (40.0, 8.0, 1.0)
 
 
 class ModelRow(NamedTuple):
-    """Pull-off [N], snap-in base [m] and hysteresis [J] of both models; differences as shares, of the base in [m].
+    """Pull-off [N], snap-in base [m] and hysteresis [J] of both models; differences as shares, that of the base in [m].
 
-    step_m: distance of two points of the curves, which the places cannot be told better than.
+    step_m: distance of neighbouring points of the curves [m], which limits the resolution of the bases.
     """
 
     stiffness_n_per_m: float
@@ -33,11 +33,11 @@ def compare_models(
     points: int = 400,
     progress: Callable[[int, int], None] = lambda n, of: None,
 ) -> list[ModelRow]:
-    """Return a row for each stiffness of the cantilever [N/m]; all else is Table 2."""
+    """Compare the models for each stiffness of the cantilever [N/m]; all other values are those of Table 2."""
     rows = []
     for number, k in enumerate(stiffnesses):
         config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": k}})
-        # far enough for the soft one to come off: its spring is as long as the pull-off over k
+        # Far enough for a soft cantilever to come off: its spring is stretched by the pull-off over k.
         start_m = 10e-9 + 16e-9 / k
         curves = [force_curve(config, start_m, 20e-9, points, dynamic=dynamic) for dynamic in (False, True)]
         static, dynamic = (marks_of(curve) for curve in curves)

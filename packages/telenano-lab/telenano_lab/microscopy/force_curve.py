@@ -1,9 +1,9 @@
-"""Force curves: approach and retraction of the simulated tip, the points C and D of Fig. 5, and what hysteresis takes.
+"""Force curves: approach and retraction of the simulated tip, the points C and D of Fig. 5, and the energy of the loop.
 
 "The tip contacts with the sample at the point C and leaves it at D during retracting" (section 3 of the paper). C is
-the snap-in, where the tip jumps to the sample or to its water; D is the last jump of the force on the way back, where
-the meniscus breaks, or, where nothing jumps, the pull-off. Two more places are marked that the paper names in no word:
-the pull-off, which is the strongest pull on the way back, and where the force passes zero on that way.
+the snap-in, where the tip jumps to the sample or to its water layer. D is the last jump of the force on the way back,
+where the meniscus breaks, or, where nothing jumps, the pull-off. Two more places are marked that the paper does not
+name: the pull-off, which is the strongest pull on the way back, and the place where the force passes zero on that way.
 """
 
 import json
@@ -23,15 +23,16 @@ from telenano.wire import ConfigError, RigError
 
 Array = npt.NDArray[np.float64]
 
-# Steps of the force on the way back below this share of the greatest are not the break.
+# A step of the force on the way back counts as the break only above this share of the greatest step.
 _JUMP_SHARE = 0.5
-# A file of a curve may lack these constants.
+# Constants that a file of a curve may lack.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
-# What a person says of a text table whose head does not.
+# Facts of a text table that the user gives because its header lacks them.
 OF_TABLES = ("columns", "way_unit", "value_unit", "value_sign")
 # A tenth of a piconewton is below the thermal force of any lever.
 _LEAST_LOAD_N = 1e-13
-# The dynamic cantilever takes four times as long to compute at the 50 nm/s of a program [m/s].
+# Default speed of the base [m/s]; at the 50 nm/s of a program the dynamic cantilever takes four times as long to
+# compute.
 _SPEED_M_PER_S = 200e-9
 
 
@@ -46,7 +47,7 @@ class Half:
 
 @dataclass(frozen=True)
 class Curve:
-    """Approach and retraction, with what they were measured with, and what was assumed of a file."""
+    """Approach and retraction, the constants of the measurement, and remarks on assumptions made in reading a file."""
 
     approach: Half
     retract: Half
@@ -59,9 +60,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Marks:
-    """Base x_s [m] and force [N] of each point, and the energy of the loop [J]; None where there is no such point.
+    """Base x_s [m] and force [N] of each mark, and the energy of the loop [J]; None where a curve has no such point.
 
-    snap_in: C of Fig. 5; break: the last jump of the way back; contact: where the force passes zero on that way;
+    snap_in: C of Fig. 5; break: the last jump of the way back; contact: the place where the force passes zero on that
+    way;
     pull_off: the strongest pull.
     """
 
@@ -87,24 +89,23 @@ def force_curve(
     dynamic: bool = False,
     progress: Callable[[int, int], None] = lambda n, of: None,
 ) -> Curve:
-    """Return a curve that begins start_m [m] above the rest point and turns where the force reaches load_n [N].
+    """Simulate a curve that begins start_m above the rest point and turns where the force reaches load_n.
 
-    Where the configuration has disturbances, each point is a sample of the disturbed instrument, at the time that the
-    speed gives it.
+    If the configuration has disturbances, each point is a sample of the disturbed instrument at the time that follows
+    from the speed.
 
     Args:
         config: The instrument.
-        start_m: Where the way begins, above the rest point [m].
-        load_n: The force at which it turns [N].
-        points: The points of each way.
-        speed_m_per_s: The speed of the base [m/s].
-        dynamic: Whether Eq. 4 is solved in full instead of k zeta = F(h): the base then rests at each point for as long
-            as the cantilever needs to come to rest, and the speed is that of the data.
-        progress: Called with the points that are done, and all of them.
+        start_m: Height of the beginning above the rest point [m].
+        load_n: Force at which the base turns [N].
+        points: Number of points of each way.
+        speed_m_per_s: Speed of the base [m/s].
+        dynamic: Whether Eq. 4 is solved in full instead of k zeta = F(h). The base then rests at each point until the
+            cantilever has come to rest, and the speed only sets the times in the data.
+        progress: Called with the number of finished points and their total.
 
     Raises:
-        ConfigError: The tip cannot reach the load, an argument is no positive number, or a dynamic curve is to be
-            disturbed.
+        ConfigError: The tip cannot reach the load, an argument is out of range, or a dynamic curve is to be disturbed.
     """
     for name, value in (("start [m]", start_m), ("load [N]", load_n), ("speed [m/s]", speed_m_per_s)):
         if not (math.isfinite(value) and value > 0.0):
@@ -143,8 +144,8 @@ def curve_of_samples(
 ) -> Curve:
     """Return the curve in the samples of an instrument that went down from start_m [m] and back at a speed [m/s].
 
-    What came before the base went down and after it was back is left out; bases repeat where the instrument stepped
-    without moving. Raises: RigError, if there are fewer than 10 samples either way.
+    Samples before the base went down and after it was back are dropped, and so are those in which it did not move.
+    RigError is raised if either way has fewer than 10 samples.
     """
     base, zeta, force = (np.asarray(values, dtype=np.float64) for values in (base_m, deflection_m, force_n))
     turn = int(np.argmax(base)) if len(base) else 0
@@ -176,7 +177,7 @@ def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
 
 
 def _disturbed(config: AfmConfig, step_s: float) -> Callable[[float], float]:
-    """Return what the instrument reads at a base [m], a time of step_s [s] after the base before it."""
+    """Return a function that reads the deflection [m] at a base [m], step_s [s] after the call before it."""
     driver = simulated_afm(config.to_params(), disturbances=config.disturbances)
     driver.open()
 
@@ -190,7 +191,7 @@ def _disturbed(config: AfmConfig, step_s: float) -> Callable[[float], float]:
 def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
     try:
         plant = config.to_dynamic()
-        # after Q periods a motion is e^-pi of what it was
+        # After Q periods a motion has decayed to e^-pi of its amplitude.
         settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
         return settled_tip(plant, begin_m, settle)
     except ValueError as error:
@@ -198,7 +199,7 @@ def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
 
 
 def _turning_point(config: AfmConfig, load_n: float) -> float:
-    """Return the base x_s [m] at which the tip is pushed with load_n [N], by bisection on the static curve."""
+    """Return the base x_s [m] at which the sample pushes the tip with load_n [N], by bisection on the static curve."""
     plant = config.to_params().plant
     low = config.rest_distance_m
     high = low + 1e-9
@@ -219,7 +220,7 @@ def _turning_point(config: AfmConfig, load_n: float) -> float:
 
 
 def marks_of(curve: Curve) -> Marks:
-    """Return the marks of a curve and the energy of its loop, from force against base alone."""
+    """Return the marks of a curve and the energy of its loop, computed from force against base alone."""
     down, up = curve.approach, curve.retract
     steps = np.diff(down.force_n)
     snap = int(np.argmin(steps))
@@ -229,7 +230,7 @@ def marks_of(curve: Curve) -> Marks:
     jumps = np.diff(up.force_n[pull:])
     large = np.flatnonzero(jumps > _JUMP_SHARE * float(jumps.max())) if len(jumps) else np.zeros(0, int)
     broken = len(large) > 0 and _is_jump(jumps, int(large[-1]))
-    # both ways over the same bases: what the base does on the cantilever and does not get back
+    # The loop integral over both ways is the work of the base on the cantilever that it does not get back.
     loop = float(np.trapezoid(down.force_n, down.base_m) + np.trapezoid(up.force_n, up.base_m))
     return Marks(
         float(down.base_m[snap]) if has_snap else None,
@@ -243,13 +244,13 @@ def marks_of(curve: Curve) -> Marks:
 
 
 def _is_jump(steps: Array, at: int) -> bool:
-    """Return whether a step of the force stands alone: on a branch, however steep, steps change little by little."""
+    """Return whether a step of the force stands alone: on a branch, however steep, steps change gradually."""
     around = [abs(float(steps[i])) for i in (at - 3, at - 2, at + 2, at + 3) if 0 <= i < len(steps)]
     return bool(around) and abs(float(steps[at])) > 5.0 * max(around) + 1e-12
 
 
 def write_hdf5(path: Path, curve: Curve) -> None:
-    """Write a curve as afmformats does: one group, columns in SI units, metadata as attributes."""
+    """Write a curve in the layout of afmformats: one group, columns in SI units, metadata as attributes."""
     from importlib.metadata import version
 
     import h5py
@@ -261,7 +262,7 @@ def write_hdf5(path: Path, curve: Curve) -> None:
         file.attrs["software"] = "telenano"
         file.attrs["software version"] = version("telenano")
         group = file.create_group("0")
-        # height (measured) rises away from the sample
+        # `height (measured)` rises away from the sample.
         group["force"] = np.concatenate([down.force_n, up.force_n])
         group["height (measured)"] = -np.concatenate([down.base_m, up.base_m])
         group["segment"] = np.repeat(np.array([0, 1], dtype=np.uint8), points)
@@ -281,16 +282,16 @@ def write_hdf5(path: Path, curve: Curve) -> None:
 
 
 def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | None = None) -> Curve:
-    """Return a measured curve in a file that an installed package reads.
+    """Return a measured curve from a file that the reader of an installed package understands.
 
     Args:
         path: The file.
-        number: Which curve of a map, the first being 0.
-        constants: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file; of a text table
-            `columns`, `way_unit`, `value_unit` and `value_sign`, which its head does not say.
+        number: Index of the curve in a map, from 0.
+        constants: `stiffness_n_per_m` and `sensitivity_m_per_v`, used instead of those of the file; for a text table
+            also `columns`, `way_unit`, `value_unit` and `value_sign`, which its header does not say.
 
     Raises:
-        ConfigError: The message names the file and what is wrong with it.
+        ConfigError: The file cannot be read or is no whole curve; the message names the file and the reason.
     """
     constants = constants or {}
     table = {name: str(value) for name, value in constants.items() if name in OF_TABLES}
@@ -310,7 +311,7 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
         raise
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    # the readers fail in whatever way the damage leads them to
+    # Readers raise exceptions of any kind on damaged files.
     except Exception as error:
         raise ConfigError(f"{path}: is no whole force curve: {error}") from error
     for half in (curve.approach, curve.retract):
@@ -322,7 +323,7 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
 def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:
     if not 0.0 < k < math.inf:
         raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")
-    # far from the sample, where the curve begins, there is no force
+    # The curve begins far from the sample, where there is no force.
     zeta = deflection - float(np.median(deflection[: max(turn // 10, 2)]))
     ways = (slice(0, turn), slice(turn, None))
     halves = [Half(base[way], zeta[way], k * zeta[way]) for way in ways]

@@ -12,9 +12,9 @@ from telenano_lab.microscopy.force_curve import Curve, Half, Marks
 
 
 def curve_figure(pairs: Sequence[tuple[Curve, Marks]], fit: AdhesionFit | None = None) -> Figure:
-    """Draw curves beside each other, each with C and D, the contact and the leaving of Fig. 5, and the pull-off.
+    """Draw curves beside each other, each with the contact C and the release D of Fig. 5, and the pull-off.
 
-    The fit of a contact, where there is one, comes last, with what it leaves below.
+    The fit of a contact, where there is one, comes last, with its residuals below.
     """
     count = len(pairs) + (fit is not None)
     figure = Figure(figsize=(7.0 * count, 5.0), layout="constrained")
@@ -36,7 +36,7 @@ def curve_figure(pairs: Sequence[tuple[Curve, Marks]], fit: AdhesionFit | None =
                 axes.annotate(name, ((base_m - zero) * 1e9, force_n * 1e9), textcoords="offset points", xytext=(6, -12))
                 axes.plot([(base_m - zero) * 1e9], [force_n * 1e9], "ko", markersize=3)
         axes.axhline(0.0, color="0.7", linewidth=0.6)
-        # the name of the deepest mark stands below it
+        # The margin leaves room for the label of the deepest mark.
         axes.margins(y=0.12)
         axes.set_xlabel("base towards the sample, 0 where the force passes zero on the way back [nm]")
         axes.set_ylabel("force on the tip [nN]")
@@ -48,7 +48,7 @@ def curve_figure(pairs: Sequence[tuple[Curve, Marks]], fit: AdhesionFit | None =
 
 
 def _draw_fit(fit: AdhesionFit, above: Axes, below: Axes) -> None:
-    """Draw the contact that was fitted, and its residuals below."""
+    """Draw the fitted contact, and its residuals below."""
     base_m, measured_n, model_n = fit.fitted
     base_nm = (base_m - base_m.max()) * 1e9
     above.plot(base_nm, measured_n * 1e9, ".", color="tab:red", markersize=3, label="retraction, measured")
@@ -69,5 +69,5 @@ def _draw_fit(fit: AdhesionFit, above: Axes, below: Axes) -> None:
 
 
 def _force_at(half: Half, base_m: float | None) -> float | None:
-    """Return the force at a base of a way [N]."""
+    """Return the force [N] at the point of a way that is nearest to a base [m]."""
     return None if base_m is None else float(half.force_n[int(np.argmin(np.abs(half.base_m - base_m)))])

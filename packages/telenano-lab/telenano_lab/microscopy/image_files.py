@@ -1,6 +1,6 @@
-"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye; packages have others.
+"""Images for other programs: .gwy and .gsf of Gwyddion, and PNG; packages add other formats.
 
-Rows are given with y rising, as everywhere here; in the files the first row is the top of the picture.
+Rows are ordered by rising y, as everywhere in telenano; in the files the first row is the top of the picture.
 """
 
 from collections.abc import Mapping
@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Heights = npt.NDArray[np.float64]
-# the first line of a Gwyddion Simple Field
+# First line of a Gwyddion Simple Field.
 _GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 
 
 class Image(NamedTuple):
-    """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m].
+    """One channel: title, unit of the values, values of shape (rows, columns) with y rising, and side lengths [m].
 
-    partial, what there is of an image that was ended early, such as `37 of 256 lines`: every file has it in it. log:
-    what was done to the values, a step a sentence; every file has it too.
+    partial: how much there is of an image that ended early, such as `37 of 256 lines`, or empty. log: the steps applied
+    to
+    the values, one sentence each. Both are written into every file.
     """
 
     title: str
@@ -38,12 +39,12 @@ class Image(NamedTuple):
 
     @property
     def caption(self) -> str:
-        """Return the title, which says of a part of an image that it is one."""
+        """Return the title, marked as partial if the image ended early."""
         return f"{self.title} (partial: {self.partial})" if self.partial else self.title
 
 
 class ImageFacts(NamedTuple):
-    """How an image was taken: mode (contact or tapping), instrument, version of telenano, and sample where known."""
+    """Origin of an image: mode (contact or tapping), instrument, version of telenano, and the sample if known."""
 
     mode: str
     instrument: str
@@ -70,13 +71,13 @@ class LiveImage:
     first_y_m: float = 0.0
 
     def add(self, line: AfmScanline) -> None:
-        """Put a line in its place."""
+        """Store a scan line at its row, allocating the arrays with the first one."""
         heights = np.asarray(line.height_m.to_numpy(), dtype=np.float64)
         if self.trace_m.shape != (line.lines, len(heights)):
             shape = (line.lines, len(heights))
             self.trace_m, self.retrace_m, self.trace_n, self.retrace_n = (np.full(shape, np.nan) for _ in range(4))
             self.amplitude_m, self.phase_rad, self.dissipated_j = (np.full(shape, np.nan) for _ in range(3))
-            # the ends are the middles of the outer pixels
+            # The ends of a line are the centres of its outer pixels.
             span = line.end_m[0] - line.start_m[0]
             self.width_m = span * len(heights) / max(len(heights) - 1, 1)
         is_back = line.direction == "retrace"
@@ -95,24 +96,24 @@ class LiveImage:
 
     @property
     def partial(self) -> str:
-        """Return in words how much there is of an image that is not whole; of a whole one nothing."""
+        """Return how much of an unfinished image there is, such as `37 of 256 lines`; empty for a complete one."""
         wanted = len(self.trace_m)
         return f"{self.finished} of {wanted} lines" if self.finished < wanted else ""
 
     @property
     def finished(self) -> int:
-        """How many lines there are, from the first, both ways."""
+        """Return the number of leading lines whose trace and retrace are both complete."""
         whole = np.asarray(np.isfinite(self.trace_m + self.retrace_m).all(axis=1))
         return len(whole) if whole.all() else int(np.argmin(whole))
 
 
 def images_of_lines(image: LiveImage, count: int) -> dict[str, Image]:
-    """Return the channels of the first lines of an image that came line by line; each is whole, both ways."""
+    """Return the channels of the first `count` lines of an image, all of which must be complete both ways."""
 
     def named(title: str, unit: str, values: npt.NDArray[np.float64]) -> Image:
         return Image(title, unit, values, image.width_m, depth_m, image.partial)
 
-    # an AFM knows no absolute height
+    # An AFM measures no absolute height.
     level = float(image.trace_m[:count].mean())
     depth_m = image.depth_m * count / len(image.trace_m)
     images = {
@@ -126,14 +127,14 @@ def images_of_lines(image: LiveImage, count: int) -> dict[str, Image]:
         ("lateral", "Lateral force", "N", image.trace_n[:count]),
         ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
     ):
-        # A tip that taps is not held back along the line.
+        # A tapping tip has no lateral force along the line.
         if np.isfinite(values).all() and not (name.startswith("lateral") and "amplitude" in images):
             images[name] = named(title, unit, values)
     return images
 
 
 def write_gsf(path: Path, image: Image) -> None:
-    """Write one channel as a Gwyddion Simple Field: a header in words, then 32-bit numbers."""
+    """Write one channel as a Gwyddion Simple Field: a text header, then 32-bit floats."""
     rows, columns = image.values.shape
     header = (
         f"XRes = {columns}\nYRes = {rows}\nXReal = {float(image.width_m)!r}\nYReal = {float(image.depth_m)!r}\n"
@@ -148,7 +149,7 @@ def write_gsf(path: Path, image: Image) -> None:
 
 
 def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
-    """Write channels into one Gwyddion file; the titles are those of the images."""
+    """Write channels, with the titles of the images, into one Gwyddion file."""
     from gwyfile.objects import GwyContainer, GwyDataField, GwyObject, GwySIUnit
 
     container = GwyContainer()
@@ -172,7 +173,7 @@ def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
 
 
 def write_png(path: Path, images: Mapping[str, Image]) -> None:
-    """Draw channels into a file."""
+    """Draw channels into a PNG file, with remarks on partial images and processing steps in its metadata."""
     parts = {image.partial for image in images.values()} - {""}
     said = [f"partial: {', '.join(sorted(parts))}"] if parts else []
     said += [f"{image.title}: {step}" for image in images.values() for step in image.log]
@@ -181,7 +182,7 @@ def write_png(path: Path, images: Mapping[str, Image]) -> None:
 
 
 def image_figure(images: Mapping[str, Image]) -> "Figure":
-    """Draw channels beside each other, each with its scale."""
+    """Draw channels beside each other, each with a colour scale."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -210,7 +211,7 @@ _PREFIXES = (
 
 
 def readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
-    """Return the factor and the unit with which values are between 1 and 1000."""
+    """Return a factor and a prefixed unit that bring the largest value between 1 and 1000."""
     if unit in ("deg", "rad", ""):
         return 1.0, unit
     largest = float(np.abs(values).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Images of your own as files, written whole into a folder, and a format of your own for the images of others."""
+"""Write the files of an image into a folder, in the built-in formats and in those of installed packages."""
 
 from pathlib import Path
 
@@ -15,10 +15,10 @@ def write_images(
 
     Args:
         out: The folder.
-        images: The channels; the height is `height`.
+        images: The channels by name; `height` is required.
         mode: contact or tapping.
-        instrument: What took the image.
-        sample: The sample, where it is known.
+        instrument: Name of the instrument that took the image.
+        sample: The sample, if known.
     """
     from telenano.recording import versions
     from telenano_lab.microscopy.image_files import write_gsf, write_gwy, write_png
@@ -34,7 +34,7 @@ def write_images(
     formats = load("images", taken=own)
     for name, write in formats.found.items():
         path = out / f"scan.{name}"
-        # An image that cannot be taken again is not lost by the code of a package.
+        # A failure in a package must not lose an image that cannot be taken again.
         try:
             with code_of(installed("images")[name].package):
                 write(path, images, facts)

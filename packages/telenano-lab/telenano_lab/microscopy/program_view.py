@@ -25,7 +25,7 @@ LiveOption = Annotated[
 
 
 def refuse_foreign(options: Mapping[str, Any]) -> None:
-    """Raise ConfigError naming options that are given and mean nothing to a running rig."""
+    """Raise ConfigError naming options that are given but have no meaning for a running rig."""
     refuse_unused(options, "not with --live: the scenario of the rig decides it")
 
 
@@ -37,9 +37,9 @@ def follow_program(
     as_json: bool,
     on_end: Callable[[], None] = lambda: None,
 ) -> "AfmProgram":
-    """Run a program on the rig with a bar and keys: space pauses and resumes, q ends it; return its last report.
+    """Run a program on the rig with a progress bar and keys (space pauses and resumes, q ends); return its last report.
 
-    `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
+    `on_end` is called as soon as the instrument reports the end, before anything of the program is closed.
     """
     from telenano_lab.microscopy.live_program import run_program
 
@@ -61,7 +61,7 @@ def follow_program(
 
 
 def bar_of(report: "AfmProgram") -> str:
-    """Return a line of text: how far a program is, and the keys."""
+    """Return a line of text with the progress of a program, its state and the keys."""
     full = round(_BAR * report.done_percent / 100.0)
     count = f" {report.line}/{report.lines}" if report.lines else ""
     keys = "space: pause, q: end" if report.program == "scan" else "q: end"

@@ -1,10 +1,10 @@
-"""Rows of an image brought to one level, with what stands out left out, and each step said in words.
+"""Align the rows of an image to one level, ignoring masked features, and describe each step in words.
 
     aligned, steps = align_rows(heights_m, "median", above_m=2e-9)
 
-A scan has its lines one after another, so that drift, and jumps of the feedback, leave them at different levels. Each
-row has its median, its mean or a parabola taken off. Particles on a flat ground pull the level of their rows down with
-them: what is higher than a threshold over the ground, or lower, is masked, and decides nothing.
+A scan takes its lines one after another, so drift and jumps of the feedback leave them at different levels. The median,
+the mean or a parabola is subtracted from each row. Particles on a flat ground would bias the level of their rows, so
+points higher or lower than a threshold relative to the ground are masked and do not affect the level.
 """
 
 import math
@@ -20,11 +20,11 @@ from telenano_lab.microscopy.image_files import Image
 Array = npt.NDArray[np.float64]
 Method = Literal["median", "mean", "polynomial"]
 
-# A row needs this share of its points, or at least so many, that are not masked.
+# A row needs this share of its points unmasked, and at least so many.
 _LEAST_SHARE, _LEAST_POINTS = 0.05, 4
-# Gwyddion's and most programs' first choice for the bow of a scanner.
+# Degree of the polynomial; most programs, Gwyddion among them, use 2 for the bow of a scanner.
 _DEGREE = 2
-# How often mask and rows are found, each by the other.
+# Number of iterations in which mask and row levels are refined from each other.
 _PASSES = 3
 
 AlignOption = Annotated[
@@ -46,26 +46,27 @@ BelowOption = Annotated[
 def align_rows(
     heights: Array, method: Method, above_m: float | None = None, below_m: float | None = None
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return an image whose rows have one level, and the steps to it.
+    """Return an image whose rows have one level, and a sentence for each step.
 
-    With a threshold the ground is found first, by the medians of the rows, and the mask again in the rows that were
-    aligned without what it had. A row of which more than half is no ground is taken for the ground itself.
+    With a threshold, the rows are first aligned by their medians to find the ground. The mask is then found again in
+    the
+    rows that were aligned without the masked points. A row that is mostly covered by features is mistaken for ground.
 
     Args:
         heights: The image, shape (rows, columns).
-        method: What is taken off each row.
-        above_m: What is higher over the ground than this is left out [m]; None for no limit.
-        below_m: What is lower under the ground than this is left out [m]; None for no limit.
+        method: Level that is subtracted from each row.
+        above_m: Points higher than this above the ground are masked [m]; None for no limit.
+        below_m: Points lower than this below the ground are masked [m]; None for no limit.
 
     Raises:
-        ConfigError: The image has values that are no number, or a row has too few points that are not masked.
+        ConfigError: The image has values that are not finite, or a row has too few unmasked points.
     """
     if heights.ndim != 2 or heights.size == 0 or not np.isfinite(heights).all():
         raise ConfigError("rows are aligned of an image whose values are all numbers")
     kept = np.ones(heights.shape, bool)
     if above_m is None and below_m is None:
         return _aligned(heights, method, kept), (f"rows aligned: {_WORDS[method]} of each row taken off",)
-    # a mean or a parabola through particles is no ground, and a median is nearly one
+    # A mean or a parabola is biased by particles, a median hardly.
     aligned = _aligned(heights, "median", kept)
     for _ in range(_PASSES):
         ground = float(np.median(aligned[kept]))
@@ -82,20 +83,20 @@ _WORDS = {"median": "the median", "mean": "the mean", "polynomial": f"a polynomi
 
 
 class Levels(NamedTuple):
-    """What the options ask for: the method, and the limits of the mask [nm]."""
+    """The options of the alignment: the method, and the limits of the mask [nm]."""
 
     method: Method | None
     above_nm: float | None
     below_nm: float | None
 
     def check(self) -> None:
-        """Raise ConfigError where a mask is given and nothing that it is for."""
+        """Raise ConfigError if a mask is given without a method that would use it."""
         if self.method is None and (self.above_nm is not None or self.below_nm is not None):
             raise ConfigError("--mask-above, --mask-below: leave points out of --align-rows, which is not given")
 
 
 def aligned_image(image: Image, method: Method | None, above_nm: float | None, below_nm: float | None) -> Image:
-    """Return an image with its rows aligned as options ask for, and the steps in its log.
+    """Return an image with its rows aligned as the options say, and the steps appended to its log.
 
     Raises:
         ConfigError: There is a mask and no method, or the rows cannot be aligned; the message names the option.
@@ -128,7 +129,7 @@ def _aligned(heights: Array, method: Method, kept: npt.NDArray[np.bool_]) -> Arr
 
 
 def _level_of(values: Array, method: Method, kept: npt.NDArray[np.bool_]) -> Array | float:
-    """Return what a row has taken off; sums have one order, so that each processor gives the same bits."""
+    """Return the level to subtract from a row; sums have one order, so every processor gives the same bits."""
     chosen = values[kept]
     if method == "median":
         return float(np.median(chosen))
@@ -138,7 +139,7 @@ def _level_of(values: Array, method: Method, kept: npt.NDArray[np.bool_]) -> Arr
     level = np.zeros(len(values))
     basis: list[tuple[Array, float]] = []
     for degree in range(_DEGREE + 1):
-        # Gram and Schmidt over the points that count
+        # Gram-Schmidt orthogonalization over the unmasked points.
         form = np.ones(len(values))
         for _ in range(degree):
             form = form * x

@@ -1,4 +1,4 @@
-"""`telenano sample`: the surface that the tip meets, and what a round tip sees of it."""
+"""`telenano sample`: write the surface of a sample, and the surface that a round tip sees."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Options of the commands that put a sample under the tip."""
+"""Command-line options that describe the sample under the tip."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,11 +35,11 @@ SampleSetOption = Annotated[
 def sample_config(
     name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
 ) -> "SampleConfig":
-    """Return the sample that the options describe; ConfigError names the option or key."""
+    """Return the sample that the options describe; ConfigError names the invalid option or key."""
     from telenano.sections import SampleConfig
 
     if ":" in name:
-        # a person has named this function here, and no file of somebody else
+        # The user named this function on the command line; it does not come from a file of somebody else.
         permit_code()
     settings_of_sample: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
     if size_nm is not None:

@@ -1,4 +1,4 @@
-"""`telenano scan`: an image of a sample, in simulated time on this machine, or by a running rig."""
+"""`telenano scan`: take an image of a sample, in simulated time on this machine or with a running rig."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from telenano_lab.microscopy.image_files import Image
     from telenano_lab.microscopy.simulated_image import SimulatedImage
 
-# fields of the model for which the command has options of its own
+# Fields of the model that have options of their own.
 _OWN = {
     "mode": "--mode",
     "setpoint_n": "--setpoint",
@@ -109,7 +109,7 @@ def scan(
         if temperature:
             keys_of_afm += ["disturbances.thermal.enabled=true", f"disturbances.thermal.temperature_k={temperature}"]
         section = flag_overrides([*keys_of_afm, *(afm or ())])
-        # The instrument judges the sample as well, such as whether its base clears what lies there.
+        # The instrument checks the sample as well, for example that its base clears the features on it.
         section["sample"] = sample.model_dump(mode="json", exclude_unset=True)
         config = validate(AfmConfig, section, "--afm")
         keys: dict[str, Scalar] = {"scan.mode": mode, **{f"scan.{key}": value for key, value in given.items()}}
@@ -154,7 +154,7 @@ def _scan_live(
     *,
     as_json: bool,
 ) -> None:
-    """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    """Take an image with a running rig and write its lines, even if it ended early."""
     from telenano_lab.microscopy.image_files import LiveImage, images_of_lines
     from telenano_lab.microscopy.image_output import write_images
 
@@ -167,7 +167,7 @@ def _scan_live(
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
         except (RigError, KeyboardInterrupt) as error:
-            # Lines that came before the instrument fell silent, or before a second signal, are kept as well.
+            # Lines received before the instrument fell silent, or before a second signal, are kept as well.
             failure = error
         finish()
         if count := image.finished:
@@ -184,33 +184,33 @@ def _scan_live(
     if steps:
         document["steps"] = steps
     print_document(document, str(out), as_json=as_json)
-    # an image that has not begun does not know how many lines it is to have
+    # An image that has not begun does not know its number of lines.
     _exit_if_interrupted(finish.exit_code, is_reported, image.partial if count else "no lines")
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
 
 
 def _aligned(images: "dict[str, Image]", levels: Levels) -> "dict[str, Image]":
-    """Return channels with the rows of the heights aligned; where they cannot be, they are kept, and it is said."""
+    """Return channels with aligned rows of the heights; print why if a channel cannot be aligned, and keep it."""
     done = dict(images)
     for name in ("height", "retrace"):
         try:
             done[name] = aligned_image(images[name], levels.method, levels.above_nm, levels.below_nm)
         except ConfigError as error:
-            # an image of a real tip is not lost by a limit that is too narrow
+            # A limit that is too narrow must not lose an image of a real tip.
             say(f"the rows of {name} are left as they are: {error}")
     return done
 
 
 def _say_if_interrupted(code: int, partial: str) -> bool:
-    """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
+    """Print how much is kept of an image that a signal ended; return whether one did."""
     if code:
         say(f"interrupted: {partial or 'all lines'} are kept")
     return bool(code)
 
 
 def _exit_if_interrupted(code: int, is_reported: bool, partial: str) -> None:
-    """Exit with the code of the signal that ended an image, or came while it was written."""
+    """Exit with the code of a signal that ended the image or came while it was written."""
     if code:
         if not is_reported:
             _say_if_interrupted(code, partial)
@@ -218,7 +218,7 @@ def _exit_if_interrupted(code: int, is_reported: bool, partial: str) -> None:
 
 
 def _images(image: "SimulatedImage") -> "dict[str, Image]":
-    """Return the channels of an image, at the level of the truth, and what the tip sees of the sample."""
+    """Return the channels of an image at the level of the truth, and the surface that the tip sees."""
     from telenano_lab.microscopy.image_files import Image, images_of_lines
 
     lines, count = image.lines, image.lines.finished

@@ -1,4 +1,4 @@
-"""An image in simulated time: the program `scan` of the instrument, behind the guard of a rig, without waiting."""
+"""An image in simulated time: the instrument runs its program `scan` behind the guard of a rig, without waiting."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,10 +18,10 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class SimulatedImage:
-    """The lines of an image as a rig has them, beside what the tip sees at the same points.
+    """The lines of an image as a rig records them, and the true surface at the same points.
 
-    truth_m: heights of the surface as the tip sees it [m], of shape (lines, pixels), NaN where there is no line yet.
-    simulated_s: the time that the image took on the instrument [s].
+    truth_m: heights of the surface as the tip sees it [m], shape (lines, pixels), NaN in lines not yet scanned.
+    simulated_s: simulated time that the image took [s].
     """
 
     lines: LiveImage = field(default_factory=LiveImage)
@@ -30,18 +30,21 @@ class SimulatedImage:
 
     @property
     def height_m(self) -> Array:
-        """Return the height of the finished lines [m], its mean that of the truth: an AFM knows no absolute height."""
+        """Return the heights of the finished lines [m], shifted to the mean of the truth.
+
+        An AFM measures no absolute height.
+        """
         height = self.lines.trace_m[: self.lines.finished]
         return np.asarray(height - height.mean() + self._truth_m.mean())
 
     @property
     def rms_error_m(self) -> float:
-        """Return the root mean square of the height less the truth [m]."""
+        """Return the root mean square difference of height and truth [m]."""
         return float(np.sqrt(np.mean((self.height_m - self._truth_m) ** 2)))
 
     @property
     def correlation(self) -> float:
-        """Return the correlation with the truth; 0 where one of them is level."""
+        """Return the correlation of height and truth; 0 if either is level."""
         a, b = (each.ravel() - each.mean() for each in (self.height_m, self._truth_m))
         norm = math.sqrt(float(np.sum(a * a)) * float(np.sum(b * b)))
         return float(np.sum(a * b)) / norm if norm > 0.0 else 0.0
@@ -54,16 +57,16 @@ class SimulatedImage:
 def take_image(
     config: AfmConfig, keys: Mapping[str, Scalar], progress: Callable[[int, int], bool] = lambda n, of: True
 ) -> SimulatedImage:
-    """Have a simulated instrument take an image of its sample.
+    """Simulate an instrument that takes an image of its sample.
 
     Args:
         config: The instrument, with the sample under its tip; tapping mode needs `model: dynamic`.
-        keys: What is set of `scan`, as in `session set`: `{"scan.pixels": 64}`; the others have their defaults.
-        progress: Called with the finished lines and their number; it ends the image by returning False, which leaves
-            the lines so far, as Ctrl-C and SIGTERM do.
+        keys: Settings of `scan`, as in `session set`: `{"scan.pixels": 64}`; the others have their defaults.
+        progress: Called with the number of finished lines and their total. Returning False ends the image and keeps the
+            lines so far, as Ctrl-C and SIGTERM do.
 
     Raises:
-        ConfigError: The image cannot be taken; the message says what would be right.
+        ConfigError: The image cannot be taken; the message says what to change.
     """
     image = SimulatedImage()
     try:
@@ -78,7 +81,7 @@ def take_image(
     except RefusedError as error:
         raise ConfigError(str(error)) from error
     except KeyboardInterrupt:
-        # What is finished is kept; before the first line there is nothing.
+        # Finished lines are kept; before the first one there is nothing to keep.
         if image.lines.finished == 0:
             raise
     image.simulated_s = instrument.time_s
