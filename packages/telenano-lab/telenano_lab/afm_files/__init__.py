@@ -1,1 +1,1 @@
-"""Images, force curves and force maps of AFMs of other makers, for telenano."""
+"""Readers of images, force curves and force maps from the AFMs of other makers."""

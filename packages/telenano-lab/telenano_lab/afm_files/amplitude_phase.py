@@ -1,13 +1,14 @@
-"""The amplitude-phase curve of a measured image in tapping mode, and the energy that it tells of.
+"""The amplitude-phase curve of a measured image in tapping mode, and the dissipated energy that follows from it.
 
-A feedback that lags lets the amplitude fall and rise about its set-point, so that the pixels of an image are points of
-the amplitude-phase curve. In a steady motion driven at its resonance (J. P. Cleveland and others, Appl. Phys. Lett. 72
+A lagging feedback lets the amplitude vary about its set-point, so the pixels of an image are points of the
+amplitude-phase curve. In a steady motion driven at its resonance (J. P. Cleveland and others, Appl. Phys. Lett. 72
 (1998) 2613)
 
     sin(phi) = a + e / a,    a = A / A0,    e = Q E / (pi k A0^2),
 
-where E is the energy that the sample takes in a period; phi = 90 degrees in free motion. An energy that grows with how
-deep the tip goes is fitted, e = c + d (1 - a): nothing, a straight line without d, or both.
+where E is the energy that the sample dissipates in a period; phi = 90 degrees in free motion. The fit has an energy
+that
+grows with the depth of the tip, e = c + d (1 - a); c and d may be 0.
 """
 
 import math
@@ -32,11 +33,12 @@ _LEAST_PIXELS = 20
 
 
 class AmplitudePhase(NamedTuple):
-    """Medians over spans of the amplitude a = A / A0, shape (n,): phase [degrees], its error, pixels; and the fit.
+    """Medians over bins of the amplitude a = A / A0, shape (n,): phase [degrees], its error, pixels; and the fit.
 
     constant, slope: c and d of e = c + d (1 - a), with standard errors; model_deg: the phase of the fit; still_deg:
-    that of a sample which takes no energy. Neighbours of an image are not independent, so that an error of a phase is
-    that of as many pixels as the fewest.
+    that of
+    a sample that dissipates no energy. Neighbouring pixels are not independent, so the error of a phase assumes only as
+    many pixels as the least populated bin may have.
     """
 
     amplitude: Array
@@ -52,9 +54,9 @@ class AmplitudePhase(NamedTuple):
 
 
 def amplitude_phase(amplitude_share: Array, phase_deg: Array) -> AmplitudePhase:
-    """Return the curve of pixels with an amplitude as a share of the free one, and a phase [degrees], and its fit.
+    """Bin pixels into an amplitude-phase curve and fit it; amplitude as a share of the free one, phase in degrees.
 
-    Raises: ConfigError, if fewer than four spans of the amplitude have enough pixels.
+    Raises: ConfigError, if fewer than four bins of the amplitude have enough pixels.
     """
     from scipy.optimize import least_squares
 
@@ -75,14 +77,14 @@ def amplitude_phase(amplitude_share: Array, phase_deg: Array) -> AmplitudePhase:
     if len(rows) < 4:
         raise ConfigError(f"the amplitude has {len(rows)} spans of {_LEAST_PIXELS} pixels; 4 are needed for a curve")
     a, phase, error, pixels = (np.array(column) for column in zip(*rows, strict=True))
-    # attraction holds the phase above 90 degrees, repulsion below
+    # Attraction keeps the phase above 90 degrees, repulsion below.
     side = 1.0 if float(np.median(phase)) > 90.0 else -1.0
 
     def model_deg(free: Array) -> Array:
         sine = a + (free[0] + free[1] * (1.0 - a)) / a
         return np.asarray(90.0 + side * np.degrees(np.arccos(np.clip(sine, -1.0, 1.0))))
 
-    # from inside, where the phase changes with both
+    # The start lies inside, where the phase depends on both parameters.
     phases_deg = least_squares(lambda free: model_deg(free) - phase, [0.0, 0.1], diff_step=1e-4, x_scale=0.1)
     scatter_deg = math.sqrt(2.0 * float(phases_deg.cost) / (len(a) - 2))
     constant_error, slope_error = (
@@ -96,7 +98,7 @@ def amplitude_phase(amplitude_share: Array, phase_deg: Array) -> AmplitudePhase:
 
 
 def read_amplitude_phase(path: Path) -> tuple[Array, Array]:
-    """Return amplitude as a share of the free one and phase [degrees] of each pixel of an Igor wave of Asylum's.
+    """Return amplitude as a share of the free one and phase [degrees] of each pixel of an Asylum Igor wave.
 
     Raises: ConfigError naming the file and what it lacks.
     """
@@ -112,12 +114,12 @@ def read_amplitude_phase(path: Path) -> tuple[Array, Array]:
     if missing:
         raise ConfigError(f"{path}: lacks {', '.join(missing)}: it is no image in tapping mode")
     amplitude, phase = (np.asarray(values[:, :, planes[name]], dtype=np.float64).ravel() for name in wanted)
-    # the note has the free amplitude in volts
+    # The note gives the free amplitude in volts.
     return amplitude / (float(notes["FreeAirAmplitude"]) * float(notes["AmpInvOLS"])), phase
 
 
 def amplitude_phase_figure(curve: AmplitudePhase) -> "Figure":
-    """Draw the phase over the amplitude, the fit, a sample that takes no energy, and what the fit leaves."""
+    """Draw the phase over the amplitude, the fit, a sample that dissipates no energy, and the residuals of the fit."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
@@ -136,7 +138,7 @@ def amplitude_phase_figure(curve: AmplitudePhase) -> "Figure":
 
 
 def main() -> None:
-    """Fit the image that is named on the command line, and write the figure into the file that is named after it."""
+    """Fit the image named by the first argument and write the figure to the file named by the second."""
     path, out = Path(sys.argv[1]), Path(sys.argv[2])
     curve = amplitude_phase(*read_amplitude_phase(path))
     with atomic_file(out) as part:

@@ -1,9 +1,9 @@
-r"""Force curves and force volumes of Bruker's NanoScope: called in a child process with limits.
+r"""Read force curves and force volumes of Bruker's NanoScope; called in a child process with limits.
 
-A header of lines `\Key: value` in sections `\*Name`, then integers at the offset that each list of samples states. The
-deflection is the one of `\@4:Z scale`, whose number in brackets is the volts of a step, and both ways are stored from
-the sample away; the ramp of the piezo has even steps. A sensitivity without a unit is in nm/V. Captured PeakForce
-curves follow a sine and are refused.
+A header has lines `\Key: value` in sections `\*Name`; the integers follow at the offset that each list of samples
+states. The deflection is the channel of `\@4:Z scale`, whose number in brackets is the volts per step. Both ways are
+stored from the sample away; the ramp of the piezo has even steps. A sensitivity without a unit is in nm/V. Captured
+PeakForce curves follow a sine and are refused.
 """
 
 import re
@@ -16,12 +16,12 @@ import numpy as np
 from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve
 
 _END = b"\\*File list end"
-# The end of the header is sought in this number of bytes.
+# The end of the header must lie within this number of bytes.
 _LONGEST_HEADER = 1 << 20
-# A deflection has at most this value of the 16-bit converter.
+# Magnitude limit of the 16-bit converter.
 _CONVERTER = 1 << 15
 _METRES = {"": 1e-9, "nm": 1e-9, "um": 1e-6, "~m": 1e-6, "µm": 1e-6, "m": 1.0, "pm": 1e-12}
-# a number in front of a parameter is that of a group, which is no part of its name
+# A number before a parameter is that of a group and not part of its name.
 _LINE = re.compile(r"\\(@(?:\d+:)?)?([^:]+): ?(.*)")
 
 
@@ -31,15 +31,15 @@ class _Section(NamedTuple):
 
 
 def is_nanoscope(content: bytes) -> bool:
-    """Whether a file begins as one of force curves of NanoScope does."""
+    """Return whether the content begins like a NanoScope file of force curves."""
     return content.startswith((b"\\*Force file list", b"?*Force file list"))
 
 
 def curves_of(path: str) -> Curves:
-    """Return the curves of a file of NanoScope.
+    """Return the curves of a NanoScope file.
 
     Raises:
-        ValueError: It holds no curves over an even ramp, or is not whole; the message names the key.
+        ValueError: It has no curves over an even ramp, or is incomplete; the message names the key.
     """
     content = Path(path).read_bytes()
     sections = _sections_of(content)
@@ -71,7 +71,7 @@ def curves_of(path: str) -> Curves:
     sensitivity = _sensitivity(sections, values, "Z scale")
     k = float(values["Spring Constant"]) if "Spring Constant" in values else None
     data = np.frombuffer(content, f"<i{width}", samples, offset).reshape(side * side, -1)
-    # A force volume of version 9.2 was seen whose numbers were 256 times those that its header explains.
+    # In one force volume of version 9.2 the numbers were 256 times those that its header explains.
     if width == 4 and np.count_nonzero(np.abs(data.astype(np.int64)) > _CONVERTER) > samples // 1000:
         raise ValueError(
             "has deflections beyond the 16 bits of its converter, so that their volts are unknown: export the "
@@ -83,7 +83,7 @@ def curves_of(path: str) -> Curves:
         for place, cut in enumerate((slice(None, counts[0]), slice(counts[0], None))):
             volts = data[number, cut] * volts_per_step
             height: Array = np.linspace(0.0, ramp, len(volts))
-            # Points that were not sampled, because the trigger came first, are stored as the lowest number.
+            # Points that were not sampled, because the trigger came first, hold the lowest integer.
             volts = np.where(data[number, cut] == np.iinfo(data.dtype).min, np.nan, volts)
             ways.append((height[::-1], volts[::-1]) if place == 0 else (height, volts))
         return RecordedCurve((number % side, number // side), tuple(ways), "V", k, sensitivity)
@@ -124,7 +124,7 @@ def _matched(form: str, values: dict[str, str], key: str) -> str:
 
 
 def _sensitivity(sections: list[_Section], values: dict[str, str], key: str) -> float:
-    """Return metres for a volt of a parameter, by the sensitivity that it names."""
+    """Return metres per volt of a parameter, from the sensitivity that it names."""
     name = _matched(r"\[([^\]]+)\]", values, key)
     for part in sections:
         if match := re.match(r"V ([\d.eE+-]+) ?(?:(\S+)/V)?", part.values.get(name, "")):

@@ -1,4 +1,4 @@
-"""Force curves of instruments, whatever the format: called in a child process with limits."""
+"""Read the force curves of instruments in any supported format; called in a child process with limits."""
 
 import tempfile
 from collections.abc import Callable
@@ -12,15 +12,15 @@ import numpy.typing as npt
 from telenano_lab.afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf, text_curves
 from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve, Way, constants_of, factor_to_force
 
-# Of a segment this number of points are kept at most; a finer curve is interpolated to them.
+# At most this number of points of a segment is kept; a finer curve is interpolated.
 MOST_POINTS = 4096
 _MOST_CURVES = 1 << 18
-# This number of curves of a large map give the sensitivity.
+# Number of curves of a large map from which the sensitivity is found.
 _MOST_OF_HARD = 64
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
-# Others are read by afmformats.
+# afmformats reads all other formats.
 _READERS: dict[str, Callable[[str], Curves]] = {
     ".dat": nanonis.curves_of,
     ".ibw": igor_waves.curves_of,
@@ -39,14 +39,14 @@ def _open(path: str, constants: dict[str, float], options: text_curves.TableOpti
         return
     own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
     if own is None and not suffix.startswith(map_libraries.SUFFIXES):
-        # the names of files of NanoScope end with numbers as well
+        # Names of NanoScope files end with numbers as well.
         own = bruker.curves_of
     with tempfile.TemporaryDirectory() as folder:
         if suffix in text_curves.SUFFIXES and (own is None or not nanonis.is_spectroscopy(path)):
             try:
                 if text_curves.is_of_other_columns(path):
                     raise map_libraries.NoCurvesError
-                # the texts of makers have heads of their own
+                # The text formats of makers have headers of their own.
                 yield (
                     map_libraries.curves_of(path, Path(folder), constants)
                     if own is None
@@ -66,15 +66,16 @@ def _given(stiffness: str | None, sensitivity: str | None) -> dict[str, float]:
 def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table: str | None, report: int) -> Found:
     """Return the curves of a file.
 
-    Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each
-    curve, points of its approach and its retraction, and all heights [m] and forces [N], one after another.
+    Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each curve, number of
+    points
+    of its approach and its retraction, and all heights [m] and forces [N], one curve after another.
 
     Args:
         path: The file.
-        stiffness: The spring constant [N/m] in place of that of the file, as text.
-        sensitivity: The sensitivity [m/V] likewise.
-        table: What a person says of a text table (`text_curves.TableOptions`), as JSON.
-        report: The descriptor that takes the advance.
+        stiffness: The spring constant [N/m] that replaces that of the file, as text.
+        sensitivity: The sensitivity [m/V] that replaces that of the file, as text.
+        table: The user's description of a text table (`text_curves.TableOptions`), as JSON.
+        report: File descriptor to which the progress is written.
     """
     constants = _given(stiffness, sensitivity)
     places, counts, columns = [], [], []
@@ -96,7 +97,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
 
 
 def _in_order(way: Way) -> Way:
-    """Return the points of a way that are numbers, in order of height, and not more than are kept."""
+    """Return the finite points of a way in order of height, interpolated if they are more than MOST_POINTS."""
     sound = np.isfinite(way[0]) & np.isfinite(way[1])
     order = np.argsort(way[0][sound], kind="stable")
     z, value = way[0][sound][order], way[1][sound][order]
@@ -109,9 +110,10 @@ def _in_order(way: Way) -> Way:
 def load_one(
     path: str, number: str, stiffness: str | None = None, sensitivity: str | None = None, table: str | None = None
 ) -> Found:
-    """Return a curve of a file by its number, the first being 0; `table` as in `load_curves`.
+    """Return a curve of a file by its index, from 0; `table` as in `load_curves`.
 
-    A curve is its spring constant [N/m], speed [m/s] and points of the approach by name, and the arrays base and
+    The facts are spring constant [N/m], speed [m/s], number of points of the approach and remarks; the arrays are base
+    and
     deflection [m].
     """
     constants, wanted, count = _given(stiffness, sensitivity), int(number), 0
@@ -138,9 +140,9 @@ def _deflections_of(curve: RecordedCurve, constants: dict[str, float]) -> Found:
 
 
 def load_deflections(path: str) -> Found:
-    """Return the approaches of a file of curves, of a large map those of its first part.
+    """Return the approaches of a file of curves; of a large map only the first ones.
 
-    Arrays: how many points each has; then, of all one after another, height [m] and deflection as it was read [V].
+    Arrays: the number of points of each; then heights [m] and raw deflections [V] of all, one after another.
     """
     # With constants of 1 the force that afmformats computes is the voltage itself.
     raw = map_libraries.is_raw(path)

@@ -1,4 +1,4 @@
-"""`telenano curve fit`: all force curves of files in one table, with the maps of the figures and three of the fits."""
+"""`telenano curve fit`: fit all force curves in files; write one table, maps of the figures and three of the fits."""
 
 import math
 from pathlib import Path

@@ -1,11 +1,11 @@
-"""All force curves of files in one table: a row a curve, with its figures and their errors, or why it is refused.
+"""One table of all force curves in files: a row per curve, with figures and errors, or the reason of refusal.
 
     import telenano
     frame = telenano.curves("map.npz", model="hertz", radius_m=30e-9)      # pandas
     frame.query("verdict == 'fitted'")[["x_m", "y_m", "modulus_pa", "modulus_error_pa"]]
     frame.attrs["units"]["modulus_pa"]                                     # "Pa"
 
-A file may hold one curve or a map of thousands; a folder is all files in it. What fits is `microscopy.curve_fit`.
+A file may hold one curve or a map of thousands; a folder stands for all its files. `microscopy.curve_fit` fits them.
 """
 
 import math
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas
 
 FITTED, REFUSED = "fitted", "refused"
-# The columns, and what they are in.
+# The columns and their units.
 UNITS = {
     "file": "", "curve": "", "x_m": "m", "y_m": "m", "model": "", "verdict": "", "reason": "",
     "contact_m": "m", "contact_error_m": "m", "modulus_pa": "Pa", "modulus_error_pa": "Pa", "adhesion_n": "N",
@@ -35,7 +35,7 @@ UNITS = {
 
 
 class FittedCurve(NamedTuple):
-    """A row of the table: the file, the number of the curve in it, its place [m], what it was and what was found."""
+    """A row of the table: file, index of the curve in it, place [m], the measured curve and its fit."""
 
     file: str
     curve: int
@@ -45,7 +45,7 @@ class FittedCurve(NamedTuple):
     is_grid: bool = False
 
     def row(self, model: str) -> dict[str, Any]:
-        """Return the row of the table."""
+        """Return the row of the table as a dict by column."""
         refused = self.fit.refused
         head = {"file": self.file, "curve": self.curve, "x_m": self.place_m[0], "y_m": self.place_m[1], "model": model}
         return {**head, "verdict": REFUSED if refused else FITTED, "reason": refused, **self.fit.as_dict()}
@@ -61,20 +61,21 @@ def curves(
     thickness_m: float = 0.0,
     settings: Mapping[str, Any] | None = None,
 ) -> "pandas.DataFrame":
-    """Fit a contact to all force curves of files; return a table with a row for each.
+    """Fit a contact to all force curves in files; return a table with a row for each.
 
     Args:
-        files: A file, a folder, or several of them; `docs/fit.md` has what is read.
+        files: A file, a folder, or several of them; `docs/fit.md` lists the formats.
         model: hertz, sneddon, dmt or jkr.
-        radius_m: Radius of the tip [m], for all but sneddon.
+        radius_m: Radius of the tip [m], for all models but sneddon.
         half_angle_rad: Half angle of the cone [rad], for sneddon.
         poisson: Poisson ratio of the sample.
         thickness_m: Thickness of the sample on a hard ground [m]; 0 for a thick one.
-        settings: What the files lack, as by `--set`: `{"stiffness_n_per_m": 0.1}`.
+        settings: Values that the files lack, as with `--set`: `{"stiffness_n_per_m": 0.1}`.
 
     Returns:
-        A table whose columns and units are in `attrs["units"]`; a standard error beside each figure, NaN where there is
-        none. `verdict` is fitted or refused, and `reason` says why.
+        A table with the units of its columns in `attrs["units"]`; a standard error beside each figure, NaN where there
+        is
+        none. `verdict` is fitted or refused, and `reason` is the reason of a refusal.
 
     Raises:
         ConfigError: There is no such file, the shape of the tip is missing, or no file can be read.
@@ -85,7 +86,7 @@ def curves(
 
 
 def frame_of(rows: Iterable[FittedCurve], model: str) -> "pandas.DataFrame":
-    """Return the table of fitted curves."""
+    """Return the rows as a pandas table; ConfigError if pandas is missing."""
     try:
         import pandas
     except ImportError as error:
@@ -101,10 +102,10 @@ def fit_files(
     settings: Mapping[str, Any],
     progress: Callable[[int, int, str], None] = lambda done, of, name: None,
 ) -> list[FittedCurve]:
-    """Fit all curves of files and folders, in their order; a file that cannot be read is one row that is refused.
+    """Fit all curves of files and folders, in their order; a file that cannot be read becomes one refused row.
 
     Raises:
-        ConfigError: There is no file, or none can be read: then the message is that of the first.
+        ConfigError: There is no file, or none can be read; the message is then that of the first.
     """
     shape.checked()
     found, unread = list[FittedCurve](), list[ConfigError]()
@@ -126,7 +127,7 @@ def fit_files(
 
 
 def _files_of(path: Path) -> list[Path]:
-    """Return a file, the files of a folder by name, or the folder of a map that was saved as waves."""
+    """Return the path itself, if a file or a folder of waves of one map, else the sorted curve files in a folder."""
     if not path.is_dir():
         return [path]
     inside = sorted(each for each in path.iterdir() if each.is_file() and not each.name.startswith("."))
@@ -147,11 +148,11 @@ def _fitted(file: Path, read: Curves, shape: ContactShape) -> Iterable[FittedCur
 
 
 def counted(rows: list[FittedCurve]) -> dict[str, Any]:
-    """Return how many curves were fitted and refused, and the reasons with how many each has."""
+    """Return the numbers of fitted and refused curves, and how often each reason occurs."""
     reasons: dict[str, int] = {}
     for each in rows:
         if each.fit.refused:
-            # figures differ from curve to curve, and the reason does not
+            # Figures are stripped, because they differ from curve to curve while the reason does not.
             short = each.fit.refused.partition(":")[0] if ":" in each.fit.refused else each.fit.refused
             words = re.sub(r"-?\d[\d.]*(e[-+]?\d+)?", "…", short)
             reasons[words] = reasons.get(words, 0) + 1

@@ -1,4 +1,4 @@
-"""Pictures of a table of force curves: the map of each quantity, and three of the fits."""
+"""Figures of a table of force curves: a map of each quantity, and three of the fits."""
 
 from collections.abc import Sequence
 
@@ -20,12 +20,12 @@ _QUANTITIES = (
     ("adhesion_n", "Adhesion", "N"),
     ("residual_n", "Residual of the fit, RMS", "N"),
 )
-# The three fits are those whose residual, as a share of the load, is at these places of the order.
+# The three fits stand at these quantiles of the residual relative to the load.
 _SHOWN = (0.1, 0.5, 0.9)
 
 
 def map_figure(rows: Sequence[FittedCurve], title: str) -> Figure:
-    """Draw each quantity over the places of a map, or over the number of the curve; what is refused is grey."""
+    """Draw each quantity over the places of a map, or over the index of the curve; refused curves are grey."""
     figure = Figure(figsize=(10.0, 8.0), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize="medium")
@@ -33,7 +33,7 @@ def map_figure(rows: Sequence[FittedCurve], title: str) -> Figure:
     for axes, (name, label, unit) in zip(figure.subplots(2, 2).ravel(), _QUANTITIES, strict=True):
         values = np.array([np.nan if each.fit.refused else getattr(each.fit, name) for each in rows])
         sound = values[np.isfinite(values)]
-        # heights of a scanner have no zero of their own
+        # Heights of a scanner have no absolute zero.
         zero = float(sound.min()) if name == "contact_m" and len(sound) and grid is not None else 0.0
         factor, shown_unit = readable(sound - zero, unit)
         if grid is None:
@@ -45,7 +45,7 @@ def map_figure(rows: Sequence[FittedCurve], title: str) -> Figure:
 
 
 def _grid_of(rows: Sequence[FittedCurve]) -> tuple[Array, Array, Places, Places] | None:
-    """Return x and y of the columns and lines of one map, and those of each curve; None where there is no map."""
+    """Return x and y of the columns and lines of a map, and each curve's indices into them; None without a map."""
     if len({each.file for each in rows}) != 1 or not all(each.is_grid for each in rows):
         return None
     x, xs = np.unique([each.place_m[0] for each in rows], return_inverse=True)
@@ -62,7 +62,7 @@ def _draw_map(axes: Axes, figure: Figure, grid: tuple[Array, Array, Places, Plac
     extent = (factor * float(x[0] - 0.5 * sides[0]), factor * float(x[-1] + 0.5 * sides[0]),
               factor * float(y[0] - 0.5 * sides[1]), factor * float(y[-1] + 0.5 * sides[1]))  # fmt: skip
     axes.set_facecolor("0.75")
-    # One curve that is far off must not take the colours of all others.
+    # An outlier must not determine the colour scale of all other curves.
     sound = values[np.isfinite(values)]
     low, high = (np.percentile(sound, (1.0, 99.0)).tolist()) if len(sound) else (0.0, 1.0)
     shown = axes.imshow(image, origin="lower", extent=extent, cmap="viridis", vmin=low, vmax=max(high, low + 1e-12))
@@ -85,7 +85,7 @@ def _draw_row(axes: Axes, rows: Sequence[FittedCurve], name: str, factor: float)
 
 
 def fits_figure(rows: Sequence[FittedCurve]) -> Figure | None:
-    """Draw three fitted curves, one of the best tenth, the middle one and one of the worst tenth; None without any."""
+    """Draw three fitted curves, at the best tenth, the median and the worst tenth; None if no curve was fitted."""
     fitted = sorted(
         (each for each in rows if not each.fit.refused and each.fit.shown is not None),
         key=lambda each: each.fit.residual_n / max(each.fit.load_n, 1e-15),
@@ -114,7 +114,7 @@ def _draw_fit(above: Axes, below: Axes, each: FittedCurve) -> None:
         if len(height):
             above.plot((height - fit.contact_m) * 1e9, force * 1e9, ".", ms=2, color=colour, label=label, alpha=0.6)
     place = (-shown.base_m - fit.contact_m) * 1e9
-    # between the contact and the end away from the sample nothing was fitted
+    # Nothing was fitted between the contact and the end away from the sample.
     gaps = np.flatnonzero(np.abs(np.diff(place)) > 5.0 * np.median(np.abs(np.diff(place)))) + 1
     for number, part in enumerate(np.split(np.arange(len(place)), gaps)):
         above.plot(place[part], shown.model_n[part] * 1e9, "k-", lw=1.2, label=None if number else "fit")

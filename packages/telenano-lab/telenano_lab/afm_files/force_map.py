@@ -1,18 +1,18 @@
-"""Recorded maps as files: a channel on an even grid over (x, y, z), with all that it takes to feel it.
+"""Recorded maps as files: a channel on an even grid over (x, y, z), with everything needed to feel it.
 
-A map is a `.npz` of NumPy, not compressed. It is read whole into memory, so that no step of the instrument waits for a
-page. Its members:
+A map is an uncompressed `.npz` of NumPy. It is read whole into memory, so that no step of the instrument waits for a
+page fault. Its members:
 
-| member | what |
+| member | meaning |
 |---|---|
 | `value` | shape (x, y, z) or (x, y, z, 2), approach and then retract |
 | `x`, `y`, `z` | the points of each axis; z rises away from the sample |
-| `unit`, `length_unit` | of `value` (N, Hz, A, m, rad, and multiples) and of the axes |
+| `unit`, `length_unit` | unit of `value` (N, Hz, A, m, rad, and multiples) and of the axes |
 | `sign` | 1: a repulsive force is positive; -1: it is negative; for forces |
-| `axis` | `base`: z is the height of the base; `tip`: that of the tip, which is bent by F / k; for forces |
-| `stiffness_n_per_m` | of the cantilever that measured it; for forces |
-| `sensitivity_m_per_v` | where the unit of `value` is a voltage |
-| `source` | where it comes from, in words |
+| `axis` | `base`: z is the height of the base; `tip`: that of the tip, deflected by F / k; for forces |
+| `stiffness_n_per_m` | spring constant of the cantilever that measured it; for forces |
+| `sensitivity_m_per_v` | sensitivity, if the unit of `value` is a voltage |
+| `source` | origin of the data, in words |
 """
 
 import hashlib
@@ -32,7 +32,7 @@ from telenano.files import atomic_file, open_regular
 from telenano.wire import ConfigError
 from telenano_lab.afm_files.recorded_map import MapParams, start, step
 
-# the units of a length on the axes, and how many metres each is
+# Length units of the axes, in metres.
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 MEMBERS = ("unit", "length_unit", "sign", "axis", "stiffness_n_per_m", "sensitivity_m_per_v", "source")
 _KNOWN = frozenset({*MEMBERS, "x", "y", "z"})
@@ -42,9 +42,9 @@ _MOST_FACT_BYTES = 1 << 20
 # Large arrays are read in pieces of this size.
 _PIECE_BYTES = 1 << 24
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# Two branches are one where they differ by less than this share of their greatest difference.
+# Two branches count as one where they differ by less than this share of their greatest difference.
 _CLOSED = 0.05
-# A curve is in contact above this share of its greatest force.
+# A curve is in contact where its force exceeds this share of its range.
 _CONTACT = 0.05
 # The steps of an axis may differ by this share of its greatest value.
 _EVEN = 1e-6
@@ -54,7 +54,8 @@ class ForceMap(NamedTuple):
     """A map in SI units.
 
     values: shape (branches, x, y, z), a repulsive force positive; x_m, y_m, z_m: even axes [m]; quantity: force or a
-    name of UNITS; stiffness_n_per_m: of the cantilever [N/m], 0 where the values are no forces; source: in words.
+    name of UNITS; stiffness_n_per_m: of the cantilever [N/m], 0 where the values are not forces; source: origin in
+    words.
     """
 
     values: Array
@@ -67,14 +68,14 @@ class ForceMap(NamedTuple):
 
 
 class MapError(ValueError):
-    """A map that cannot be used: the key, and what is wrong with it."""
+    """A map that cannot be used; the message names the member and the fault."""
 
 
 def checked_map(header: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
-    """Return the map that members and values are; MapError names the member and what would be right.
+    """Return the map in SI units that the members describe; MapError names a faulty member and what would be right.
 
     Args:
-        header: The members but `value`, as plain values and arrays.
+        header: All members except `value`, as plain values and arrays.
         values: The member `value`.
     """
     if values.ndim not in (3, 4) or (values.ndim == 4 and values.shape[3] not in (1, 2)) or 0 in values.shape:
@@ -145,7 +146,7 @@ def _positive(header: dict[str, Any], name: str) -> float:
 
 
 def _over_base(values: Array, z: Array, stiffness: float) -> tuple[Array, Array]:
-    """Return curves over the height of the tip as curves over that of the base, z - F / k."""
+    """Convert curves over the height of the tip into curves over that of the base, z - F / k, on a common axis."""
     base = z - values / stiffness
     if not (np.diff(base, axis=3) > 0.0).all():
         branch, i, j, _ = np.unravel_index(int(np.argmin(np.diff(base, axis=3))), np.diff(base, axis=3).shape)
@@ -162,23 +163,25 @@ def _over_base(values: Array, z: Array, stiffness: float) -> tuple[Array, Array]
 
 
 def gates(recorded: ForceMap) -> tuple[Array, Array]:
-    """Return the heights at which contact is made and at which the loop of the branches is closed [m], shape (x, y).
+    """Return the heights at which contact is made and at which the loop of the branches closes [m], shape (x, y).
 
-    Contact is where the approach is at its lowest force after it has snapped in; where it does not attract, where the
-    force has risen by a twentieth of its range. The loop is closed above the last point at which the branches differ by
-    more than a twentieth of their greatest difference. What is less than the noise far from the sample counts as none.
+    Contact is made at the lowest force of the approach, after the snap-in; without attraction, where the force has
+    risen by
+    a twentieth of its range. The loop is closed above the last point at which the branches differ by more than a
+    twentieth
+    of their greatest difference. Differences within the noise far from the sample are ignored.
     """
     if recorded.quantity != "force":
         shape = recorded.values.shape[1:3]
         return np.full(shape, math.inf), np.full(shape, math.inf)
-    # column by column of the map, whose curves stay in the processor's cache
+    # The map is processed column by column, so that the curves stay in the processor's cache.
     columns = [_gates(recorded.values[:, i], recorded.z_m) for i in range(len(recorded.x_m))]
     return np.array([onset for onset, _ in columns]), np.array([release for _, release in columns])
 
 
 def _gates(values: Array, z: Array) -> tuple[Array, Array]:
     down, far = values[0] - values[0][:, -1:], slice(-max(len(z) // 10, 2), None)
-    # what differs by no more than the noise far from the sample is the same
+    # Differences within the noise far from the sample are ignored.
     rises = np.maximum(_CONTACT * np.ptp(down, axis=1), np.ptp(down[:, far], axis=1))
     risen = down > rises[:, None]
     last = np.where(risen.any(axis=1), len(z) - 1 - np.argmax(risen[:, ::-1], axis=1), 0)
@@ -192,12 +195,12 @@ def _gates(values: Array, z: Array) -> tuple[Array, Array]:
 
 
 def map_params(recorded: ForceMap, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> MapParams:
-    """Return what the instrument steps over; the middle of the map is x = y = 0.
+    """Return the parameters with which the instrument steps over a map; the middle of the map is x = y = 0.
 
     Args:
         recorded: The map.
-        rest_distance_m: Height of the base on the map where the instrument has it at 0 [m].
-        stiffness_n_per_m: Of the cantilever, where the map says none [N/m].
+        rest_distance_m: Height on the map of the base that the instrument has at 0 [m].
+        stiffness_n_per_m: Spring constant of the cantilever [N/m], used if the map has none.
         volts_per_m: The gain of the read-out [V/m].
     """
     onset, release = gates(recorded)
@@ -211,7 +214,7 @@ def map_params(recorded: ForceMap, rest_distance_m: float, stiffness_n_per_m: fl
 
 
 def write_map(path: Path, recorded: ForceMap) -> None:
-    """Write a map as its file; OSError, if it cannot be written."""
+    """Write a map to its file; raise OSError if it cannot be written."""
     members: dict[str, Any] = {
         "unit": SI_UNITS[recorded.quantity], "length_unit": "m", "source": recorded.source,
         "value": np.moveaxis(recorded.values, 0, 3), "x": recorded.x_m, "y": recorded.y_m, "z": recorded.z_m,
@@ -223,11 +226,11 @@ def write_map(path: Path, recorded: ForceMap) -> None:
 
 
 def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], npt.NDArray[Any] | None]:
-    """Return the members of a `.npz` as plain values and arrays, and `value`, None where it is not asked for.
+    """Return the members of a `.npz` as plain values and arrays, and `value`, None unless values is True.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no whole `.npz`; nothing is taken for what a header states before it was compared.
+        ValueError: It is no whole `.npz`. Sizes in headers are checked against the file before memory is allocated.
     """
     members: dict[str, Any] = {}
     grid = None
@@ -242,7 +245,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
                         grid = _member(archive, member, 8 * MOST_VALUES)
         except (MapError, OSError):
             raise
-        # damage may lead zipfile and zlib anywhere
+        # Damaged files make zipfile and zlib raise exceptions of any kind.
         except Exception as error:
             raise MapError(f"is no whole .npz file: {error}") from error
     if values and grid is None:
@@ -262,7 +265,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most_bytes: int) 
         stated, there = math.prod(shape) * kind.itemsize, member.file_size - file.tell()
         if kind.hasobject or min(shape, default=0) < 0 or stated != there:
             raise MapError(f"{name}: has {there} bytes; {kind} of shape {shape} is {stated}")
-        # No memory is taken for what a header states before it was there.
+        # No memory is allocated for a stated size before the bytes are there.
         content = bytearray()
         while len(content) < stated and (part := file.read(min(stated - len(content), _PIECE_BYTES))):
             content += part
@@ -276,7 +279,7 @@ def _plain(value: npt.NDArray[Any]) -> Any:
 
 
 def read_map(path: Path) -> tuple[ForceMap, str]:
-    """Return a map that can be felt and the digest of its file (16 hex digits of SHA-256).
+    """Return a map that can be felt, and the digest of its file (16 hex digits of SHA-256).
 
     Raises:
         ConfigError: The file cannot be used; the message names it, the member and what would be right.
@@ -297,7 +300,7 @@ def read_map(path: Path) -> tuple[ForceMap, str]:
 
 
 def span_of(path: Path) -> Span | None:
-    """Return what a map says without its values; None where the file is not readable here, or is no map over a base."""
+    """Return the extent, stiffness and quantity of a map; None if the file is unreadable or no map over the base."""
     try:
         stated = path.stat()
         return _span(os.fspath(path), stated.st_mtime_ns, stated.st_size)
@@ -320,7 +323,7 @@ def _span(path: str, changed_ns: int, size: int) -> Span | None:
 
 
 def read_over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
-    """Return what an instrument steps over; ConfigError names the file, and what is wrong with it."""
+    """Return a map file as the surface that an instrument steps over; ConfigError names the file and its fault."""
     force_map, digest = read_map(path)
     params = map_params(force_map, rest_distance_m, stiffness_n_per_m, volts_per_m)
     points, branches = " x ".join(map(str, force_map.values.shape[1:])), ("one branch", "approach and retract")

@@ -1,9 +1,9 @@
-"""Maps by Gwyddion, called in a child process with limits: its own files (.gwy) by `gwyfile`, others by its converter.
+"""Read maps with Gwyddion in a child process with limits: .gwy files with `gwyfile`, others with Gwyddion's converter.
 
-The converter (`gwyconvert` of gwyddionpy-converter, GPL version 2 or later) is a program of its own that the user
-installs: it is started with the path of an image and that of the .gwy to write, and nothing of it is imported. What it
-writes is read here and not by `gwyddionpy`, which leaves out the masks: where nothing was measured Gwyddion fills in
-heights, and a mask tells them from the measured ones.
+The converter (`gwyconvert` of gwyddionpy-converter, GPL version 2 or later) is a separate program that the user
+installs: telenano starts it with the path of an image and that of the .gwy to write, and imports nothing of it. The
+.gwy is read here instead of with `gwyddionpy`, which drops the masks: where nothing was measured Gwyddion fills in
+heights, and only a mask tells them from the measured ones.
 """
 
 import os
@@ -22,22 +22,22 @@ from telenano.signals import run as run_child
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
-# Gwyddion's own files begin with these bytes, and with the name of their type behind them.
+# A .gwy begins with these bytes, followed by the name of its type.
 _MAGIC = b"GWYP"
 _NAME = b"GwyContainer\0"
 _START = len(_MAGIC) + len(_NAME) + 4
-# The converter of other files, as it is called.
+# Command of the converter of other files.
 _PROGRAM = "gwyconvert"
 # The package that installs the converter.
 _DISTRIBUTION = "gwyddionpy-converter"
-# Most files take it less than a second; the child that waits for it may take longer than this by itself.
+# Most files take the converter less than a second; the time limit of the waiting child itself may be longer.
 _LONGEST_S = 60.0
 _TEXTS = (".asc", ".csv", ".txt", ".xyz")
 _WAYS_OUT = "or open it in Gwyddion and save it as .gwy"
 
 
 def load_image(path: str) -> Found:
-    """Return the maps of an image that Gwyddion knows, y rising with the row; heights that were not measured are NaN.
+    """Return the maps of an image that Gwyddion knows; y rises with the row, heights that were not measured are NaN.
 
     Raises:
         ValueError: The converter is not installed, or it cannot read the file; the message says what to do.
@@ -52,10 +52,11 @@ def load_image(path: str) -> Found:
         out, source = Path(folder, "converted.gwy"), path
         content = Path(path).read_bytes() if Path(path).suffix.lower() in _TEXTS else b"\n"
         if not content.endswith(b"\n"):
-            # Gwyddion leaves out a last line that has no end.
+            # Gwyddion drops a last line without a newline.
             source = os.fspath(Path(folder, Path(path).name))
             Path(source).write_bytes(content + b"\n")
-        # A comma as decimal mark would change numbers, and Gwyddion makes a folder of settings in the user's home.
+        # A locale with a decimal comma would change numbers; without HOME set, Gwyddion makes a settings folder in the
+        # user's home.
         kept = {key: value for key, value in os.environ.items() if key not in ("LC_ALL", "DISPLAY")}
         try:
             ended = run_child(
@@ -76,7 +77,7 @@ def load_image(path: str) -> Found:
 
 
 def converter() -> str | None:
-    """Return the path of Gwyddion's converter: on PATH, or as gwyddionpy-converter installed it; None without it."""
+    """Return the path of Gwyddion's converter, from PATH or from gwyddionpy-converter; None if it is not installed."""
     if path := shutil.which(_PROGRAM):
         return path
     place = find_spec("gwyddionpy_converter")
@@ -86,9 +87,11 @@ def converter() -> str | None:
 
 
 def load_maps(path: str) -> Found:
-    """Return the maps of a .gwy file in the order of their numbers, y rising with the row; its masks are the user's.
+    """Return the maps of a .gwy file in the order of their numbers; y rises with the row.
 
-    Values: `channels`, for each map its title, its width and depth, and the units of both and of the values.
+    Masks are ignored, because the user drew them. Values: `channels`, for each map its title, its width and depth, and
+    the
+    units of both and of the values.
     """
     return _maps_of(Path(path), "it has no map", is_converted=False)
 
@@ -99,12 +102,12 @@ def _maps_of(path: Path, without: str, *, is_converted: bool = True) -> Found:
     content = path.read_bytes()
     if not content.startswith(_MAGIC):
         raise ValueError("is no Gwyddion file: it does not begin with GWYP")
-    # gwyfile takes a file that was cut for a smaller one
+    # gwyfile accepts a truncated file as a smaller one.
     stated = int.from_bytes(content[_START - 4 : _START], "little")
     if not content.startswith(_MAGIC + _NAME) or len(content) != _START + stated:
         raise ValueError("is no whole Gwyddion file: it must be one container of the length that it states")
     facts, maps = [], []
-    # it fails in whatever way the damage leads it to
+    # gwyfile raises exceptions of any kind on damaged files.
     try:
         whole = GwyObject.frombuffer(content[len(_MAGIC) :])
         for key in sorted((key for key in whole if re.fullmatch(r"/\d+/data", key)), key=lambda key: int(key[1:-5])):

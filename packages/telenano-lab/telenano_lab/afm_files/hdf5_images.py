@@ -1,7 +1,7 @@
-"""Images in HDF5: JPK (.h5-jpk), and NSID as pycroscopy writes it (.h5, .hf5): called in a child process with limits.
+"""Read images in HDF5: JPK (.h5-jpk), and NSID of pycroscopy (.h5, .hf5); called in a child process with limits.
 
-JPK has for each channel integers of shape (points, frames), which its `net-encoder` brings to the unit of the channel,
-with the lowest line first. NSID has a dataset whose axes are dimension scales with a unit.
+JPK stores each channel as integers of shape (points, frames), lowest line first; its `net-encoder` scales them to the
+unit of the channel. NSID stores a dataset whose axes are dimension scales with a unit.
 """
 
 from collections.abc import Iterator
@@ -15,10 +15,10 @@ Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
 
 def load_maps(path: str) -> Found:
-    """Return the maps of an HDF5 file, y rising with the row.
+    """Return the maps of an HDF5 file; y rises with the row.
 
     Raises:
-        ValueError: It has no map that is known here; the message names what it has.
+        ValueError: It has no map of a known kind; the message names the datasets that it has.
     """
     import h5py
 
@@ -91,7 +91,7 @@ def _nsid(file: Any, others: list[str]) -> Iterator[Map]:
 
 
 def _axis(data: Any, place: int) -> tuple[float, str] | None:
-    """Return the length of an axis with even steps and its unit, a point being as wide as a step; None for another."""
+    """Return the length of an evenly spaced axis, a point being as wide as a step, and its unit; None otherwise."""
     scale = next(iter(data.dims[place].values()), None)
     if scale is None or scale.shape != (data.shape[place],) or scale.size < 2:
         return None

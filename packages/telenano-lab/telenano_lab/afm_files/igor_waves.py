@@ -1,6 +1,7 @@
-"""Igor's binary waves (.ibw, version 5), by `igor2`, after their sizes were compared with the file: called in a child.
+"""Read Igor's binary waves (.ibw, version 5) with `igor2`, after checking their sizes; called in a child process.
 
-Format: WaveMetrics, Technical Note 003. `igor2` takes the memory that the header asks for before it looks at the data.
+Format: WaveMetrics, Technical Note 003. `igor2` allocates the memory that the header asks for before it looks at the
+data, so the sizes are first compared with the file.
 """
 
 import math
@@ -19,7 +20,7 @@ from telenano_lab.afm_files.recorded import Curves, RecordedCurve
 
 _VERSION = 5
 _DATA_START = 384
-# The lengths of the parts behind the data: formula, note, units, labels of dimensions, indices, two options.
+# Lengths of the parts behind the data: formula, note, units, labels of dimensions, indices, two options.
 _PARTS = struct.Struct("8x14i")
 # Offsets in the header of a wave [bytes].
 _POINTS = 76
@@ -34,7 +35,7 @@ Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
 
 def require_whole(path: Path) -> None:
-    """Raise ValueError where a file is no wave of version 5, or states sizes that it does not have; OSError."""
+    """Raise ValueError if a file is no wave of version 5 or smaller than its header states; OSError if unreadable."""
     with open_regular(path) as file:
         head = file.read(_DATA_START)
         size = file.seek(0, 2)
@@ -61,9 +62,9 @@ def _read(form: str, order: str, head: bytes, place: int) -> tuple[int, ...]:
 
 
 def load_wave(path: str) -> Found:
-    """Return a wave as plain values and its array, shape as in Igor.
+    """Return the facts of a wave as plain values, and its array, shape as in Igor.
 
-    Values: unit of the data, units and steps of the first two dimensions, labels of each dimension, and the note.
+    Facts: unit of the data, units and steps of the first two dimensions, labels of each dimension, and the note.
     """
     from igor2 import binarywave
 
@@ -84,9 +85,9 @@ def load_wave(path: str) -> Found:
 
 
 def load_maps(path: str) -> Found:
-    """Return the maps of a wave, y rising with the row; its columns are Igor's rows.
+    """Return the maps of a wave; y rises with the row, and columns are Igor's rows.
 
-    Values: `channels`, for each map its name, its width and depth, and the units of both and of the values.
+    Facts: `channels`, for each map its name, its width and depth, and the units of both and of the values.
     """
     wave, (values,) = load_wave(path)
     if values.ndim not in (2, 3):
@@ -97,7 +98,7 @@ def load_maps(path: str) -> Found:
     layers, labels, (dx, dy) = values.reshape(columns, rows, -1), wave["labels"][2], wave["steps"]
     count = layers.shape[2]
     names = [*labels, *(f"layer {i}" for i in range(len(labels), count))][:count]
-    # the unit of the wave is that of its first layers; those that are no heights say so by their names
+    # The unit of the wave is that of its first layers; layers that are no heights say so in their names.
     facts = [
         {"name": name, "sides": [columns * dx, rows * dy], "unit": wave["units"][0], "z": _unit(name, wave["unit"])}
         for name in names
@@ -111,7 +112,7 @@ def _unit(name: str, unit: str) -> str:
 
 
 def curves_of(path: str) -> Curves:
-    """Return the force curve of Asylum's in a wave (Defl, and ZSnsr or Raw)."""
+    """Return the force curve in a wave of Asylum's (columns Defl, and ZSnsr or Raw)."""
     wave, (values,) = load_wave(path)
     if values.ndim != 2:
         raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
@@ -124,12 +125,12 @@ def curves_of(path: str) -> Curves:
             raise ValueError(f"it has no column {' or '.join(names)}")
     if "Indexes" not in notes:
         raise ValueError("its note lacks Indexes")
-    # a part of a curve that dwells goes neither to the sample (1) nor away (-1)
+    # A segment that dwells has the direction 0, not 1 (towards the sample) or -1 (away).
     if "0" in (way.strip() for way in notes.get("Direction", "").split(",")):
         raise ValueError(refusal_of_pause("a dwell at the sample"))
-    # towards the sample is where the deflection rises: Asylum's sensor does too
+    # The base rises towards the sample, as the deflection and Asylum's sensor do.
     base = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
-    # These are the ends of the segments, of which a curve that dwells has more than two.
+    # The ends of the segments; a curve that dwells has more than two.
     ends = [int(float(end)) + 1 for end in notes["Indexes"].split(",") if end]
     turn, back = ends[1], ends[-2]
     speed = abs(float(base[turn - 1] - base[0])) / (float(wave["steps"][0]) * turn)
@@ -139,7 +140,7 @@ def curves_of(path: str) -> Curves:
 
 
 def curves_of_folder(path: str) -> Curves:
-    """Return the curves of a map of Asylum's that was saved as a folder of waves, `Line0003Point0012.ibw` each."""
+    """Return the curves of a map of Asylum's saved as a folder of waves, each named as `Line0003Point0012.ibw`."""
     curves = {}
     for file in sorted(Path(path).glob("*.ibw")):
         if place := re.search(r"Line(\d+)Point(\d+)", file.stem, re.IGNORECASE):
@@ -162,10 +163,10 @@ def curves_of_folder(path: str) -> Curves:
 
 
 def notes_of(wave: dict[str, Any]) -> dict[str, str]:
-    """Return the lines of the note of a wave by their keys."""
+    """Return the lines of the note of a wave as a dict."""
     return dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
 
 
 def _text(parts: Any) -> str:
-    """Return a text of an Igor header, which is bytes or single characters of them."""
+    """Decode a text of an Igor header, which is bytes or single characters of them."""
     return (parts if isinstance(parts, bytes) else b"".join(parts)).decode("latin-1").strip("\0 ")

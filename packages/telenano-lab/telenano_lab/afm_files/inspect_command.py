@@ -1,4 +1,4 @@
-"""`telenano inspect FILE`: what a file is taken for, before anything is made of it."""
+"""`telenano inspect FILE`: report how telenano interprets a file, before using it."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from telenano.wire import ConfigError, quoted
 from telenano_lab.afm_files.text_curves import NOTHING, TableOptions, curves_of, table_options_of
 
 _LARGEST_BYTES = 256_000_000
-# A text has none of these bytes in its begin.
+# Bytes that do not occur at the beginning of a text.
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _BEGIN = 4096
 _PING = re.compile(r"\b(?:icmp_)?seq[= ]\d| : \[\d+\], (?:\d+ bytes|timed out)|\bTTL=\d+\s*$", re.MULTILINE)
@@ -53,7 +53,7 @@ def inspect(
 
 
 def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
-    """Return what a file is taken for, a curve by what a person says of its columns and units as well.
+    """Return how a file is interpreted; a curve also by the user's options on columns and units.
 
     Raises:
         ConfigError: It cannot be read, or is empty.
@@ -65,7 +65,7 @@ def inspected(path: Path, options: TableOptions = NOTHING) -> dict[str, Any]:
     if not content.strip():
         raise ConfigError(f"{path}: is empty")
     is_wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
-    # The head of an instrument's file may be a text of many kilobytes, and a text has no zero byte anywhere.
+    # The header of an instrument's file may be many kilobytes of text, but a text has no zero byte anywhere.
     if (_BINARY.search(content[:_BEGIN]) or b"\0" in content) and not is_wide:
         return _of_instrument(path)
     if _PING.search(decoded(content[:200_000], str(path))):
@@ -131,7 +131,7 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
         ]
         return "a force curve, as --set says", takes, _curve(path, options)
     in_head = table.units_in_head(*_DENSITIES)
-    # decibels, peaks and the power of lines as well: the command takes them or says what it lacks
+    # Decibels, peaks and line powers count too: the command accepts them or says what they lack.
     is_spectral = any(kinds[name] for name in _DENSITIES) or any(_SPECTRAL.match(one.unit) for one in columns)
     if (kinds["Hz"] and is_spectral) or in_head:
         return "a thermal spectrum", [f"telenano calibrate stiffness --spectrum {_quoted(path)}"], {}
@@ -141,7 +141,7 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
         return "a force curve", takes, _curve(path, NOTHING)
     if any(_DELAY.match(column.name or column.title) for column in columns):
         return "a log of a line", [f"telenano link fit {_quoted(path)}"], {}
-    # the last line of the head is one of facts, such as `Width: 1 µm`, and not one of names
+    # A last header line of facts, such as `Width: 1 µm`, is no line of names.
     is_named = all(column.title and as_number(column.title) is None and ":" not in column.title for column in columns)
     if len(columns) > 2 and is_named:
         return (
@@ -171,7 +171,7 @@ def _kind(path: Path, table: TextTable, options: TableOptions) -> tuple[str, lis
 
 
 def _quoted(path: Path) -> str:
-    """Return a path as a command line has it."""
+    """Return a path quoted for a command line."""
     return quoted(path)
 
 
@@ -199,7 +199,7 @@ def _curve(path: Path, options: TableOptions) -> dict[str, Any]:
 
 
 def _of_instrument(path: Path) -> dict[str, Any]:
-    """Return what the reader of an installed package finds in a file: images, curves and spectra."""
+    """Return what the readers of installed packages find in a file: images, curves and spectra."""
     ending = path.suffix.lower().removeprefix(".").replace("-", "_")
     readers = {point.name: point for point in entry_points(group="telenano.readers")}
     document: dict[str, Any] = {"format": f"a file of an instrument, by its ending {path.suffix or 'other'}"}

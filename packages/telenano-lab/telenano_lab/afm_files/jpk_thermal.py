@@ -1,4 +1,4 @@
-"""Thermal spectra as JPK's software exports them (.tnd), which are text: called in a child process with limits."""
+"""Read thermal spectra that JPK's software exports as text (.tnd); called in a child process with limits."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
 
 def load_spectrum(path: str) -> Found:
-    """Return the lines [Hz] and the mean density of a spectrum, with the unit that its head has for that column."""
+    """Return the frequencies [Hz] and the mean density of a spectrum, with the unit of that column in the header."""
     text = Path(path).read_bytes().decode("utf-8", "replace")
     names, units = (re.findall(r"'([^']*)'", match[1]) if (match := re.search(rf"^# {key}:(.*)$", text, re.M)) else []
                     for key in ("Channels", "Units"))  # fmt: skip

@@ -1,4 +1,4 @@
-"""`telenano sample import` and `telenano sample info`: recorded maps of instruments, brought into what a rig feels."""
+"""`telenano sample import` and `telenano sample info`: convert recorded maps into maps that a rig feels."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -34,14 +34,14 @@ MapChannelOption = Annotated[
 
 
 class Level(StrEnum):
-    """What the heights of curves count from."""
+    """Reference of the heights of curves."""
 
     EACH = "each"
     COMMON = "common"
 
 
 class Correction(StrEnum):
-    """What is taken off the curves of a map, by their part in free air."""
+    """Free-air signal that is subtracted from the curves of a map."""
 
     NOTHING = "nothing"
     OFFSET = "offset"
@@ -49,7 +49,7 @@ class Correction(StrEnum):
 
 
 class Quantity(StrEnum):
-    """What a map is converted to."""
+    """Quantity that a map is converted to."""
 
     FORCE = "force"
 

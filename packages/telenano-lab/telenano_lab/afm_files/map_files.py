@@ -1,14 +1,14 @@
-"""Recorded maps from the files of instruments, brought onto one grid.
+"""Import recorded maps from the files of instruments onto one grid.
 
-| file | what | read by |
+| file | content | read by |
 |---|---|---|
 | `.npz`, `.h5` with a dataset `value` | a plain grid with the members of a map | numpy, h5py |
-| those of `curve_files`, and a folder of `.ibw` of a map | curves | there |
-| `.3ds`, `.dat` | a grid or a spectroscopy of Nanonis whose sweep is z | here |
+| those of `curve_files`, and a folder of `.ibw` of a map | curves | `curve_files` |
+| `.3ds`, `.dat` | a grid or a spectroscopy of Nanonis whose sweep is z | this module |
 
-Curves have heights of their own. They are cut to what all of them have in common: with `level: each` the height of a
-curve counts from its own lowest point, so that no curve loses its contact, and the topography is left out; with
-`common` the heights of the piezo are kept. In both the lowest point of the map is z = 0.
+Each curve has its own heights; all are cut to the range that they share. With `level: each` the height of a curve
+counts from its own lowest point, so that no curve loses its contact, and the topography is dropped; with `common` the
+heights of the piezo are kept. In both cases the lowest point of the map is z = 0.
 """
 
 import json
@@ -33,7 +33,7 @@ from telenano_lab.afm_files.sader_jarvis import ASKED, as_force
 from telenano_lab.afm_files.text_curves import SUFFIXES, TableOptions
 
 _LONGEST_3DS_HEADER = 1 << 18
-# A side of the grid of a map has up to this number of points.
+# Greatest number of points along a side of a map's grid.
 _MOST_SIDE = 4096
 # A curve needs this number of valid points.
 _LEAST_POINTS = 8
@@ -42,21 +42,23 @@ _CURVE_SUFFIXES = (
     ".h5", ".tab", ".asc", ".tsv",
 )  # fmt: skip
 MAP_SUFFIXES = (".npz", ".3ds", ".dat", *_CURVE_SUFFIXES)
-# Share of the heights, farthest from the sample, whose mean, and whose slope, is that of free air.
+# Share of the heights, farthest from the sample, over which the mean or the slope counts as that of free air.
 _BASELINE = {"offset": 0.1, "tilt": 0.25}
-# Of the span of the mean force: more than this far from the sample is no noise.
+# A free-air level above this share of the span of the mean force is more than noise.
 _FREE_SHARE = 0.05
 Watch = Callable[[float], None]
 
 
 class MapOptions(NamedTuple):
-    """What a person says of a file: members of a map that it lacks, and how its curves are brought onto one grid.
+    """The user's options: members of a map that its file lacks, and how its curves are brought onto one grid.
 
-    given: members of a map; channel: a part of the name of a channel, for .3ds; level: `each` or `common`;
-    points: of the height, 0 for those of the curves; correct: what free air has, and no force, is taken off: `offset`
-    (the mean of each curve there; curves without a word), `tilt` (that, and a slope that all curves have), or `nothing`
-    (a plain grid without a word); baseline: share of the heights that is free air, farthest from the sample, None for
-    0.1 and for 0.25 of a tilt; converted: to the force that a frequency shift is of (`sader_jarvis`).
+    given: members of a map; channel: part of the name of a channel, for .3ds; level: `each` or `common`; points: number
+    of
+    heights, 0 for that of the curves; correct: signal in free air that is subtracted: `offset` (the mean of each curve
+    there; the default for curves), `tilt` (that, and a slope common to all curves), or `nothing` (the default for a
+    plain
+    grid); baseline: share of the heights that is free air, farthest from the sample, None for 0.1, or 0.25 with tilt;
+    converted: whether a frequency shift is converted to a force (`sader_jarvis`).
     """
 
     given: Mapping[str, Any]
@@ -74,7 +76,7 @@ class MapOptions(NamedTuple):
 
 
 class ImportedMap(NamedTuple):
-    """A map, and what was noticed on the way, in words."""
+    """A map, and remarks on its import, in words."""
 
     map: ForceMap
     notes: tuple[str, ...]
@@ -84,7 +86,7 @@ Way = tuple[Array, Array]
 
 
 class _Curves(NamedTuple):
-    """Curves of a grid: [x][y][branch] a pair of heights [m], rising, and values in their unit; sides of the grid."""
+    """Curves of a grid: [x][y][branch] a pair of rising heights [m] and values in their unit; sides of the grid [m]."""
 
     ways: list[list[list[Way]]]
     sides_m: tuple[float, float]
@@ -94,7 +96,7 @@ class _Curves(NamedTuple):
 
 @contextmanager
 def _faults_named(path: Path) -> Iterator[None]:
-    """Raise what is wrong with a file, or with reading it, as a ConfigError that names it."""
+    """Convert errors in reading a file into a ConfigError that names the file."""
     try:
         yield
     except ImportError as error:
@@ -107,7 +109,7 @@ def _faults_named(path: Path) -> Iterator[None]:
 
 
 def _demand_content(path: Path) -> None:
-    """Raise OSError where a file cannot be opened, and MapError where it is empty."""
+    """Raise OSError if a file cannot be opened, and MapError if it is empty."""
     if not path.is_dir():
         open_regular(path).close()
         if path.stat().st_size == 0:
@@ -115,7 +117,7 @@ def _demand_content(path: Path) -> None:
 
 
 def _given_of(path: Path, wanted: MapOptions) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what a person says of a file: its facts, and how its text table is read; MapError where it is no table."""
+    """Split the user's settings into members of a map and options of a text table; MapError if the file is no table."""
     members = {name: value for name, value in wanted.given.items() if name not in TableOptions._fields}
     options = {name: value for name, value in wanted.given.items() if name in TableOptions._fields}
     if options and path.suffix.lower() not in SUFFIXES:
@@ -128,7 +130,7 @@ def import_map(path: Path, wanted: MapOptions, watch: Watch = lambda share: None
 
     Args:
         path: The file.
-        wanted: What a person says of it.
+        wanted: The user's options.
         watch: Called with the share that is read, from 0 to 1.
 
     Raises:
@@ -150,10 +152,11 @@ def import_map(path: Path, wanted: MapOptions, watch: Watch = lambda share: None
 
 
 class Curves(NamedTuple):
-    """Curves as they were taken: of each its number in the file, its place [m] and branches of height [m], force [N].
+    """Curves as they were taken: index in the file, place [m], and branches of height [m] and force [N] of each.
 
-    The height is that of the base, rising away from the sample, ascending; a repulsive force is positive; the approach
-    comes first. is_grid: whether the places are those of a map.
+    The height is that of the base, ascending away from the sample; a repulsive force is positive; the approach comes
+    first.
+    is_grid: whether the places are those of a map.
     """
 
     numbers: list[int]
@@ -165,11 +168,11 @@ class Curves(NamedTuple):
 
 
 def read_curves(path: Path, wanted: MapOptions, watch: Watch = lambda share: None) -> Curves:
-    """Return the curves of a file, each over its own heights, or of a map on its grid.
+    """Return the curves of a file, each over its own heights; those of a map file over its grid.
 
     Args:
         path: The file, or the folder of a map of waves.
-        wanted: What a person says of it.
+        wanted: The user's options.
         watch: Called with the share that is read, from 0 to 1.
 
     Raises:
@@ -214,7 +217,7 @@ def _is_plain_grid(path: Path) -> bool:
     try:
         read_in_child("telenano_lab.afm_files.map_libraries:load_grid", path)
     except (ValueError, OSError, ImportError):
-        # The reader of curves tells what is wrong with it.
+        # The reader of curves will report the fault.
         return False
     return True
 
@@ -251,7 +254,7 @@ def _import(path: Path, wanted: MapOptions, options: str, watch: Watch) -> Impor
         try:
             facts, (values, *axes) = read_in_child("telenano_lab.afm_files.map_libraries:load_grid", path)
         except ValueError as error:
-            # a file of afmformats has numbered groups of columns
+            # A file of afmformats has numbered groups of columns instead.
             if not str(error).startswith("value: is missing"):
                 raise
         else:
@@ -262,7 +265,7 @@ def _import(path: Path, wanted: MapOptions, options: str, watch: Watch) -> Impor
 
 
 def _in_free_air(recorded: ForceMap) -> list[str]:
-    """Return in words what a map of forces has far from its sample, where there is no force, and at its sample."""
+    """Return remarks on the force of a map far from its sample, where it should be zero, and at the sample."""
     if recorded.quantity != "force" or recorded.values.shape[-1] < 2 * _LEAST_POINTS:
         return []
     curves = recorded.values.reshape(-1, recorded.values.shape[-1])
@@ -288,7 +291,7 @@ def _in_free_air(recorded: ForceMap) -> list[str]:
 
 
 def _corrected(imported: ImportedMap, wanted: MapOptions) -> ImportedMap:
-    """Return a map without what its curves have in free air, as far as a person wants it."""
+    """Subtract the free-air level, and with `tilt` the free-air slope, from a map if the user asked for it."""
     if wanted.correct not in _BASELINE:
         return imported
     whole = imported.map
@@ -297,7 +300,7 @@ def _corrected(imported: ImportedMap, wanted: MapOptions) -> ImportedMap:
     count = max(int(wanted.free_share * len(whole.z_m)), 2)
     unit = SI_UNITS[whole.quantity]
     heights = whole.z_m - math.fsum(whole.z_m[-count:].tolist()) / count
-    # of the approaches, because a retraction may still pull there
+    # Only the approaches count: a retraction may still pull there.
     far = [whole.values[0][..., place] for place in range(-count, 0)]
     values, notes = whole.values, []
     if wanted.correct == "tilt":
@@ -314,7 +317,7 @@ def _corrected(imported: ImportedMap, wanted: MapOptions) -> ImportedMap:
 
 
 def _load(path: Path, wanted: MapOptions, options: str, watch: Watch) -> tuple[dict[str, Any], list[Array]]:
-    """Return what `curve_files.load_curves` finds."""
+    """Return the result of `curve_files.load_curves` in a child process."""
     constants = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in constants]
     limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
@@ -325,7 +328,7 @@ def _load(path: Path, wanted: MapOptions, options: str, watch: Watch) -> tuple[d
 
 def _read_curves(path: Path, wanted: MapOptions, options: str, watch: Watch) -> _Curves:
     facts, (places, counts, heights, forces) = _load(path, wanted, options, watch)
-    # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
+    # A part of a grid, or a stopped grid, is a map if its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]
     nx, ny = (len(line) for line in lines)
     is_even = all(len(set(np.diff(line).tolist())) < 2 for line in lines)
@@ -342,7 +345,7 @@ def _read_curves(path: Path, wanted: MapOptions, options: str, watch: Watch) -> 
     pitch = [side / max(count, 1) for side, count in zip(facts["sides"], whole, strict=True)]
     strides = [int(line[1] - line[0]) if len(line) > 1 else 1 for line in lines]
     sides = (pitch[0] * strides[0] * nx, pitch[1] * strides[1] * ny)
-    # the force is positive when the tip is pushed away, the height is that of the piezo
+    # A repulsive force is positive, and the height is that of the piezo.
     stated = {"unit": "N", "sign": 1, "axis": "base", "stiffness_n_per_m": facts["stiffness_n_per_m"]}
     return _Curves(ways, sides, stated, notes)
 
@@ -388,7 +391,7 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
     back = _backward(names, chosen)
     heights = _sweep(data, curves, names, fixed, points)
     if back is not None and float(np.nansum(np.diff(heights, axis=2))) > 0.0:
-        # the sweep goes away from the sample, so the way back is the approach
+        # The sweep goes away from the sample, so the backward channel is the approach.
         chosen, back = back, chosen
     branches = [chosen] if back is None else [chosen, back]
     ways = [[[_way(heights[j, i], curves[j, i, b]) for b in branches] for j in range(lines)] for i in range(nx)]
@@ -449,7 +452,7 @@ def _sides(header: Mapping[str, str]) -> tuple[float, float]:
 
 
 def _chosen(names: list[str], wanted: str | None) -> int:
-    """Return the channel that is meant: of those with a unit that can be felt, frequency shift before others."""
+    """Return the index of the forward channel whose name contains `wanted`; by default a force or frequency shift."""
     forward = [i for i, name in enumerate(names) if "[bwd]" not in name]
     if wanted is None:
         channels = [i for i in forward if unit_of(names[i]) in ("N", "Hz")]
@@ -467,7 +470,7 @@ def _backward(names: list[str], chosen: int) -> int | None:
 
 
 def _sweep(data: Array, curves: Array, names: list[str], fixed: list[str], points: int) -> Array:
-    """Return the heights of all points [m], shape (lines, columns, points): those measured, or those of the sweep."""
+    """Return the measured heights of all points [m], shape (lines, columns, points), else those of the sweep."""
     if "Z (m)" in names:
         return curves[:, :, names.index("Z (m)")]
     start, stop = (data[:, :, fixed.index(name)] for name in ("Sweep Start", "Sweep End"))
@@ -519,7 +522,7 @@ def _each(ways: list[list[list[Way]]]) -> Iterable[list[Way]]:
 
 
 def _common(curves: Iterable[tuple[list[Way], float]]) -> tuple[float, float]:
-    """Return the heights [m] that every branch of every curve has, each less its zero."""
+    """Return the range of heights [m] that all branches of all curves share, each less its zero."""
     ends = [(z[0] - zero, z[-1] - zero) for curve, zero in curves for z, _ in curve]
     return max(float(low) for low, _ in ends), min(float(high) for _, high in ends)
 

@@ -1,4 +1,4 @@
-"""Force maps by the libraries of the field (`afmformats`, `h5py`): called in a child process with limits."""
+"""Read force maps with the libraries of the field (`afmformats`, `h5py`); called in a child process with limits."""
 
 import logging
 import os
@@ -15,22 +15,22 @@ import numpy.typing as npt
 
 from telenano_lab.afm_files.recorded import Curves, RecordedCurve, lacks
 
-# curves that are read at once
+# Number of curves that are read at once.
 _BLOCK = 64
-# The largest size of an archive that is read, unpacked.
+# Largest unpacked size of an archive that is read.
 _MOST_UNPACKED_BYTES = 8 << 30
-# The largest size of an archive of one curve, unpacked.
+# Largest unpacked size of an archive of one curve.
 _MOST_OF_ONE_BYTES = 1 << 30
-# An archive may unpack to this multiple of its size, while curves pack to a third or a half.
+# An archive may unpack to this multiple of its size; curves compress to a third or a half.
 _GREATEST_RATIO = 32
-# An archive may unpack to this size whatever its own size is.
+# An archive of any size may unpack to this size.
 _ORDINARY_BYTES = 64 << 20
-# The head of an entry of an archive has this number of bytes at least.
+# Least size of the header of an archive's entry [bytes].
 _LEAST_HEAD = 30
-# The properties that all curves share have at most this size, because they are copied for each block of curves.
+# Largest size of the properties that all curves share, which are copied for each block of curves.
 _MOST_SHARED_BYTES = 4 << 20
 
-# the names of constants, and those of afmformats
+# Names of constants in telenano and in afmformats.
 _NAMES = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
@@ -64,7 +64,7 @@ _NO_CURVES = (
 
 
 class NoCurvesError(ValueError):
-    """A file is of no format that the library reads."""
+    """A file in a format that afmformats does not read."""
 
 
 def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
@@ -72,13 +72,13 @@ def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
 
     Args:
         path: The file.
-        folder: Where parts of a large archive are written.
-        constants: Constants in place of those of the file, of a file that has deflections as they were read.
+        folder: Folder for the parts of a large archive.
+        constants: Constants that replace those of the file, if the file has raw deflections.
     """
     import afmformats
     from afmformats.errors import AFMFileFormatError, FileFormatNotSupportedError, MissingMetaDataError
 
-    # it reports with a traceback what it raises as well
+    # afmformats also logs the exceptions that it raises, with a traceback.
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
     refuse_large_archive(path, _MOST_OF_ONE_BYTES if path.lower().endswith(".jpk-force") else _MOST_UNPACKED_BYTES)
     override = {_NAMES[name]: value for name, value in constants.items() if is_raw(path)}
@@ -91,11 +91,11 @@ def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
                 names = [ours for ours, theirs in _NAMES.items() if theirs in error.meta_keys]
                 raise ValueError(lacks(names)) from error
             except FileFormatNotSupportedError as error:
-                # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
+                # afmformats knows two kinds of JPK pauses; a file with another is of no format to it.
                 if (count := _segments_of(path)) > 2:
                     raise ValueError(refusal_of_pause(f"{count} segments")) from error
                 raise NoCurvesError(_NO_CURVES) from error
-            # an archive of something else, one line of a grid, or a text with other columns than a recipe guessed
+            # Such as a foreign archive, one line of a grid, or a text with other columns than a recipe expects.
             except (AFMFileFormatError, ArithmeticError, AttributeError, LookupError, ValueError) as error:
                 raise NoCurvesError(_NO_CURVES) from error
 
@@ -114,13 +114,13 @@ def curves_of(path: str, folder: Path, constants: dict[str, float]) -> Curves:
     return Curves((int(shape[0]), int(shape[1])), (float(sides[0]), float(sides[1])), each())
 
 
-# the ends of the names of files that afmformats reads; those of raw deflections first
+# File name endings that afmformats reads; those of raw deflections come first.
 _RAW_SUFFIXES = (".jpk-", ".csv", ".txt", ".zip")
 SUFFIXES = (*_RAW_SUFFIXES, ".h5", ".tab")
 
 
 def is_raw(path: str) -> bool:
-    """Whether afmformats computes the forces of a file from constants, which may be others than those in the file."""
+    """Return whether afmformats computes the forces of a file from constants that may replace those in the file."""
     return Path(path).suffix.lower().startswith(_RAW_SUFFIXES)
 
 
@@ -142,7 +142,7 @@ def _recorded(curve: Any) -> RecordedCurve:
 
 
 def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:
-    """Raise ValueError for an archive that unpacks to too much, or names bytes twice; another file is no concern."""
+    """Raise ValueError for an archive that unpacks to too much or has overlapping entries; ignore other files."""
     if not zipfile.is_zipfile(path):
         return
     with zipfile.ZipFile(path) as archive:
@@ -156,9 +156,9 @@ def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> N
 
 
 def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
-    """Yield archives with the curves of one, a block of them each, and the share that is done after it.
+    """Yield archives that each hold a block of the curves of an archive, and the share that is done after it.
 
-    To afmformats each curve costs a look at all names of its archive.
+    afmformats looks at all names of an archive for each curve, so large archives would take quadratic time.
     """
     numbers: dict[str, int | None] = {}
     if zipfile.is_zipfile(path):
@@ -171,7 +171,7 @@ def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
     if len(of_curve) <= _BLOCK:
         yield path, 1.0
         return
-    # Images and settings of other programs are not looked at.
+    # Images and settings of other programs are skipped.
     shared = [name for name, number in numbers.items() if number is None and name.endswith((".properties", "/"))]
     found = sorted(of_curve)
     with zipfile.ZipFile(path) as archive:
@@ -194,14 +194,14 @@ def _curve_of(name: str) -> int | None:
 
 
 def require_force_curve(metadata: Any) -> None:
-    """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
+    """Raise ValueError for a curve of another imaging mode, which is no force against distance."""
     mode = str(metadata.get("imaging mode", "")) or "force-distance"
     if mode != "force-distance":
         raise ValueError(refusal_of_pause(mode))
 
 
 def refusal_of_pause(kind: str) -> str:
-    """Return why curves of a kind that hold the tip for a while cannot be used."""
+    """Return the reason why curves of a kind that hold the tip for a while cannot be used."""
     return (
         f"it holds curves of {kind.replace('-', ' ')}, taken over time at a constant force or place, and no force "
         "against distance: give a curve of an approach and a retraction without a pause"
@@ -209,7 +209,7 @@ def refusal_of_pause(kind: str) -> str:
 
 
 def _segments_of(path: str) -> int:
-    """Return how many segments the longest curve of an archive of JPK's has; 0 for another file."""
+    """Return the number of segments of the longest curve in a JPK archive; 0 for another file."""
     if not zipfile.is_zipfile(path):
         return 0
     with zipfile.ZipFile(path) as archive:
@@ -218,5 +218,5 @@ def _segments_of(path: str) -> int:
 
 
 def tell(report: int, share: float) -> None:
-    """Report the share that is done."""
+    """Write the share that is done to the descriptor, as a byte of percent."""
     os.write(report, bytes([min(int(100.0 * share), 100)]))

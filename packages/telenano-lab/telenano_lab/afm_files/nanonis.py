@@ -1,4 +1,4 @@
-"""Images (.sxm, by nanonispy2) and spectroscopies (.dat, here) of Nanonis: called in a child process with limits.
+"""Read images (.sxm, with nanonispy2) and spectroscopies (.dat) of Nanonis; called in a child process with limits.
 
 A spectroscopy is a header of `key TAB value`, a line `[DATA]`, a line of names such as `Frequency Shift [bwd] (Hz)`,
 and rows of numbers. Z rises away from the sample.
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from telenano.files import TextTable
 from telenano_lab.afm_files.recorded import Array, Curves, RecordedCurve
 
-# The head of a spectroscopy is some kB long.
+# The header of a spectroscopy is a few kB long.
 _LONGEST_HEAD = 1 << 18
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
@@ -23,9 +23,9 @@ _SWEPT = re.compile(r"Z( rel)?( \[AVG\])? \(m\)")
 
 
 def load_nanonis(path: str) -> Found:
-    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row.
+    """Return the maps of the forward lines of a Nanonis .sxm file; y rises with the row.
 
-    Of a scan that was stopped these are the finished lines, with the depth that they cover.
+    A stopped scan gives its finished lines, with the depth that they cover.
     """
     from nanonispy2.read import Scan
 
@@ -36,12 +36,12 @@ def load_nanonis(path: str) -> Found:
     for name, directions in scan.signals.items():
         values = np.asarray(directions["forward"], dtype=np.float64)
         facts.append({"name": name, "sides": [width, depth], "unit": "m", "z": units.get(name, "")})
-        # Lines are kept in the order of the scan.
+        # Lines are stored in the order of the scan.
         maps.append(values[::-1] if scan.header["scan_dir"] == "down" else values)
     begun = np.any([np.isfinite(values).any(axis=1) for values in maps], axis=0)
     if begun.any() and not begun.all():
         kept = slice(int(begun.argmax()), len(begun) - int(begun[::-1].argmax()))
-        # the line in which it was stopped is no whole one
+        # The line in which the scan was stopped is incomplete.
         ends = [
             place for place in (kept.start, kept.stop - 1) if not all(np.isfinite(one[place]).all() for one in maps)
         ]
@@ -56,7 +56,7 @@ def load_nanonis(path: str) -> Found:
 
 
 def load_table(path: str) -> Found:
-    """Return the header of a spectroscopy and the names of its columns, and the table, shape (columns, rows)."""
+    """Return header and column names of a spectroscopy, and its table, shape (columns, rows)."""
     table = TextTable.read(Path(path))
     if "[DATA]" not in table.head or not table.columns[0].title:
         raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
@@ -66,23 +66,23 @@ def load_table(path: str) -> Found:
 
 
 def is_spectroscopy(path: str) -> bool:
-    """Return whether a file has the line [DATA] of Nanonis within its head."""
+    """Return whether a file has the line [DATA] of Nanonis in its header."""
     with Path(path).open("rb") as file:
         return b"[DATA]" in file.read(_LONGEST_HEAD)
 
 
 class Sweep(NamedTuple):
-    """A sweep of z: the heights [m], rising away from the sample, and by name the columns with a value at each."""
+    """A sweep of z: heights [m], rising away from the sample, and the columns by name, with a value at each height."""
 
     height_m: Array
     columns: dict[str, Array]
 
 
 def sweep_of(facts: dict[str, Any], table: Array) -> Sweep:
-    """Return the sweep of z of a spectroscopy, without columns that were filtered afterwards.
+    """Return the z sweep of a spectroscopy, without columns that were filtered afterwards.
 
     Raises:
-        ValueError: Something else was swept.
+        ValueError: A quantity other than z was swept.
     """
     names = facts["names"]
     if not _SWEPT.fullmatch(names[0]):
@@ -92,13 +92,13 @@ def sweep_of(facts: dict[str, Any], table: Array) -> Sweep:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit at the end of the name of a column, empty without one."""
+    """Return the unit at the end of a column's name, or an empty string."""
     match = re.search(r"\(([^()]*)\)$", name)
     return match[1] if match else ""
 
 
 def backward_of(name: str) -> str:
-    """Return the name that the column of a name has on the way back."""
+    """Return the name of the column that holds the way back of a column."""
     return re.sub(r" \(", " [bwd] (", name)
 
 
@@ -123,6 +123,6 @@ def curves_of(path: str) -> Curves:
     if backward_of(name) in columns:
         ways.append((height[::-1], columns[backward_of(name)][::-1]))
     if height[-1] > height[0]:
-        # the sweep goes away from the sample, so the way back is the approach
+        # The sweep goes away from the sample, so the way back is the approach.
         ways = ways[::-1]
     return Curves((1, 1), (0.0, 0.0), iter([(lambda: RecordedCurve((0, 0), tuple(ways), unit_of(name)), 1.0)]))

@@ -1,9 +1,9 @@
-"""Files of Nanosurf: images, force curves and thermal spectra (.nid), images and force curves (.nhf).
+"""Read Nanosurf files: images, force curves and thermal spectra (.nid), images and force curves (.nhf).
 
-A .nid is sections of `key=value`, the bytes `#!`, and after them the integers of each data set in the order in which
-the section `DataSet` lists them; their whole range is that of `Dim2Min` and `Dim2Range`. Curves are stored towards the
+A .nid consists of sections of `key=value`, the bytes `#!`, and then the integers of each data set in the order of the
+section `DataSet`; the full range of an integer spans `Dim2Min` to `Dim2Min + Dim2Range`. Curves are stored towards the
 sample, also those of the way back, and those of a map in rows that go back and forth. A .nhf is HDF5 with the range of
-each signal as attributes; no real one was at hand when its reader was written.
+each signal as attributes; its reader was written without a real file at hand.
 """
 
 import re
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 Sections = dict[str, dict[str, str]]
 
-# The names of frames, as Nanosurf writes them.
+# Names of frames in a .nid.
 _FORWARD = "Spec forward"
 _BACKWARD = "Spec backward"
 _SPECTRUM = "Spectrum FFT"
@@ -29,7 +29,7 @@ _HEIGHT = re.compile(r"z-?axis ?sensor|position z", re.IGNORECASE)
 
 
 class DataSet(NamedTuple):
-    """Lines of a channel: what it is of (`Scan forward`), its name and unit, values of shape (lines, points), facts."""
+    """Lines of a channel: frame (such as `Scan forward`), name, unit, values of shape (lines, points), section."""
 
     frame: str
     name: str
@@ -42,7 +42,7 @@ def sections_of(path: str) -> tuple[Sections, list[DataSet]]:
     """Return the sections of a .nid and its data sets.
 
     Raises:
-        ValueError: The file is none, or has other bytes than its header states.
+        ValueError: The file is no .nid, or its data differ in size from its header.
     """
     content = Path(path).read_bytes()
     head, mark, data = content.partition(b"#!")
@@ -75,7 +75,7 @@ def sections_of(path: str) -> tuple[Sections, list[DataSet]]:
 
 
 def load_maps(path: str) -> Found:
-    """Return the maps of the images in a .nid, y rising with the row."""
+    """Return the maps of the images in a .nid; y rises with the row."""
     facts, maps = [], []
     for one in sections_of(path)[1]:
         if one.frame.lower().endswith(("scan forward", "scan backward")):
@@ -89,7 +89,7 @@ def load_maps(path: str) -> Found:
 
 
 def load_spectrum(path: str) -> Found:
-    """Return a thermal spectrum: its lines [Hz] and density, with its unit and the number of averages."""
+    """Return a thermal spectrum: frequencies [Hz] and density, with its unit and the number of averages."""
     sections, channels = sections_of(path)
     one = next((each for each in channels if each.frame == _SPECTRUM), None)
     if one is None:
@@ -142,20 +142,20 @@ def _named(sets: list[DataSet], name: str) -> DataSet:
 
 
 def _grid_of(sections: Sections, count: int) -> tuple[list[tuple[int, int]], tuple[float, float]]:
-    """Return column and row of each curve and the sides of the grid [m], or one line without sides."""
+    """Return column and row of each curve and the sides of the grid [m]; without a grid, one line with sides of 0."""
     table = sections.get(r"DataSet\SpecInfos\SpecMapTable", {}).get("Map0", "").split(";")
     if len(table) >= 6:
         x0, x1, y0, y1 = map(float, table[:4])
         nx, ny = (int(float(part)) for part in table[4:6])
         if nx * ny == count:
             places = [(i if j % 2 == 0 else nx - 1 - i, j) for j in range(ny) for i in range(nx)]
-            # the points are the middles of the cells
+            # The points are the centres of the cells.
             return places, ((x1 - x0) * nx / max(nx - 1, 1), (y1 - y0) * ny / max(ny - 1, 1))
     return [(number, 0) for number in range(count)], (0.0, 0.0)
 
 
 def load_nhf_maps(path: str) -> Found:
-    """Return the maps of the images in a .nhf, y rising with the row."""
+    """Return the maps of the images in a .nhf; y rises with the row."""
     import h5py
 
     facts, maps = [], []
@@ -180,7 +180,7 @@ def load_nhf_maps(path: str) -> Found:
 
 
 def curves_of_nhf(path: str) -> Curves:
-    """Return the force curves of a .nhf, whose segments have the samples of all curves one after another."""
+    """Return the force curves of a .nhf, whose segments hold the samples of all curves one after another."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -242,7 +242,7 @@ def _signal_unit(dataset: Any) -> str:
 
 
 def _scaled(dataset: Any) -> Array:
-    """Return the values of a signal, whose integers have the whole range of their type."""
+    """Return the values of a signal; the full range of its integer type spans its calibrated range."""
     values = np.asarray(dataset)
     ends = [dataset.attrs.get(f"{key}_calibration_{end}") for end in ("min", "max") for key in ("signal", "base")]
     least, most = (next((float(end) for end in pair if end is not None), None) for pair in (ends[:2], ends[2:]))

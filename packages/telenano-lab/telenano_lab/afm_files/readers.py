@@ -1,4 +1,4 @@
-"""Which function reads which files; telenano calls them in a child process with limits."""
+"""Table of the reader functions for each kind of file; telenano calls them in a child process with limits."""
 
 from telenano.files import Limits
 from telenano.settings import FileReader
@@ -7,13 +7,13 @@ _LIBRARIES_BYTES = 2 << 30
 
 
 def limits_of_libraries(size_bytes: int) -> Limits:
-    """Return what nanonispy2 may take: what they import takes address space and time too."""
+    """Return the limits for nanonispy2, whose imports need additional address space and time."""
     limits = Limits.of_size(size_bytes)
     return limits._replace(memory_bytes=limits.memory_bytes + _LIBRARIES_BYTES, cpu_s=2 * limits.cpu_s)
 
 
 def limits_of_curves(size_bytes: int) -> Limits:
-    """Return what reading curves may take: one takes some 25 ms, however small it is, and has 13 kB and more."""
+    """Return the limits for reading curves: one takes some 25 ms, however small it is, and has at least 13 kB."""
     limits = Limits.of_size(size_bytes)
     return Limits(limits.memory_bytes + (1 << 30), limits.cpu_s + 10 + size_bytes // 50_000, limits.wall_s + 60.0)
 

@@ -1,4 +1,4 @@
-"""Curves as files have them, whatever the format: what each reader of force curves hands over."""
+"""Common form of recorded curves, which every reader of force curves returns."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -13,10 +13,11 @@ Way = tuple[Array, Array]
 class RecordedCurve(NamedTuple):
     """One curve.
 
-    place: column and row of its grid. ways: of the approach and of the retraction the height [m], rising away from the
-    sample, and the value, in the order of time. unit: of the values, N of a force, m or V of a deflection.
-    stiffness_n_per_m, sensitivity_m_per_v: as the file has them, or None. speed_m_per_s: of the approach.
-    remarks: what was assumed and left out, in sentences.
+    place: column and row in the grid. ways: for approach and retraction the height [m], rising away from the sample,
+    and
+    the value, in the order of time. unit: unit of the values, N of a force, m or V of a deflection. stiffness_n_per_m,
+    sensitivity_m_per_v: from the file, or None. speed_m_per_s: speed of the approach. remarks: sentences on what was
+    assumed and left out.
     """
 
     place: tuple[int, int]
@@ -29,7 +30,7 @@ class RecordedCurve(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """The curves of a file: columns and rows of its grid, its sides [m], and how to read each, with the share done."""
+    """The curves of a file: columns and rows of its grid, its sides [m], and a reader of each with the share done."""
 
     shape: tuple[int, int]
     sides_m: tuple[float, float]
@@ -37,7 +38,7 @@ class Curves(NamedTuple):
 
 
 def constants_of(curve: RecordedCurve, constants: dict[str, float]) -> tuple[float | None, float | None]:
-    """Return spring constant [N/m] and sensitivity [m/V] of a curve, those that are given before those of the file."""
+    """Return spring constant [N/m] and sensitivity [m/V] of a curve; given constants replace those of the file."""
     return (
         constants.get("stiffness_n_per_m", curve.stiffness_n_per_m),
         constants.get("sensitivity_m_per_v", curve.sensitivity_m_per_v),
@@ -45,10 +46,10 @@ def constants_of(curve: RecordedCurve, constants: dict[str, float]) -> tuple[flo
 
 
 def factor_to_force(curve: RecordedCurve, constants: dict[str, float], *, as_deflection: bool = False) -> float:
-    """Return what the values of a curve are multiplied by to be a force [N], or a deflection [m].
+    """Return the factor that converts the values of a curve to a force [N], or to a deflection [m].
 
     Raises:
-        ValueError: The unit is that of no force and no deflection, or a constant is missing, which the message names.
+        ValueError: The unit is that of no force and no deflection, or a constant is missing; the message names it.
     """
     names = ("stiffness_n_per_m", "sensitivity_m_per_v")
     powers = {"N": (0, 0), "m": (1, 0), "V": (1, 1)}
@@ -67,6 +68,6 @@ def factor_to_force(curve: RecordedCurve, constants: dict[str, float], *, as_def
 
 
 def lacks(names: list[str]) -> str:
-    """Return what is said of constants that neither the file has nor the user gave."""
+    """Return the error message for constants that are neither in the file nor given by the user."""
     settings = " ".join(f"--set {name}=…" for name in names)
     return f"{', '.join(names)}: the file has no such value; give {settings}"

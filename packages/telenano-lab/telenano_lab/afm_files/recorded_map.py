@@ -1,16 +1,17 @@
-"""A recorded map under the tip: what an instrument measured over (x, y, z), felt instead of a model of the force.
+"""A recorded map under the tip: values that an instrument measured over (x, y, z) replace a model of the force.
 
-z is the height of the base, so the curve of a cantilever that has snapped in and pulled off is felt as it was recorded.
-Between the points of the grid the value is a tricubic of Catmull and Rom: a cubic of Hermite along each axis whose
-slopes are central differences, and at the outer points the slopes of the parabola through three points. It is C1,
-goes through every point, and takes 64 of them. An axis of one point is constant, one of two points is linear.
+z is the height of the base, so a curve with snap-in and pull-off is felt as it was recorded. Between grid points the
+value is a tricubic Catmull-Rom interpolation: a cubic Hermite along each axis whose slopes are central differences, and
+at the outer points the slopes of the parabola through three points. It is C1, passes through every point, and uses 64
+of
+them. An axis of one point is constant, one of two points is linear.
 
-A map may have two branches, approach and retract. The tip changes to the retract branch only after it has made
-contact: until then it goes back as it came. In contact a reversal passes from one branch to the other over `turn_m`,
-so that the force has no jump. Above the contact an attached tip stays on the retract branch in both senses until the
-loop is closed; there it is off the sample, and on the approach branch again.
+A map may have two branches, approach and retract. The tip changes to the retract branch only after it has made contact;
+before, it goes back as it came. In contact a reversal blends from one branch to the other over `turn_m`, so that the
+force does not jump. Above the contact an attached tip stays on the retract branch in both directions until the loop is
+closed; there it is off the sample, and on the approach branch again.
 
-The guard keeps the base on the map. What a disturbance moves beyond it meets the outermost value.
+The guard keeps the base on the map. If a disturbance moves it beyond, the outermost value applies.
 """
 
 import math
@@ -26,12 +27,15 @@ Array = npt.NDArray[np.float64]
 
 
 class MapParams(NamedTuple):
-    """A map and the cantilever that it is felt through; made by `force_map.map_params`.
+    """A map and the cantilever through which it is felt; made by `force_map.map_params`.
 
-    values: shape (branches, x, y, z), approach and then retract; lows and steps of the axes [m], x and y about the
-    middle of the map; onset_m, release_m: heights at which contact is made and the loop is closed [m], shape (x, y);
-    turn_m: see the module; rest_distance_m: height of a base at 0 [m]; stiffness_n_per_m, volts_per_m: of the
-    cantilever; is_force: the values are forces [N], repulsive positive, and no other channel.
+    values: shape (branches, x, y, z), approach and then retract; low_m, step_m: first point and spacing of each axis
+    [m], x
+    and y relative to the middle of the map; onset_m, release_m: heights at which contact is made and the loop closes
+    [m],
+    shape (x, y); turn_m: see the module; rest_distance_m: height of a base at 0 [m]; stiffness_n_per_m, volts_per_m: of
+    the
+    cantilever; is_force: whether the values are forces [N], repulsive positive, rather than another channel.
     """
 
     values: Array
@@ -47,7 +51,7 @@ class MapParams(NamedTuple):
 
 
 class MapState(NamedTuple):
-    """Height of the base [m], share of the retract branch from 0 to 1, whether the tip is attached; value there."""
+    """Height of the base [m], share of the retract branch (0 to 1), whether the tip is attached, and the value."""
 
     z_m: float
     share: float
@@ -57,7 +61,7 @@ class MapState(NamedTuple):
 
 @compiled
 def _weights(place: float, count: int) -> tuple[int, float, float, float, float]:
-    """Return the first of four points, which may lie outside with a weight of 0, and their weights."""
+    """Return the index of the first of four grid points and their weights; a point outside has the weight 0."""
     if count == 1:
         return 0, 1.0, 0.0, 0.0, 0.0
     at = min(max(place, 0.0), count - 1.0)
@@ -69,7 +73,7 @@ def _weights(place: float, count: int) -> tuple[int, float, float, float, float]
     d = (t - 1.0) * t * t * 0.5
     if count == 2:
         return 0, 1.0 - t, t, 0.0, 0.0
-    # The point beyond an end is that of the parabola through the three next to it.
+    # The point beyond an end continues the parabola through the three next to it.
     if i == 0:
         b, c, d, a = b + 3.0 * a, c - 3.0 * a, d + a, 0.0
     if i == count - 2:
@@ -79,10 +83,10 @@ def _weights(place: float, count: int) -> tuple[int, float, float, float, float]
 
 @compiled
 def value_at(values: Array, branch: int, place: tuple[float, float, float]) -> float:
-    """Return the value of a branch at a place in steps of the grid from its first point.
+    """Return the value of a branch at a place, in grid steps from the first point.
 
     Raises:
-        ValueError: The place is not finite: compiled code would look it up anywhere in memory.
+        ValueError: The place is not finite; compiled code would use it as an index anywhere in memory.
     """
     if not (math.isfinite(place[0]) and math.isfinite(place[1]) and math.isfinite(place[2])):
         raise ValueError("the place on a recorded map must be finite")
@@ -110,7 +114,7 @@ def value_at(values: Array, branch: int, place: tuple[float, float, float]) -> f
 
 @compiled
 def _nth(weights: tuple[int, float, float, float, float], p: int) -> float:
-    """Return a weight: compiled code looks into a tuple of two kinds by constants alone."""
+    """Return the weight p: compiled code can index a tuple of mixed types by constants only."""
     if p == 0:
         return weights[1]
     if p == 1:
@@ -138,7 +142,7 @@ def _branch(params: MapParams, state: MapState, z_m: float, onset_m: float, rele
 
 @compiled
 def step(params: MapParams, state: MapState, inputs: PlantInputs, dt: float) -> tuple[MapState, AfmSample]:
-    """Move the base over the map and read it out."""
+    """Move the base over the map and return the new state and the reading."""
     z_m = params.rest_distance_m - inputs.base_m - inputs.height_m
     low, size = params.low_m, params.step_m
     place = ((inputs.x_m - low[0]) / size[0], (inputs.y_m - low[1]) / size[1], (z_m - low[2]) / size[2])

@@ -1,12 +1,12 @@
-"""The force on a tip from the shift of its frequency: the inversion of Sader and Jarvis, over whole curves.
+"""The force on a tip from its frequency shift: the inversion of Sader and Jarvis, over whole curves.
 
     F(D) = 2 k / f0 int_D^inf [(1 + sqrt(A) / (8 sqrt(pi (z - D)))) df(z) - A^(3/2) / sqrt(2 (z - D)) df'(z)] dz
 
-(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004), within a few percent of the greatest attraction for any amplitude
-A from there outwards, and 5 to 35 % on the repulsive flank. D is the place of the closest approach. A curve has to
-reach out to where its shift stands, which is taken as 0. Where the force turns sharply within an amplitude, no
-inversion is sure (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol. 13, 1088, 2018). Between its points a shift is
-taken as linear, whose integrals are those of roots.
+(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004). From the greatest attraction outwards the error is within a few
+percent for any amplitude A, and on the repulsive flank it is 5 to 35 %. D is the distance of closest approach. A curve
+has to reach out to where its shift no longer changes, which is taken as 0. Where the force turns sharply within an
+amplitude, no inversion is reliable (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol. 13, 1088, 2018). Between its
+points the shift is interpolated linearly, so that the integrals are those of roots.
 """
 
 import math
@@ -17,23 +17,23 @@ import numpy as np
 from telenano.extend.maps import Array
 from telenano_lab.afm_files.force_map import ForceMap, MapError
 
-# What is asked for besides the stiffness of the sensor.
+# Constants that are needed besides the stiffness of the sensor.
 ASKED = ("resonance_hz", "amplitude_m")
-# The shift is still changing if it changes by more than this share of its greatest attraction at the far end.
+# The shift still changes if it varies at the far end by more than this share of its greatest attraction.
 _STANDS = 0.05
-# The far end of a curve is the last one of this number of parts.
+# The far end is the last of this number of parts of a curve.
 _FAR = 10
 
 
 def as_force(recorded: ForceMap, constants: dict[str, Any]) -> ForceMap:
-    """Return the map of the force that a map of a frequency shift is of.
+    """Convert a map of a frequency shift to a map of the force.
 
     Args:
-        recorded: The map of the shift [Hz], rising heights.
+        recorded: The map of the shift [Hz], with ascending heights.
         constants: stiffness_n_per_m, resonance_hz and amplitude_m of the sensor.
 
     Raises:
-        MapError: It is a map of something else, a number is missing, or its curves do not reach far enough.
+        MapError: It is a map of another quantity, a number is missing, or its curves do not reach far enough.
     """
     if recorded.quantity != "frequency_shift":
         raise MapError(f"--as force: is for a frequency shift; this is a map of {recorded.quantity}")
@@ -46,11 +46,11 @@ def as_force(recorded: ForceMap, constants: dict[str, Any]) -> ForceMap:
         numbers.append(float(value))
     stiffness, resonance_hz, amplitude_m = numbers
     far = recorded.values[..., -max(len(recorded.z_m) // _FAR, 2) :]
-    # twice the difference of the means of both halves of it, so that noise does not count
+    # Twice the difference of the means of both halves of the far end, which averages out the noise.
     middle = far.shape[-1] // 2
     change = 2.0 * np.abs(far[..., middle:].mean(axis=-1) - far[..., :middle].mean(axis=-1))
     standing = recorded.values - far.mean(axis=-1, keepdims=True)
-    # the attraction is what a missing tail falsifies; a curve that has hardly any counts by its repulsion
+    # A missing tail falsifies the attraction; a curve with hardly any attraction is judged by its repulsion.
     most = np.maximum(-standing.min(axis=-1), 0.02 * np.abs(standing).max(axis=-1))
     if (change > _STANDS * most).any():
         worst = float((change / np.where(most > 0.0, most, 1.0)).max())
@@ -66,7 +66,7 @@ def as_force(recorded: ForceMap, constants: dict[str, Any]) -> ForceMap:
 
 
 def weights_of(points: int, step_m: float, amplitude_m: float) -> Array:
-    """Return the integral as a matrix over a shift at even heights [m], shape (points, points)."""
+    """Return the integral as a matrix, shape (points, points), that acts on a shift at even heights [m]."""
     begin = step_m * np.arange(points - 1)
     end = begin + step_m
     roots = 2.0 * (np.sqrt(end) - np.sqrt(begin))
@@ -75,7 +75,7 @@ def weights_of(points: int, step_m: float, amplitude_m: float) -> Array:
         math.sqrt(amplitude_m) / (8.0 * math.sqrt(math.pi)),
         amplitude_m**1.5 / math.sqrt(2.0) * roots / step_m,
     )
-    # These are of the beginning and of the end of each interval, by its distance from the closest approach.
+    # Weights of the beginning and the end of each interval, by its distance from the closest approach.
     first = 0.5 * step_m + near * (roots - moment / step_m) + slope
     last = 0.5 * step_m + near * moment / step_m - slope
     weights = np.zeros((points, points))

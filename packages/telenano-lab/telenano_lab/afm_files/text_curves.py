@@ -1,10 +1,10 @@
-"""Force curves in text tables: a height and a force or a deflection, in the units that the head names.
+"""Read force curves from text tables: a height and a force or a deflection, in the units that the header names.
 
-One pair of columns has the approach, and the retraction after it where the height turns; two pairs have one each. A
-curve of one way is taken for both, and rests of the height are left out. Which columns are meant their names say first
-(`telenano.files.role_of`), then their units; two that could be are refused with the option that chooses. At which end
-the sample is follows from the values: against the sample the force is farthest from that of the free lever, and there
-it is positive. Without a free lever in the curve that is a guess, and said to be one.
+One pair of columns holds the approach, followed by the retraction where the height turns; two pairs hold one each. A
+curve of one way counts as both, and pauses of the height are dropped. Columns are chosen by their names first
+(`telenano.files.role_of`), then by their units; ambiguous columns are refused, naming the option that chooses. The
+values tell at which end the sample is: there the force differs most from that of the free lever, and it is positive.
+For a curve without a free lever this is a guess, and the remarks say so.
 """
 
 import json
@@ -28,23 +28,23 @@ _THERE_AND_BACK = tuple(
 )
 _VALUES = ("N", "m", "V")
 _FEWEST_POINTS = 16
-# The deflection on the way back has at least this correlation with that on the way there, at the same heights.
+# Least correlation of the deflections of both ways over the same heights.
 _TOGETHER = 0.5
-# At each end of a curve this share of its points tells whether the sample is there.
+# Share of the points at each end of a curve that decides whether the sample is there.
 _END = 0.1
-# A way is this share of the whole span or more.
+# A way covers at least this share of the whole span.
 _WAY = 0.3
-# So many rows, and this share of them, at one extreme value are no noise: a detector is at its end.
+# At least this number of rows, and this share of them, at one extreme value mean a saturated detector.
 _FEWEST_AT_END = 5
 _AT_END = 0.01
-# Heights of a sensor and of a command have this correlation or more.
+# Least correlation of the heights of a sensor and of its command.
 _ALIKE_HEIGHTS = 0.999
 
 
 class TableOptions(NamedTuple):
-    """What a person says of a table: its columns by number or title (`1,2`), units of height and value, and the sign.
+    """The user's description of a table: columns by number or title (`1,2`), units of height and value, and the sign.
 
-    value_sign: 1 or -1, by which the values are multiplied so that they are positive where the sample pushes, as text.
+    value_sign: factor 1 or -1, as text, that makes the values positive where the sample pushes.
     """
 
     columns: str = ""
@@ -54,15 +54,15 @@ class TableOptions(NamedTuple):
 
     @property
     def sign(self) -> int | None:
-        """The sign of the values, None where nothing says it."""
+        """The sign of the values; None if it was not given."""
         return int(self.value_sign) if self.value_sign else None
 
 
 def table_options_of(text: str | None) -> TableOptions:
-    """Return what a JSON object says of a table; nothing where there is none.
+    """Parse the options of a table from a JSON object; without one, return empty options.
 
     Raises:
-        ValueError: A unit is that of no height or of no force and no deflection; the message says what would be.
+        ValueError: A unit is none of a height, or none of a force or deflection; the message gives examples.
     """
     options = TableOptions(**{name: str(value) for name, value in json.loads(text or "{}").items()})
     for name, word, kinds, examples in (
@@ -83,8 +83,9 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
     """Return the force curve in a text table.
 
     Raises:
-        ValueError: It has no height and no force, or no unit of them; the message says what its head has to name, and
-            what says it instead.
+        ValueError: It has no height and no force, or no unit of them; the message says what the header must name, or
+            which
+            option replaces it.
     """
     table = TextTable.read(Path(path))
     pairs = list(_pairs(table, options))
@@ -120,9 +121,9 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
 
 
 def is_of_other_columns(path: str) -> bool:
-    """Return whether a text is none of NT-MDT's: it names its columns, or three without a head do not go together.
+    """Return whether a text is not of NT-MDT: it has named columns, or three unnamed ones that do not belong together.
 
-    NT-MDT's are a height with the deflections there and back, of one lever over the same heights.
+    A text of NT-MDT has a height and the deflections of both ways, of one lever over the same heights.
     """
     try:
         columns = TextTable.read(Path(path)).columns
@@ -141,7 +142,7 @@ def _titles_of(table: TextTable) -> str:
 
 
 def _pairs(table: TextTable, options: TableOptions) -> Iterator[tuple[Column, Column]]:
-    """Yield the columns of a height and of a value beside it; of several values the force is taken."""
+    """Yield pairs of a height column and a value column; a force is preferred to other values."""
     columns = table.columns
     if options.columns:
         chosen = [table.column(word) for word in options.columns.split(",")]
@@ -166,7 +167,7 @@ def _heights(columns: tuple[Column, ...]) -> list[Column]:
     """Return the columns that may be the height: by name and unit, else by unit, else by name."""
     lengths = [column for column in columns if _is(column, "m")]
     named = [column for column in lengths if role_of(column.name) == "base"]
-    # Where no name tells x from y, the first one is the height.
+    # Without names, the first length is the height.
     unnamed = [column for column in lengths if not role_of(column.name)]
     found = named or _both_ways(unnamed) or unnamed[:1]
     if found:
@@ -204,7 +205,7 @@ def _values(columns: tuple[Column, ...]) -> list[Column]:
 
 
 def _alternate(columns: tuple[Column, ...], heights: list[Column], forces: list[Column]) -> bool:
-    """Return whether two heights and two values stand in pairs, a height before each value or behind it."""
+    """Return whether two heights and two values stand in pairs, each value right after or right before its height."""
     kinds = ["z" if any(one is h for h in heights) else "v" for one in columns if _among(one, [*heights, *forces])]
     return kinds in (["z", "v", "z", "v"], ["v", "z", "v", "z"])
 
@@ -214,7 +215,7 @@ def _among(column: Column, chosen: list[Column]) -> bool:
 
 
 def _alike(heights: list[Column]) -> list[Column]:
-    """Return one of heights that go together, as those of a sensor and of the command do: the measured one."""
+    """Reduce correlated heights, such as those of a sensor and its command, to one: the measured one if it is named."""
     if len(heights) < 2:
         return heights
     first = heights[0].values
@@ -238,25 +239,25 @@ def _one_of(what: str, found: list[Column], columns: tuple[Column, ...]) -> Colu
 
 
 def _both_ways(columns: list[Column]) -> list[Column]:
-    """Return the columns of an approach and of a retraction, by a word for each; nothing where they are not these."""
+    """Return the columns of approach and retraction, told apart by a word in their titles; empty if there are none."""
     there, back = ([one for one in columns if words.search(one.title)] for words in _THERE_AND_BACK)
     return [there[0], back[0]] if len(there) == len(back) == 1 else []
 
 
 def _named(columns: tuple[Column, ...], words: tuple[str, ...]) -> list[Column]:
-    """Return the column without a unit that is known whose name begins with one of these words, the first of them."""
+    """Return the first column without a known unit whose name begins with one of these words, as a list."""
     matching = [column for word in words for column in columns if not column.known and _begins(column, word)]
     return matching[:1]
 
 
 def _begins(column: Column, word: str) -> bool:
     name = column.name.lower()
-    # a letter alone is a name, and no begin of another
+    # A single letter must be the whole name.
     return name == word if len(word) == 1 else name.startswith(word)
 
 
 def _kind_of(word: str) -> str:
-    """Return N, m or V for a unit of a force, a length or a voltage, else an empty text."""
+    """Return N, m or V for a unit of a force, a length or a voltage, else an empty string."""
     unit = unit_of(word)
     return next((name for name in _VALUES if unit and (one := unit_of(name)) and one.powers == unit.powers), "")
 
@@ -267,9 +268,9 @@ def _is(column: Column, unit: str) -> bool:
 
 
 def _in_order(ways: list[Way], sign: int | None = None) -> tuple[tuple[Way, ...], tuple[str, ...]]:
-    """Return approach and retraction with heights that rise away from the sample and a force that pushes positive.
+    """Return approach and retraction, heights rising away from the sample and repulsive forces positive, and remarks.
 
-    sign: 1 or -1 of the values, where a person says it. Beside them stands what was left out and guessed.
+    sign: factor of the values (1 or -1) if the user gave one. The remarks list what was dropped and guessed.
     """
     remarks: list[str] = []
     if len(ways) == 1:
@@ -308,7 +309,7 @@ def _in_order(ways: list[Way], sign: int | None = None) -> tuple[tuple[Way, ...]
 
 
 def _at_an_end(value: Array, free: float) -> list[str]:
-    """Return what is said of rows that all have the greatest or the least value: a detector at its end gives them."""
+    """Return remarks on rows that share the greatest or the least value, as a saturated detector produces."""
     span, said = float(np.ptp(value)), []
     for word, extreme in (("greatest", float(value.max())), ("least", float(value.min()))):
         rows = int((value == extreme).sum())
@@ -321,13 +322,13 @@ def _at_an_end(value: Array, free: float) -> list[str]:
 
 
 def _parted(height: Array, value: Array, remarks: list[str]) -> list[Way]:
-    """Return the ways of a course, the first two that go over much of its span, and say what else there is."""
+    """Return the first two ways of a course that cover much of its span; remarks gains the rows that are dropped."""
     parts = parts_of(height)
     span = float(np.ptp(height))
     moving = [part for part in parts if part.direction and np.ptp(height[part.rows]) > _WAY * span]
     joined = [moving[0]] if moving else []
     for part in moving[1:]:
-        # a rest within a way is no end of it
+        # A pause within a way does not end it.
         if part.direction == joined[-1].direction and _goes_on(height, joined[-1].end, part):
             joined[-1] = joined[-1]._replace(end=part.end)
         else:
@@ -352,5 +353,5 @@ def _parted(height: Array, value: Array, remarks: list[str]) -> list[Way]:
 
 
 def _goes_on(height: Array, end: int, part: Any) -> bool:
-    """Return whether a part of a way begins near where the one before it ended."""
+    """Return whether a part of a way begins near the end of the one before it."""
     return abs(float(height[part.start] - height[end - 1])) < _END * float(np.ptp(height))

@@ -1,1 +1,1 @@
-"""Calibrations of an instrument: sensitivity of the read-out, stiffness by thermal noise, handles and stages."""
+"""Calibrations of an instrument: read-out sensitivity, cantilever stiffness from thermal noise, handles and stages."""

@@ -1,9 +1,9 @@
-"""Budgets of a recorded session: the error of each figure by its sources, and the delay of the loop by its stages.
+"""Budgets of a recorded session: the uncertainty of each figure by source, and the delay of the loop by stage.
 
 Standard uncertainties of independent sources are added in squares (JCGM 100:2008, Eq. 10), and 95 % is 1.96 of them.
-The force of the tip is F_s = k (v - v_0) / s, with the stiffness k and the voltage for a metre s, so that a share of
-error in either is the same share of F_s. A stiffness from thermal noise was measured with that same s, and goes with
-its square: there the errors partly cancel, and a sum of squares is too large rather than too small.
+The force of the tip is F_s = k (v - v_0) / s, with the stiffness k and the voltage per metre s, so a relative error of
+either is the same relative error of F_s. A stiffness from thermal noise was measured with that same s, and is
+proportional to its square: there the errors partly cancel, and a sum of squares is too large rather than too small.
 """
 
 import math
@@ -20,9 +20,9 @@ from telenano.recording import RecordingSource
 from telenano.timing import STAGES
 from telenano.wire import TelenanoError
 
-# 95 % are within this number of standard uncertainties.
+# 95 % lie within this number of standard uncertainties.
 _DEVIATIONS = NormalDist().inv_cdf(0.975)
-# the scales that each figure of a summary goes with, by the name of their source
+# The calibrated scales that each figure of a summary is proportional to, by the name of the source.
 _SCATTER = "scatter in the session"
 _TIP_FORCE = ("stiffness of the cantilever", "deflection for a volt")
 _SCALES = {
@@ -33,7 +33,7 @@ _SCALES = {
 
 
 class Source(NamedTuple):
-    """What a figure may be wrong by. `standard`: standard uncertainty, in its unit; `share`: of its variance."""
+    """A source of uncertainty of a figure. `standard`: standard uncertainty, in its unit; `share`: of the variance."""
 
     figure: str
     source: str
@@ -42,7 +42,10 @@ class Source(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """A figure with the error of all its sources. `half_width`: of 95 %, in the figure's unit."""
+    """A figure with its combined uncertainty. `half_width`: of the 95 % interval, in its unit.
+
+    `without`: sources whose error is not known, which are left out.
+    """
 
     figure: str
     value: float
@@ -52,9 +55,9 @@ class Budget(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A part of the loop. The means add up to that of the loop; `half_width_ms`: of the mean, 95 %.
+    """A stage of the loop. The means add up to that of the loop; `half_width_ms`: of the mean, 95 %.
 
-    `clock_ms`: bound of the error by the two clocks, 0 for what begins and ends at one site.
+    `share`: of the loop's mean; `clock_ms`: bound of the error by the two clocks, 0 for a stage within one site.
     """
 
     stage: str
@@ -67,7 +70,7 @@ class Stage(NamedTuple):
 
 
 def scale_errors(handle: HandleCalibration | None, stage: InstrumentCalibration | None) -> dict[str, float]:
-    """Return the standard error of each calibrated scale as a share of it; those that a file does not state are absent.
+    """Return the relative standard error of each calibrated scale; scales without a stated error are absent.
 
     Args:
         handle: The calibration of the handle, if there is one.
@@ -86,18 +89,18 @@ def scale_errors(handle: HandleCalibration | None, stage: InstrumentCalibration 
 
 
 def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> list[Budget]:
-    """Return the budget of each figure of a summary that has an interval.
+    """Return the budget of each figure of a summary that has an interval or a scale of known error.
 
     Args:
         summary: The summary of the session.
-        shares: The standard error of each scale as a share of it, as `scale_errors` returns it.
+        shares: The relative standard error of each scale, as `scale_errors` returns it.
     """
     budgets = []
     for figure, scales in _SCALES.items():
         value, interval = summary.get(figure), summary.get("intervals", {}).get(figure)
         if value is None or not (interval or any(scale in shares for scale in scales)):
             continue
-        # A record that does not say how well its mean is known leaves the scatter out, by name.
+        # Without an interval the scatter is listed as missing.
         parts = {_SCATTER: 0.5 * (interval[1] - interval[0]) / _DEVIATIONS} if interval else {}
         parts |= {scale: shares[scale] * abs(value) for scale in scales if scale in shares}
         variance = sum(part**2 for part in parts.values())
@@ -110,7 +113,7 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
 
 
 def delay_budget(recording: RecordingSource, session: Session) -> list[Stage]:
-    """Return the stages of the loop in their order, over the hand's samples that an answer came to.
+    """Return the stages of the loop in their order, over the hand's samples that were answered.
 
     Args:
         recording: The master's recording of a session.
@@ -132,7 +135,7 @@ def delay_budget(recording: RecordingSource, session: Session) -> list[Stage]:
             f"{recording.path}: fewer than 50 samples of the hand can be followed from the device to the instrument "
             "and back: give the master's recording of a session whose loop was closed"
         )
-    # a simulated device has no age, and on one machine there is no line
+    # A simulated device adds no delay, and on one machine there is no network.
     found_s = {name: values for name, values in parts.items() if values.any()}
     loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
     rows = [_stage(name, 1e3 * values, loop_ms, 1e3 * session.clock_error_s(name)) for name, values in found_s.items()]
@@ -147,7 +150,7 @@ def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[n
 
 
 def force_rows(budgets: Sequence[Budget]) -> Iterator[dict[str, str]]:
-    """Yield the rows of a table: each source of each figure, and their sum."""
+    """Yield the rows of a table: the sources of each figure, and their sum."""
     for budget in budgets:
         size = abs(budget.value)
         for part in budget.sources:
@@ -162,7 +165,7 @@ def force_rows(budgets: Sequence[Budget]) -> Iterator[dict[str, str]]:
 
 
 def delay_rows(stages: Sequence[Stage]) -> Iterator[dict[str, str]]:
-    """Yield the rows of a table, of which the last one is the whole loop."""
+    """Yield the rows of a table; the last one is the whole loop."""
     for one in stages:
         error = "–" if one.half_width_ms is None else f"± {one.half_width_ms:.2g}"
         yield {

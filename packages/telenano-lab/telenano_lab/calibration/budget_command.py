@@ -1,4 +1,4 @@
-"""`telenano budget`: what a session's figures may be wrong by, and where the delay of its loop comes from."""
+"""`telenano budget`: the uncertainty of a session's figures by source, and the delay of its loop by stage."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -232,7 +232,7 @@ def _sensitivity(
     anyway: bool,
     figure: Path | None,
 ) -> dict[str, Any]:
-    """Return what one curve gives, or the statistic of those of a file of several."""
+    """Return the result for one curve, or the statistic over the curves of a file."""
     from telenano_lab.calibration.own_calibration import (
         TEXTS,
         curve_of,

@@ -1,4 +1,4 @@
-"""Figures of calibrations: the data, what of them was left out, and the fit."""
+"""Figures of calibrations: the data, the points that were left out, and the fit."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-# colours that are told apart by all readers, and in grey
+# Colours that all readers can tell apart, also in grey.
 _TAKEN, _LEFT_OUT, _FIT = "#0072b2", "0.65", "#d55e00"
 
 
 def draw(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format that the end of its file's name says."""
+    """Write a figure in the format of its file name's suffix."""
     with atomic_file(path) as part:
         figure.savefig(part, dpi=130, format=path.suffix[1:])
 
 
 def contact_figure(way_m: Array, volts: Array, found: Sensitivity) -> "Figure":
-    """Return a figure of a curve on a hard sample: its rows and parts, the line of contact, and its residuals."""
+    """Draw a curve on a hard sample: its rows and parts, the line of contact, and its residuals."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
@@ -50,7 +50,7 @@ def contact_figure(way_m: Array, volts: Array, found: Sensitivity) -> "Figure":
             textcoords="offset points",
             fontsize=8,
         )
-    # room for the names of the parts
+    # Leave room for the names of the parts.
     above.margins(y=0.15)
     above.set_ylabel("deflection [V]")
     above.legend()
@@ -63,15 +63,15 @@ def contact_figure(way_m: Array, volts: Array, found: Sensitivity) -> "Figure":
 
 
 def _line(way_m: Array, volts: Array, m_per_v: float) -> tuple[float, tuple[float, float]]:
-    """Return the slope of the line in the sign of the data, and the point that it goes through."""
+    """Return the slope of the line with the sign of the data, and the point that it passes through."""
     covariance = float(np.sum((way_m - way_m.mean()) * (volts - volts.mean())))
     return float(np.sign(covariance)) / m_per_v, (float(way_m.mean()), float(volts.mean()))
 
 
 def resonance_figure(frequency_hz: Array, density_per_hz: Array, found: Stiffness, thermal: Thermal) -> "Figure":
-    """Return a figure of a thermal spectrum: its lines, those that were left out, the fit, and what it leaves.
+    """Draw a thermal spectrum: its lines, those that were left out, the fit, and the ratio of lines to fit.
 
-    The density is one-sided, of metres or volts as the sensitivity says.
+    The density is one-sided, in metres or volts as the sensitivity implies.
     """
     from matplotlib.figure import Figure
 

@@ -1,9 +1,9 @@
-"""The sensitivity of a read-out by a curve on a hard sample, whose parts are found and whose line of contact is judged.
+"""The sensitivity of a read-out from a curve on a hard sample: find its parts, and check the line of contact.
 
-The way may rise towards the sample or away from it: the end at which the lever is free tells. Of the parts in which the
-way moves the approach is taken; rests, other ways and what does not belong to the line are left out and named. The
+The displacement may rise towards the sample or away from it: the end at which the lever is free tells. Of the parts in
+which the base moves the approach is used; pauses, other ways and rows beside the line are left out and named. The
 residuals about the line are compared with the noise between neighbouring rows. A line that is bent by more than noise
-is refused, because a sample that gives way, a piezo that creeps and a detector at its end bend it alike.
+is refused, because a soft sample, a creeping piezo and a saturating detector bend it alike.
 """
 
 import math
@@ -24,39 +24,41 @@ from telenano.wire import ConfigError
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-# Of the photodiodes of AFMs, in contact with a hard sample.
+# Plausible sensitivity of AFM photodiodes, in contact with a hard sample.
 _M_PER_V = (5e-10, 2e-5)
-# A way on a hard sample, taken as nanometres where nothing says the unit.
+# Plausible span of the base on a hard sample, taken as nanometres if no unit is given.
 _WAY_NM = (5.0, 1e5)
 _APPROACH = re.compile(r"(?i)(?:^|[\W_])(?:ex|ext|extend|approach|trace|fwd|forward)(?:$|[\W_])")
 _FEWEST_ROWS = 16
 _FEWEST_POINTS = 8
-# A part that moves over less than this share of the way is no way of its own.
+# A part that covers less than this share of the span is no way of its own.
 _WAY = 0.3
-# The lever is free over this share of a way at its far end.
+# The lever is assumed to be free over this share of a way at its far end.
 _FREE = 0.15
-# Two ends of the line whose slopes differ by more than this share, and by more than this number of errors, are no line.
+# A line is bent if the slopes of its ends differ by more than this share and this number of errors.
 _BENT = 0.02
 _BENT_ERRORS = 3.5
-# Residuals of so many times those of noise are no line where it is bent by that share, whatever the error of the bend.
+# Above this ratio of residuals to noise that share alone counts, whatever the error of the bend.
 _FAR_FROM_NOISE = 5.0
-# Of the residuals of blocks of points, a chance by noise below which they are systematic.
+# Residuals of blocks of points are systematic if noise explains them with less than this probability.
 _SYSTEMATIC = 1e-3
 _BLOCKS = 12
-# A step leaves this share of the squares of the residuals or less, and two slopes that are alike within the errors.
+# A step must reduce the sum of squared residuals to this share, with equal slopes on both sides within the errors.
 _STEP_LEAVES = 0.5
-# Two approaches differ by more than this share and this number of errors: two curves.
+# Two approaches that differ by more than this share and this number of errors are two curves.
 _APART = 0.02
 _APART_ERRORS = 5.0
-# So many rows at one extreme value are a detector at its end.
+# This number of rows at one extreme value means a saturated detector.
 _AT_END = 5
 
 
 class Sensitivity(NamedTuple):
-    """Way for a volt [m/V] with its standard error, the points in contact, and the scatter about the line [m].
+    """Displacement per volt [m/V] and its standard error, number of points in contact, scatter about the line [m].
 
-    residual_ratio: mean square of the residuals of blocks of points, in that of the noise between neighbours. remarks:
-    which part was taken, what was left out and found. rows: those of the line, parts: those that were found.
+    residual_ratio: mean square of the residuals of blocks of points, relative to the noise between neighbours. remarks:
+    the part that was used, and what was left out and found. rows: mask of the line's rows; parts: all parts, as name,
+    first
+    row and end.
     """
 
     m_per_v: float
@@ -70,12 +72,12 @@ class Sensitivity(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The standard error as a share, which counts twice in a stiffness."""
+        """The relative standard error, which counts twice in a stiffness."""
         return self.standard_error_m_per_v / abs(self.m_per_v)
 
 
 class CurveFile(NamedTuple):
-    """Way [m] and deflection [V] of a curve in a text table, and remarks on how it was read."""
+    """Displacement of the base [m] and deflection [V] of a curve in a text table, and remarks on how it was read."""
 
     way_m: Array
     volts: Array
@@ -83,13 +85,14 @@ class CurveFile(NamedTuple):
 
 
 def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "", columns: Sequence[str] = ()) -> CurveFile:
-    """Return way [m] and deflection [V] of a curve on a hard sample in a text table, and remarks on how it was read.
+    """Return the curve on a hard sample in a text table: displacement [m], deflection [V], remarks on the reading.
 
-    The columns are given by number or title, way and deflection; without them their names say which they are.
+    `columns` gives displacement and deflection by number or title; without them the names of the columns decide.
 
     Raises:
-        ConfigError: The file cannot be read, or two columns could be meant, or a unit is not known, or no way has the
-            size; the message asks for it.
+        ConfigError: The file cannot be read, a column is ambiguous, a unit is not known, or no unit is given and the
+            span
+            is implausible in nm; the message asks for it.
     """
     table = TextTable.read(path)
     first, second = _columns(table, columns, has_units=bool(way_unit and deflection_unit))
@@ -123,7 +126,7 @@ def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "", columns:
 
 
 def _columns(table: TextTable, chosen: Sequence[str], *, has_units: bool) -> tuple[Column, Column]:
-    """Return the columns of way and deflection: as chosen, else by name, else by unit, else the first two."""
+    """Return the columns of displacement and deflection: as chosen, else by name, else by unit, else the first two."""
     columns = table.columns
     if len(columns) < 2 or len(table.lines) < _FEWEST_ROWS:
         raise ConfigError(
@@ -169,7 +172,7 @@ def _first_of(*lists: list[Column]) -> list[Column]:
 
 
 def _of_approach(found: list[Column]) -> list[Column]:
-    """Return of columns for both ways those of the approach."""
+    """Reduce columns of both ways to that of the approach, if exactly one is named so."""
     there = [
         one for one in found if re.search(r"(?i)(?:^|[\W_])(?:ex|ext|extend|approach|trace|fwd)(?:$|[\W_])", one.title)
     ]
@@ -177,7 +180,7 @@ def _of_approach(found: list[Column]) -> list[Column]:
 
 
 def _measured(found: list[Column]) -> list[Column]:
-    """Return of heights that go together, as those of a sensor and of the command do, the measured one."""
+    """Reduce correlated heights, such as those of a sensor and its command, to the measured one."""
     if len(found) < 2:
         return found
     first = found[0].values
@@ -194,7 +197,7 @@ def _one(table: TextTable, found: list[Column], what: str) -> Column | None:
 
 
 class _Line(NamedTuple):
-    """The line of contact of a part: volts for a metre with the error, its rows, and how it was judged."""
+    """The line of contact of a part: slope [V/m] with its error, scatter [V], mask of rows, residual ratio, remarks."""
 
     slope: float
     error: float
@@ -205,16 +208,17 @@ class _Line(NamedTuple):
 
 
 def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: float = 0.95) -> Sensitivity:
-    """Return the way for a volt in contact: of the approach, between two shares of the span of the voltage.
+    """Return the displacement per volt in contact, on the approach, between two shares of the voltage span.
 
     Args:
-        way_m: Way of the base [m], rising towards the sample or away from it, shape (n,), in the order of time.
+        way_m: Displacement of the base [m], rising towards the sample or away from it, shape (n,), in the order of
+            time.
         volts: Deflection [V], shape (n,).
-        low: Share of the span at which contact is sure.
+        low: Share of the span above which contact is sure.
         high: Share up to which the read-out is linear.
 
     Raises:
-        ConfigError: Too few points lie there, or the voltage does not follow the way, or the line is bent, or two
+        ConfigError: Too few points lie there, the voltage does not follow the displacement, the line is bent, or two
             approaches differ.
     """
     span_m = float(np.ptp(way_m)) if len(way_m) else 0.0
@@ -235,7 +239,7 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
         except ConfigError as error:
             reason = reason or error
             if approaches:
-                # Another approach of the same file does not stand in for one that gives nothing.
+                # Another approach in the file does not replace one that fails.
                 raise
     if not lines:
         assert reason is not None
@@ -265,7 +269,7 @@ def _names_of(parts: Sequence[Part], away: float) -> list[tuple[str, int, int]]:
 
 
 def _compared(lines: Sequence[tuple[Part, bool, _Line]], line: _Line, taken: Part) -> list[str]:
-    """Return what the other parts give; ConfigError where another approach has another slope."""
+    """Return remarks on the results of the other parts; ConfigError if another approach has another slope."""
     said = []
     for part, approaches, other in lines:
         if part is taken:
@@ -292,7 +296,7 @@ def _at_an_end(signal: Array) -> list[str]:
 
 
 def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float) -> _Line:
-    """Return the line of contact of a part: of the rows between two shares of the span from free to the near end."""
+    """Return the line of contact of a part, from the rows between two shares of the span from free to the near end."""
     x, v = towards[part.rows], signal[part.rows]
     order = np.argsort(x, kind="stable")
     free_rows = x < x.min() + _FREE * float(np.ptp(x))
@@ -307,7 +311,7 @@ def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float)
     last = _last_below(shares[order], low)
     chosen = (shares >= low) & (shares <= high) & (np.argsort(order) >= last)
     _require(int(chosen.sum()), low, high)
-    # Points that are chosen by their voltage are chosen by its noise too: their line chooses the ways.
+    # Selecting points by their voltage also selects by its noise, so the fitted line then selects the range.
     for _ in range(2):
         slope, error, _ = regressed(x[chosen], shares[chosen])
         if not slope > 0.0:
@@ -324,7 +328,7 @@ def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float)
 
 
 def _last_below(shares: Array, low: float) -> int:
-    """Return the place of the last point below a share, by medians of three, so that one noisy point is none."""
+    """Return the index of the last point below half of `low`, by medians of three, so that noise does not count."""
     if len(shares) < 3:
         return 0
     middle = np.median(np.lib.stride_tricks.sliding_window_view(shares, 3), axis=1)
@@ -333,7 +337,7 @@ def _last_below(shares: Array, low: float) -> int:
 
 
 def _judged(line: _Line, x: Array, v: Array) -> _Line:
-    """Return a line whose residuals were judged: they widen its error, or show a step; ConfigError if it is bent."""
+    """Check the residuals of a line: they may widen its error or show a step; ConfigError if the line is bent."""
     residual = v - v.mean() - line.slope * (x - x.mean())
     noise = _noise(residual, line.scatter)
     ratio, chance = _mismatch(residual, x, noise, 2)
@@ -361,25 +365,25 @@ def _judged(line: _Line, x: Array, v: Array) -> _Line:
 
 
 def _noise(residual: Array, scatter: float) -> float:
-    """Return the noise between neighbouring rows, by their second differences."""
+    """Return the noise between neighbouring rows, estimated from their second differences."""
     second = np.diff(residual, 2)
     found = float(np.median(np.abs(second))) / 0.6745 / math.sqrt(6.0) if len(second) else scatter
     return max(found, 1e-6 * scatter, 1e-300)
 
 
 def _mismatch(residual: Array, x: Array, noise: float, parameters: int) -> tuple[float, float]:
-    """Return the mean square of the residuals of blocks, in that of noise, and the chance of as much by noise."""
+    """Return the mean square of the residuals of blocks relative to noise, and the probability of as much by noise."""
     blocks = np.array_split(residual[np.argsort(x, kind="stable")], min(_BLOCKS, max(len(x) // 4, parameters + 1)))
     squares = [float(block.sum()) ** 2 / len(block) / noise**2 for block in blocks]
     free = max(len(squares) - parameters, 1)
-    # the noise is known to some part of itself from so few differences
+    # Allow for the uncertainty of the noise itself, estimated from few differences.
     excess = 1.0 + 3.0 / math.sqrt(len(x))
     total = float(np.sum(squares))
     return total / free, float(special.chdtrc(free, total / excess))
 
 
 def _bend(x: Array, v: Array, slope: float, noise: float) -> tuple[float, float, float]:
-    """Return by which share of the slope the ends of the line differ, its error, and the squares that a bend leaves."""
+    """Return the relative difference of slope between both ends, its error, and the squared residuals with a bend."""
     u = 2.0 * (x - x.min()) / max(float(np.ptp(x)), 1e-300) - 1.0
     basis = np.stack([np.ones_like(u), u, u**2 - np.mean(u**2)], axis=1)
     found, *_ = np.linalg.lstsq(basis, v, rcond=None)
@@ -392,7 +396,7 @@ def _bend(x: Array, v: Array, slope: float, noise: float) -> tuple[float, float,
 
 
 class _Step(NamedTuple):
-    """A step in a line: where, its height [V], the slope on both sides with its error, and what the residuals are."""
+    """A step in a line: its place [m], height [V], slope [V/m] with error, squared residuals, and residual ratio."""
 
     place: float
     height: float
@@ -403,7 +407,7 @@ class _Step(NamedTuple):
 
 
 def _step(x: Array, v: Array, noise: float) -> _Step | None:
-    """Return the step that leaves least of the residuals, where both sides have one slope."""
+    """Return the step that leaves the smallest residuals, if both sides have one slope; None otherwise."""
     order = np.argsort(x, kind="stable")
     x, v = x[order], v[order]
     best: tuple[float, int] | None = None
@@ -432,7 +436,7 @@ def _step(x: Array, v: Array, noise: float) -> _Step | None:
 
 
 def _squares_of_step(x: Array, v: Array, place: int) -> tuple[float, float, float, Array, float]:
-    """Return the squares that one slope with a step leaves, slope, height, residuals, and the square of the ways."""
+    """Fit one slope with a step: squared residuals, slope, height, residuals, and sum of squared displacements."""
     sides = (slice(place), slice(place, None))
     xs, vs = (np.concatenate([each[side] - each[side].mean() for side in sides]) for each in (x, v))
     square = float(xs @ xs)
@@ -443,7 +447,7 @@ def _squares_of_step(x: Array, v: Array, place: int) -> tuple[float, float, floa
 
 
 def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
-    """Raise ConfigError for a way for a volt that no usual read-out has, with the likely mistake."""
+    """Raise ConfigError for an implausible displacement per volt, and name the likely mistake."""
     for one in sensitivities:
         if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
             raise ConfigError(
@@ -453,13 +457,13 @@ def require_usual(sensitivities: Sequence[Sensitivity]) -> None:
 
 
 def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> tuple[list[Sensitivity], int]:
-    """Return the sensitivity by each curve of a file of curves, and how many of its curves are none on a hard sample.
+    """Return the sensitivity from each curve in a file, and the number of curves that are not on a hard sample.
 
-    Of a force map or QI data with many curves it is the first block of them. `low` and `high` are those of
+    Of a force map or QI data with many curves only the first ones are used. `low` and `high` are those of
     `sensitivity_of_curve`.
 
     Raises:
-        ConfigError: The file cannot be read, or no curve of it will do; the message names it and the reason.
+        ConfigError: The file cannot be read, or none of its curves is usable; the message names it and the reason.
     """
     try:
         _, (counts, heights, volts) = read_by_package(path, "deflections")
@@ -471,7 +475,7 @@ def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> t
     ends = np.cumsum(counts)[:-1]
     for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
         try:
-            # they are approaches, whose height rises away from the sample; in the order of time it falls
+            # Heights of approaches rise away from the sample; reversed, they fall in the order of time.
             sensitivities.append(sensitivity_of_curve(height[::-1], volt[::-1], low, high))
         except ConfigError as error:
             reason = str(error)

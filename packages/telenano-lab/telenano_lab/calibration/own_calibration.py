@@ -1,16 +1,16 @@
-"""Calibrations from what one's own instrument measured: a thermal spectrum or record, a curve on a hard sample.
+"""Calibrations from measurements of the user's own instrument: thermal noise, or a curve on a hard sample.
 
-*Thermal*: k = c k_B T / <zeta^2>, where <zeta^2> is the mean square of the first mode, by the area of the fitted
-resonance. The factor c is that of the mode and of the way the deflection is read (H.-J. Butt, M. Jaschke,
-Nanotechnology 6 (1995) 1): a point mass on a spring has 1, a rectangular lever whose deflection is read as a way 0.971.
-One that is read by the angle of its end, with a sensitivity from a curve on a hard sample, has 0.971/1.09^2 = 0.817,
-because a lever that swings freely has another shape than one that is pressed.
+*Thermal*: k = c k_B T / <zeta^2>, where <zeta^2> is the mean square of the first mode, from the area of the fitted
+resonance. The factor c depends on the mode and on how the deflection is read (H.-J. Butt, M. Jaschke, Nanotechnology 6
+(1995) 1): it is 1 for a point mass on a spring, and 0.971 for a rectangular lever whose displacement is read. If the
+angle of its end is read, with a sensitivity from a curve on a hard sample, it is 0.971/1.09^2 = 0.817, because a freely
+vibrating lever has another shape than a pressed one.
 
 *Sader*: k = 0.1906 rho b^2 L Q Im(Gamma(w0)) w0^2 for a rectangular lever in a fluid (J. E. Sader, J. W. M. Chon,
 P. Mulvaney, Rev. Sci. Instrum. 70 (1999) 3967), with the hydrodynamic function Gamma of a rectangular beam (J. E.
 Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 
-*Sensitivity*: the slope of the way of the base over the voltage in contact with a sample that does not give way.
+*Sensitivity*: the slope of the displacement of the base over the voltage, in contact with a rigid sample.
 """
 
 import math
@@ -36,12 +36,12 @@ from telenano_lab.calibration.spectrum_forms import DENSITIES as DENSITIES
 
 Array = npt.NDArray[np.float64]
 
-# c for a lever that is read by its angle, the usual one
+# The factor c of a lever whose angle is read, the usual kind.
 BY_ANGLE = 0.971 / 1.09**2
-# Density and viscosity are those of air at 20 degrees Celsius and 1013 hPa.
+# Density and viscosity of air at 20 degrees Celsius and 1013 hPa.
 AIR_DENSITY_KG_PER_M3 = 1.204
 AIR_VISCOSITY_PA_S = 1.825e-5
-# numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
+# Numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number.
 _REAL = (
     (0.91324, -0.48274, 0.46842, -0.12886, 0.044055, -0.0035117, 0.00069085),
     (1.0, -0.56964, 0.48690, -0.13444, 0.045155, -0.0035862, 0.00069085),
@@ -52,39 +52,42 @@ _IMAGINARY = (
 )
 # The correction was fitted to Reynolds numbers in this range.
 _REYNOLDS = (1e-6, 1e4)
-# From the softest levers of magnetic resonance to quartz resonators, with a margin; beyond it the units are wrong.
+# Plausible stiffness, from the softest levers of magnetic resonance to quartz resonators; beyond it the units are
+# wrong.
 _STIFFNESS = (1e-5, 1e7)  # [N/m]
-# Of levers of AFMs, from large ones to the small ones of fast scanning, and of needles and forks of quartz.
+# Plausible resonance of AFM levers, from large ones to the small ones of fast scanning, and of quartz needles and
+# forks.
 _RESONANCE_HZ = (500.0, 1e7)
-# In honey-like liquids the least, in ultra-high vacuum at 4 K the greatest.
+# Plausible Q, from levers in honey-like liquids to those in ultra-high vacuum at 4 K.
 _QUALITY = (0.6, 3e6)
-# k / w0^2: 0.1 N/m at 1.5 MHz is 1e-15 kg, a fork of quartz 1e-7 kg.
+# Plausible effective mass k / w0^2: 0.1 N/m at 1.5 MHz is 1e-15 kg, a fork of quartz 1e-7 kg.
 _MASS_KG = (1e-16, 1e-5)
-# Of the photodiodes of AFMs, in contact with a hard sample.
+# Plausible sensitivity of AFM photodiodes, in contact with a hard sample.
 _M_PER_V = (5e-10, 2e-5)
-# A way on a hard sample, taken as nanometres where nothing says the unit.
+# Plausible span of the base on a hard sample, taken as nanometres if no unit is given.
 _WAY_NM = (5.0, 1e5)
-# Two halves of the line of contact that differ by more than this share, and by more than noise, are no line.
+# A line of contact whose halves differ by more than this share, and by more than noise, is bent.
 _BENT = 0.1
 _BENT_ERRORS = 6.0
-# Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
+# Two values agree within this number of standard errors, as 95 in 100 equal values do.
 _WITHIN = 1.96
-# A resonance of fewer lines across its width is said to be one.
+# A resonance narrower than this number of lines is remarked on.
 _FEW_ACROSS = 2.0
-# Sizes that a maker states make a stiffness wrong by less than this factor, so that more is another unit.
+# Nominal sizes of a lever make a stiffness wrong by less than this factor; a greater one means a wrong unit.
 _FARTHEST = 4.0
 
 
 class Stiffness(NamedTuple):
     """k [N/m] and its standard error; resonance [Hz], Q, floor of the read-out [m^2/Hz], and the factor c.
 
-    standard_error_n_per_m: of the noise of the spectrum, and twice the share of the sensitivity's error where it is
-    given. sader_n_per_m: by Sader's method, None without width and length. sader_over_thermal: that over k, with the
-    standard error of the spectrum, the sensitivity and the size; agreement: in words whether they agree within it.
-    averages: periodograms in a line, as given or by the scatter of the lines; deviance_ratio: deviance of the lines in
-    that of thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise; lines_left_out: of
-    the electronics, which no thermal noise has; influence: of the line that matters most [standard errors of k].
-    band_hz: of the lines that were taken [Hz].
+    standard_error_n_per_m: from the noise of the spectrum, and twice the relative error of the sensitivity where it is
+    given. sader_n_per_m: k by Sader's method, None without width and length. sader_over_thermal: that over k, with the
+    standard error from spectrum, sensitivity and size; agreement: sentence on whether they agree within it. averages:
+    periodograms averaged per line, as given or from the scatter of the lines; deviance_ratio: deviance of the lines
+    relative to thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise;
+    lines_left_out:
+    lines that are too strong for thermal noise; influence: effect of the most influential line [standard errors of k].
+    band_hz: band of the fitted lines [Hz].
     """
 
     stiffness_n_per_m: float
@@ -107,13 +110,16 @@ class Stiffness(NamedTuple):
 
 
 class Thermal(NamedTuple):
-    """What a thermal calibration needs beside the measurement.
+    """The inputs of a thermal calibration besides the measurement.
 
-    sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: of the lever, for Sader's method [m];
-    rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
-    averages None: by the scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the
-    sensitivity, and of width and length each. exclude_hz: bands whose lines are left out. anyway: resonance, Q and mass
-    that no usual lever has are accepted. window: of the segments of a spectrum, None where it is not known.
+    sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: size of the lever, for Sader's method
+    [m];
+    rate_hz: sampling rate of the deflection [Hz]; averages: periodograms averaged per line, None to estimate it from
+    the
+    scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the sensitivity, and of width and
+    length each. exclude_hz: bands whose lines are ignored. anyway: whether an implausible resonance, Q or mass is
+    accepted.
+    window: window of the segments of a spectrum, None if unknown.
     """
 
     sensitivity_m_per_v: float
@@ -131,12 +137,12 @@ class Thermal(NamedTuple):
 
     @property
     def sensitivity_share(self) -> float:
-        """The standard error of a stiffness by that of the sensitivity, as a share."""
+        """The relative standard error of a stiffness that is due to the sensitivity."""
         return 2.0 * self.sensitivity_error_m_per_v / abs(self.sensitivity_m_per_v)
 
 
 def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
-    """Return the deflection of the free lever [V] in a text table, and remarks on how it was read.
+    """Return the deflection of the free lever [V] from a text table, and remarks on how it was read.
 
     Raises:
         ConfigError: The file cannot be read, or its unit is no voltage; the message says how to give it.
@@ -159,10 +165,10 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
 
 
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, thermal: Thermal) -> Stiffness:
-    """Return the stiffness by a thermal spectrum: lines [Hz] and one-sided density [V^2/Hz], shape (n,) each.
+    """Return the stiffness from a thermal spectrum: lines [Hz] and one-sided density [V^2/Hz], shape (n,) each.
 
     Raises:
-        ConfigError: The spectrum is none, or its fit ends at a bound, which the message names.
+        ConfigError: The spectrum is invalid, or its fit ends at a bound, which the message names.
     """
     if np.any(np.diff(frequency_hz) <= 0.0) or np.any(density_v2_per_hz < 0.0):
         raise ConfigError("the spectrum needs frequencies that rise, and densities of 0 or more")
@@ -173,7 +179,7 @@ def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, thermal
 
 
 def stiffness_of_record(deflection_v: Array, thermal: Thermal) -> Stiffness:
-    """Return the stiffness by a record of the free lever's deflection [V], shape (n,), at `known.rate_hz`.
+    """Return the stiffness from a record of the free lever's deflection [V], shape (n,), at `thermal.rate_hz`.
 
     Raises:
         ConfigError: The rate is missing, or the fit ends at a bound, which the message names.
@@ -191,7 +197,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     lines, power = lines[kept], power[kept]
     if len(lines) < 16:
         raise ConfigError(f"the spectrum has {len(lines)} lines that are not excluded: 16 are needed")
-    # a tone may be the greatest of the lines, and a narrow resonance is as narrow as one
+    # The greatest line may be a tone, and a narrow resonance may be a single line: try starts for both.
     smooth = ndimage.median_filter(power, 7)
     starts: list[tuple[float, float, float]] = []
     for one in (power, np.minimum(power, 30.0 * smooth), smooth):
@@ -220,7 +226,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
     if known.width_m is None or known.length_m is None:
         return thermal
     by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, peak.resonance_hz, peak.quality)
-    # log k is -log s^2 and a constant by the thermal method: the same spectrum gives s^2, f0 and Q
+    # By the thermal method log k is -log s^2 and a constant; s^2, f0 and Q come from the same spectrum.
     of_ratio = np.array([1.0, slopes["resonance"], 1.0])
     by_spectrum = float(of_ratio @ peak.covariance @ of_ratio)
     by_size = known.size_error_m * math.hypot(slopes["width"] / known.width_m, 1.0 / known.length_m)
@@ -233,7 +239,7 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
 
 
 def _ask_about(k: float, resonance: Resonance) -> None:
-    """Raise ConfigError where resonance, Q or mass is that of no usual lever, with the likely mistake."""
+    """Raise ConfigError for an implausible resonance, Q or mass, and name the likely mistake."""
     f0, q = resonance.resonance_hz, resonance.quality
     mass_kg = k / (2.0 * math.pi * f0) ** 2
     asked = ""
@@ -286,7 +292,7 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
 def _sader_with_slopes(
     width_m: float, length_m: float, resonance_hz: float, quality: float
 ) -> tuple[float, dict[str, float]]:
-    """Return the stiffness by Sader [N/m] and how its logarithm goes with those of the resonance and of the width."""
+    """Return k by Sader's method [N/m], and the logarithmic derivatives of k by resonance and width."""
     more = 1.0 + 1e-4
     k = sader_n_per_m(width_m, length_m, resonance_hz, quality)
     wider = sader_n_per_m(more * width_m, length_m, resonance_hz, quality)
@@ -295,7 +301,7 @@ def _sader_with_slopes(
 
 
 def _agreement(ratio: float, share: float, thermal: Thermal) -> str:
-    """Return in words whether both methods agree within their errors, and which errors those are."""
+    """Return a sentence on whether both methods agree within their errors, and which errors are not known."""
     apart = abs(math.log(ratio)) / share
     text = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
     if apart <= _WITHIN:
@@ -313,9 +319,9 @@ def _agreement(ratio: float, share: float, thermal: Thermal) -> str:
 
 
 def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
-    """Return where the greatest resonance is [Hz], and a Q to begin with, by means of neighbouring lines.
+    """Return the frequency of the greatest resonance [Hz] and a starting Q, from means of neighbouring lines.
 
-    What is below a hundredth of the band is drift, and no resonance is looked for there.
+    Below a hundredth of the band there is drift, so no resonance is sought there.
     """
     block = max(1, len(density) // 512)
     count = len(density) // block * block
@@ -331,7 +337,7 @@ def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
 
 
 def hydrodynamic(reynolds: float) -> complex:
-    """Return Gamma of a rectangular beam at a Reynolds number rho w b^2 / (4 eta), 1e-6 to 1e4 (Sader 1998)."""
+    """Return Gamma of a rectangular beam at a Reynolds number rho w b^2 / (4 eta) of 1e-6 to 1e4 (Sader 1998)."""
     from scipy.special import kv
 
     if not _REYNOLDS[0] <= reynolds <= _REYNOLDS[1]:
@@ -348,7 +354,7 @@ def hydrodynamic(reynolds: float) -> complex:
 
 
 def sader_n_per_m(width_m: float, length_m: float, resonance_hz: float, quality: float) -> float:
-    """Return the stiffness [N/m] of a rectangular lever by its size [m], its resonance [Hz] and its Q in a fluid."""
+    """Return the stiffness [N/m] of a rectangular lever in air from its size [m], its resonance [Hz] and its Q."""
     omega = 2.0 * math.pi * resonance_hz
     reynolds = AIR_DENSITY_KG_PER_M3 * omega * width_m**2 / (4.0 * AIR_VISCOSITY_PA_S)
     return 0.1906 * AIR_DENSITY_KG_PER_M3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2

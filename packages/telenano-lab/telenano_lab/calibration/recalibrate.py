@@ -1,4 +1,4 @@
-"""A recording of real devices read again with a better calibration: from the counts and volts that it keeps."""
+"""Convert a recording of real devices with a better calibration, from the raw counts and volts that it keeps."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from telenano.wire import AfmState, ConfigError, HapticState, Message, NodeHealt
 
 
 class RecalibrationResult(CopyResult):
-    """Result of a recalibration: how many messages were read again, by topic."""
+    """Result of a recalibration: the number of converted messages by topic."""
 
     read_again: dict[str, int]
 
@@ -21,11 +21,11 @@ class RecalibrationResult(CopyResult):
 def recalibrate(
     source: Path, target: Path, *, handle: HandleCalibration | None = None, stage: InstrumentCalibration | None = None
 ) -> RecalibrationResult:
-    """Copy a recording, with what the devices measured read again; references and commands stay what they were.
+    """Copy a recording with its measured values converted again; references and commands remain as they were.
 
     Raises:
         ConfigError: A calibration is missing, or is that of another device.
-        RecordingError: The source has no counts or volts to read, or the target exists.
+        RecordingError: The source has no counts or volts to convert, or the target exists.
     """
     read: dict[str, Callable[[Message], Message | None]] = {}
     if handle is not None:
@@ -64,7 +64,7 @@ def recalibrate(
 
 
 def _require_same_device(source: Path, recorded: str, wanted: str) -> None:
-    # an identity is the device, a blank, and when it was calibrated
+    # An identity is the device, a blank, and the time of its calibration.
     device, wanted_name = recorded.rpartition(" ")[0], wanted.rpartition(" ")[0]
     if device != wanted_name:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""`telenano bag recalibrate`: what real devices sent, read again with a better calibration."""
+"""`telenano bag recalibrate`: convert the raw values of real devices in a recording with a better calibration."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,21 +1,21 @@
-"""The resonance of a cantilever in thermal noise: its spectral density as sampled, and its fit by Whittle's likelihood.
+"""The resonance of a cantilever in thermal noise: its density as sampled, and its fit by Whittle's likelihood.
 
 A damped spring in white noise has the covariance (G. E. Uhlenbeck, L. S. Ornstein, Phys. Rev. 36 (1930) 823)
 
     R(t) = s^2 exp(-g |t|) (cos wd t + g / wd sin wd |t|),    g = w0 / 2Q,    wd = w0 sqrt(1 - 1 / 4Q^2),
 
-and samples of it have the density of the sum over R at the sampling times, a geometric series, in which aliasing is
-counted. White noise of the read-out adds a floor. The periodogram of a long record has lines that are independent and
+and its samples have a density that is the sum over R at the sampling times, a geometric series that includes aliasing.
+White noise of the read-out adds a floor. The periodogram of a long record has lines that are independent and
 exponentially distributed about the density (P. Whittle, Ark. Mat. 2 (1953) 423), so that
 
     sum over lines of I / S + log S
 
 is least at the parameters, and the inverse of their Fisher information is their covariance.
 
-A line of a measured spectrum is the mean of periodograms of segments, and so that of the density about it, by the
-kernel of the window: with c(t) the autocorrelation of the window, c(0) = 1, it is the spectrum of R(t) c(t). Where the
-peak is but a few lines wide that is far from the density at the line. The windows that are tried then are the
-rectangle, whose c falls evenly to 0 over the segment, and Hann's; the likelihood decides.
+A line of a measured spectrum is the mean of periodograms of segments, and so sees the density smoothed by the kernel of
+the window: with c(t) the autocorrelation of the window, c(0) = 1, it is the spectrum of R(t) c(t). If the peak is only
+a few lines wide, this is far from the density at the line. The windows tried are then the rectangle, whose c falls
+linearly to 0 over the segment, and Hann's; the likelihood decides.
 """
 
 import math
@@ -29,9 +29,9 @@ from scipy import signal, special
 
 Array = npt.NDArray[np.float64]
 
-# Of the resonance: drift is below, and what the sampling takes is above. The narrower ones are for lines with more.
+# Bands in units of the resonance; drift lies below, sampling effects above. Narrower ones are for spectra with more.
 BANDS = ((0.1, 3.0), (0.4, 1.8), (0.7, 1.4))
-# the least Q of a spring that swings, and the greatest that is looked for
+# Least Q of a spring that swings, and greatest Q that is sought.
 QUALITIES = (0.5, 1e7)
 # The fit ends after at most this number of steps.
 _MOST_STEPS = 60
@@ -39,50 +39,49 @@ _MOST_STEPS = 60
 _ENOUGH = 1e-7
 # The derivatives of the fit are differences over this step of a parameter.
 _DIFFERENCE = 1e-5
-# Windows count where the peak has fewer lines within the width at half its height.
+# The window matters where the peak's width at half height is fewer lines than this.
 _FEW_LINES = 2.0
-# The window that a file names counts up to so many of its noise bandwidths; those that are tried where none is named.
+# A window named by the file matters up to this number of its noise bandwidths; without one these windows are tried.
 _FEW_LINES_OF_KNOWN = 5.0
 _WINDOWS = ("boxcar", "hann")
-# A window whose fit has a logarithm of the likelihood that is smaller by less than this may have been used as well.
+# A window may have been used as well if its log likelihood is at most this much smaller.
 _AS_LIKELY = 4.0
-# A peak whose width at half its height is less than this share of the distance of lines looks as a tone does.
+# A peak narrower at half height than this share of the line spacing looks like a tone.
 _AS_A_TONE = 0.3
-# A window spreads the area of a peak and leaves it as it is, so that a fit of another area took wings for the peak.
+# A window spreads the area of a peak but preserves it; a fit with another area mistook the wings for the peak.
 _SAME_AREA = math.log(1.5)
-# Each line of a window is a fit for itself; Q is what a broadened peak tells least of.
+# Factors of the starting Q, of which a broadened peak tells least.
 _STARTS_OF_Q = (1.0, 4.0, 16.0)
-# The standard error of log s^2 is smaller than this, or the fit tells nothing.
+# The fit is refused if the standard error of log s^2 is not below this.
 _KNOWN_TO = 1.0
 _TURN = 2.0 * math.pi
-# A line that noise exceeds in this share of spectra alone is no noise.
+# A line that thermal noise would reach with less than this probability is not thermal.
 NOT_THERMAL = 1e-6
-# More lines than these, and than this share, are no tones.
+# More rejected lines than this number, and than this share, are not tones.
 _MOST_TONES = 40
 _MOST_TONE_SHARE = 0.02
 _MOST_ROUNDS = 12
 _FEWEST_LINES = 16
-# The fit has log s^2, log f0, log Q and the floor.
+# Number of parameters of the fit: log s^2, log f0, log Q and the floor.
 _PARAMETERS = 4
-# The distance of the quartiles tells of the scatter as much as this share of the lines by their squares.
+# The interquartile range estimates the scatter as well as the squares of this share of the lines.
 _OF_QUARTILES = 0.37
-# Averages by the scatter, over the count of segments without overlap, where segments overlap by half.
+# Ratio of the averages seen in the scatter to the number of non-overlapping segments, if segments overlap by half.
 _OVERLAP = 1.6
-# Residuals that noise has in fewer spectra than these shares: errors are widened, another band is tried, refused.
+# Probabilities of the residuals by noise below which errors are widened, another band is tried, the fit is refused.
 WIDENED = 0.05
 _DOUBTFUL = 0.01
 _IMPOSSIBLE = 1e-5
-# Correlation of neighbouring lines above which there was a window, and the most that one of those in use does.
+# Correlation of neighbouring lines above which a window is assumed, and the greatest variance factor of usual windows.
 _LEAST_JOINED = 0.15
 _MOST_JOINED = 12.0
-# Lines that are farther apart are not joined, also where each segment was padded with zeros to four times its length.
+# Lines farther apart than this are uncorrelated, even if each segment was zero-padded to four times its length.
 _FARTHEST_JOINED = 8
-# in standard errors
+# Greatest influence of a single line, in standard errors.
 _MOST_INFLUENCE = 4.0
-# A narrower band has this number of widths of the peak at least.
+# A narrower band has at least this number of widths of the peak.
 _BAND_WIDTHS = 4.0
-# The peak is this number of times its width at half its height on both sides, and has this number of blocks, as has
-# each side.
+# The peak extends this number of widths at half height to both sides; it and each side have at most so many blocks.
 _PEAK_WIDTHS = 2.0
 _BLOCKS = 20
 Shape = Callable[[float, float, float], Array]
@@ -91,11 +90,14 @@ Shape = Callable[[float, float, float], Array]
 class Resonance(NamedTuple):
     """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2.
 
-    covariance: of log s^2, log f0 and log Q, shape (3, 3). deviance: of the lines, in that of noise of `averages`.
-    mismatch: mean square of the residuals of blocks of lines, in that of noise; chance: of as much by noise.
-    tones: lines that were left out because no thermal noise has them. influence: by how many standard errors the one
-    line that matters most moves log s^2. band_hz: of the lines that were taken. by_window: the part of the share that
-    windows make of which the lines do not tell which was used. lines_across: the width at half its height, in lines.
+    covariance: of log s^2, log f0 and log Q, shape (3, 3). deviance: deviance of the lines relative to noise of
+    `averages`.
+    mismatch: mean square of the residuals of blocks of lines, relative to noise; chance: probability of as much by
+    noise.
+    tones: number of lines left out as not thermal. influence: shift of log s^2 by the most influential line, in
+    standard
+    errors. band_hz: band of the fitted lines. by_window: the part of `share` that comes from not knowing the window.
+    lines_across: width of the peak at half height, in lines.
     """
 
     mean_square_m2: float
@@ -116,7 +118,7 @@ class Resonance(NamedTuple):
 
 
 def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
-    """Return the one-sided density [m^2/Hz] of samples at a rate [Hz] of a spring with mean square s^2 [m^2]."""
+    """Return the one-sided density [m^2/Hz] of a spring sampled at a rate [Hz], with the mean square s^2 [m^2]."""
     omega, dt = 2.0 * math.pi * resonance_hz, 1.0 / rate_hz
     damping = omega / (2.0 * quality)
     swing = omega * math.sqrt(max(1.0 - 0.25 / quality**2, 1e-12))
@@ -128,7 +130,7 @@ def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_h
 
 
 def periodogram(values_m: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Return the lines [Hz] of a record at a rate [Hz], and its one-sided density there [m^2/Hz]."""
+    """Return the lines [Hz] of a record sampled at a rate [Hz], and its one-sided density there [m^2/Hz]."""
     count = len(values_m)
     frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
     power = np.abs(np.fft.rfft(values_m - values_m.mean())) ** 2 * (2.0 / (rate_hz * count))
@@ -143,24 +145,25 @@ def fit_spectrum(
     averages: float | None = 1.0,
     window: Any = None,
 ) -> Resonance:
-    """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms, and judge the fit.
+    """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms, and check the fit.
 
-    Lines that no thermal noise has under the fit are left out, and the others are fitted again until none is left.
-    Where the residuals of the widest band have a course, narrower ones are tried, because what is not of the resonance
-    (drift, other modes) is far from it. A peak in a single line, as a tone has it, is taken where no wider one is as
-    good.
+    Lines that are not thermal under the fit are left out, and the others are fitted again until all are thermal. If the
+    residuals of the widest band are systematic, narrower bands are tried, because disturbances (drift, other modes) lie
+    far
+    from the resonance. A peak in a single line, like that of a tone, is accepted only if no wider one fits as well.
 
     Args:
         frequency_hz: The lines [Hz], shape (n,), rising.
         power: The density there [m^2/Hz], shape (n,).
         rate_hz: The rate at which the deflection was sampled [Hz].
-        starts: Where to look: mean square [m^2], resonance [Hz] and Q each.
-        averages: How many periodograms each line is the mean of; None takes it from the scatter of the lines.
+        starts: Starting values: mean square [m^2], resonance [Hz] and Q each.
+        averages: Number of periodograms averaged per line; None estimates it from the scatter of the lines.
         window: That of the segments, as `scipy.signal.get_window` takes it; None tries the rectangle and Hann's.
 
     Raises:
-        ValueError: No fit describes the lines, or the fit ends at a bound, or the peak has too few lines, or the mean
-            square is not known to a factor of e; the message says which and what may be wrong.
+        ValueError: No fit describes the lines, the fit ends at a bound, the peak has too few lines, or the mean square
+            is
+            not known to a factor of e; the message says which and what may be wrong.
     """
     best: Resonance | None = None
     reason: ValueError | None = None
@@ -190,7 +193,7 @@ def fit_spectrum(
             f"a single line moves the mean square by {best.influence:.2g} of its standard errors: take a finer"
             " spectrum, or leave it out by --exclude LOW HIGH"
         )
-    # what the residuals have beyond noise makes the errors larger
+    # Residuals in excess of noise widen the errors.
     widened = best.mismatch if best.chance < WIDENED else 1.0
     return best._replace(share=best.share * math.sqrt(widened), covariance=best.covariance * widened)
 
@@ -204,7 +207,7 @@ def _judged_fit(
     band: tuple[float, float],
     window: Any = None,
 ) -> Resonance:
-    """Return the fit of a band [resonances], without lines that are no noise, and how well it describes the rest."""
+    """Fit a band [units of the resonance] without lines that are not thermal, and check its fit to the rest."""
     low, high = band[0] * start[1], min(band[1] * start[1], 0.45 * rate_hz)
     chosen = (frequency_hz > low) & (frequency_hz < high)
     if chosen.sum() < _FEWEST_LINES:
@@ -251,19 +254,19 @@ def _judged_fit(
     inverse = _inverse(slopes @ slopes.T)
     joined = _joined(ratio[kept] - 1.0)
     covariance = inverse[:3, :3] * joined / count
-    # Where the lines hardly tell, rounding decides where the search ends.
+    # With a poorly determined mean square, rounding decides where the search ends.
     if not 0.0 < covariance[0, 0] < _KNOWN_TO**2:
         raise ValueError(
             f"no resonance is known from these lines: the mean square near {f0:.6g} Hz has a standard error of more"
             " than a factor of e; a tone of the electronics has such a peak"
         )
     share = math.sqrt(float(covariance[0, 0])) * (1.0 if averages else _by_scatter(int(kept.sum())))
-    # A lever that swings longer than a segment lasts has the same energy in neighbouring segments: over a record of the
+    # A lever that rings longer than a segment has the same energy in neighbouring segments: over a record of the
     # time T its mean square is known to sqrt(Q / pi f0 T), however little the lines elsewhere scatter.
     segments = count / (1.0 if averages else _OVERLAP)
     if f0 / q < _FEW_LINES * spacing:
         share = math.hypot(share, math.sqrt(spacing * q / (math.pi * f0 * segments)))
-    # another window that the lines allow as well gives another area
+    # Another window that the lines allow gives another area.
     allowed = [one for one in others if count / joined * (one.cost - least) < _AS_LIKELY]
     by_window = max((abs(float(one.place[0] - free[0])) for one in allowed), default=0.0)
     moved = inverse[0] @ slopes * (ratio[kept] - 1.0)
@@ -279,9 +282,9 @@ def _judged_fit(
 def _fit_in_band(
     lines: Array, power: Array, rate_hz: float, start: tuple[float, float, float], spacing: float, window: Any
 ) -> tuple["_Fit", Callable[..., Array], list["_Fit"]]:
-    """Return the fit of some lines, the density at any lines as a function of them, places, s^2, f0 and Q, and others.
+    """Return the best fit of some lines, its density as a function of lines, places, s^2, f0 and Q, and other fits.
 
-    The others are the fits of other windows than that of the best, where the peak is so narrow that windows count.
+    The other fits assume other windows; they exist only where the peak is so narrow that the window matters.
     """
     mean_square, resonance_hz, quality = start
     starts = [(mean_square, resonance_hz, quality * times) for times in _STARTS_OF_Q]
@@ -316,39 +319,39 @@ def _fit_in_band(
 
 
 def noise_bandwidth_of(window: Any) -> float:
-    """Return the noise bandwidth of a window, as `scipy.signal.get_window` takes it, in lines."""
+    """Return the noise bandwidth, in lines, of a window as `scipy.signal.get_window` takes it."""
     values = signal.get_window(window, 4096)
     return float(4096 * np.sum(values**2) / np.sum(values) ** 2)
 
 
 def _deviance_of(averages: float) -> float:
-    """Return the mean of r - 1 - log r of means r of this number of exponential numbers, each of mean 1."""
+    """Return the mean of r - 1 - log r, where r is the mean of `averages` exponential numbers of mean 1."""
     return float(math.log(averages) - special.digamma(averages))
 
 
 def _averages_of(ratio: Array) -> float:
-    """Return of how many periodograms the lines are means, by their scatter about the fit."""
-    # the middle of the lines, whatever a tone or a misfit does at the ends
+    """Estimate the number of periodograms averaged per line from the scatter about the fit."""
+    # The quartiles are robust against tones and misfits.
     low, high = np.quantile(ratio, (0.25, 0.75))
     wanted = math.log(max(high / low, 1.0 + 1e-9)) if low > 0.0 else math.inf
     counts = np.geomspace(0.5, 1e5, 400)
     spreads = np.log(special.gammaincinv(counts, 0.75) / special.gammaincinv(counts, 0.25))
     found = float(np.interp(-wanted, -spreads, counts))
-    # The parameters of the fit take their share of the scatter.
+    # The parameters of the fit reduce the scatter.
     return max(found * max(len(ratio) - _PARAMETERS, 1) / len(ratio), 0.5)
 
 
 def _by_scatter(lines: int) -> float:
-    """Return by how much an error is larger that follows from the scatter of so few lines, for an interval of 95 %."""
+    """Return the factor by which estimating the scatter from so few lines widens a 95 % interval."""
     return float(special.stdtrit(max(_OF_QUARTILES * (lines - _PARAMETERS), 1.0), 0.975)) / 1.96
 
 
 def _joined(residual: Array) -> float:
-    """Return by how much the sum of neighbouring lines varies more than that of lines without a window.
+    """Return the factor by which the correlation of neighbouring lines increases the variance of their sum.
 
-    Hann's window gives neighbours a correlation of 4/9, and 1/36 over the next but one; zeros behind a segment give it
-    to as many lines as there are to one of the segment. A course of the residuals is in all of them alike, and so no
-    part of it.
+    Hann's window correlates neighbours by 4/9 and next neighbours by 1/36; zero padding of a segment correlates as many
+    lines as there are to one of the segment. A systematic course of the residuals affects all lags alike and is
+    excluded.
     """
     square = float(residual @ residual)
     if len(residual) < 64 or square <= 0.0:
@@ -357,7 +360,7 @@ def _joined(residual: Array) -> float:
     correlations = np.array([float(residual[:-lag] @ residual[lag:]) / square for lag in lags])
     total, near = 0.0, 1.0
     for lag, here in enumerate(correlations[:_FARTHEST_JOINED]):
-        # that of lines which are twice as far is of the course
+        # The correlation at twice the lag is that of a systematic course.
         near = float(here - correlations[max(2 * lag + 1, 2)])
         if near < _LEAST_JOINED:
             break
@@ -368,9 +371,9 @@ def _joined(residual: Array) -> float:
 
 
 def _mismatch(ratio: Array, lines: Array, resonance_hz: float, quality: float, averages: float) -> tuple[float, float]:
-    """Return the mean square of the residuals of blocks of lines, in that of noise, and the chance of as much by noise.
+    """Return the mean square residual of blocks of lines relative to noise, and the probability of as much by noise.
 
-    The blocks have even counts of lines, in the peak and on both sides of it each.
+    The blocks have equal numbers of lines within the peak, and within each of its sides.
     """
     width = max(_PEAK_WIDTHS * resonance_hz / quality, 4.0 * float(np.median(np.diff(lines))))
     edges = np.searchsorted(lines, (resonance_hz - width, resonance_hz + width))
@@ -379,13 +382,13 @@ def _mismatch(ratio: Array, lines: Array, resonance_hz: float, quality: float, a
     squares = [averages * float(block.sum()) ** 2 / len(block) for block in blocks]
     free = max(len(squares) - 4, 1)
     total = float(np.sum(squares))
-    # a block of few periodograms has a longer tail than a normal number
+    # A block of few periodograms has a longer tail than a normal distribution.
     excess = 1.0 + 3.0 / (averages * max(len(ratio) / max(len(squares), 1), 1.0))
     return total / free, float(special.chdtrc(free / excess, total / excess))
 
 
 class _Fit(NamedTuple):
-    """The least cost, where it is (log s^2, log f0, log Q, floor in units), the slopes of log S there, and the unit."""
+    """Least cost, its place (log s^2, log f0, log Q, floor in units), derivatives of log S there, unit of the floor."""
 
     cost: float
     place: Array
@@ -393,13 +396,13 @@ class _Fit(NamedTuple):
     unit: float
 
     def has_area_of(self, power: Array, spacing: float) -> bool:
-        """Whether its mean square is the area of lines above its floor."""
+        """Return whether the mean square agrees with the area of the lines above the floor."""
         area = spacing * float((power - self.place[3] * self.unit).sum())
         return area > 0.0 and abs(float(self.place[0]) - math.log(area)) < _SAME_AREA
 
 
 def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
-    # all in units of order one: log s^2, log f0, log Q, floor in the mean density of the band
+    # All parameters are of order one: log s^2, log f0, log Q, floor in the mean density of the band.
     unit = float(power.mean())
     free = np.append(np.log(np.array(start)), 1e-3)
 
@@ -450,7 +453,7 @@ def _inverse(information: Array) -> Array:
 
 
 def _seen_through(kernel: Array, places: npt.NDArray[np.int_], rate_hz: float, s2: float, f0: float, q: float) -> Array:
-    """Return the mean periodogram at lines of a segment, whose window has an autocorrelation, shape (samples,)."""
+    """Return the mean periodogram at lines of a windowed segment; kernel: autocorrelation, shape (samples,)."""
     omega, dt = 2.0 * math.pi * f0, 1.0 / rate_hz
     damping = omega / (2.0 * q)
     swing = omega * math.sqrt(max(1.0 - 0.25 / q**2, 1e-12))
@@ -461,7 +464,7 @@ def _seen_through(kernel: Array, places: npt.NDArray[np.int_], rate_hz: float, s
 
 
 def _autocorrelation(window: Array) -> Array:
-    """Return that of a window for shifts of 0 to its length, in units of that without a shift."""
+    """Return the autocorrelation of a window at shifts of 0 to its length, normalised to 1 at 0."""
     spectrum = np.abs(np.fft.rfft(window, 2 * len(window))) ** 2
     correlation = np.fft.irfft(spectrum)[: len(window)]
     return np.asarray(correlation / correlation[0])

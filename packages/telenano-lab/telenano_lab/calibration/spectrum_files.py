@@ -1,4 +1,4 @@
-"""Thermal spectra in files: a text table of any normalisation, or a file of an instrument that a package reads."""
+"""Read thermal spectra from files: a text table of any normalisation, or an instrument's file that a package reads."""
 
 import math
 from collections.abc import Sequence
@@ -26,21 +26,22 @@ from telenano_lab.calibration.spectrum_forms import (
 
 Array = npt.NDArray[np.float64]
 
-# files with other names are those of an instrument, which packages read
+# Files with other suffixes are those of an instrument, which packages read.
 TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 _FREQUENCIES = ("freq", "f", "omega", "ω", "\u03c9")
 _DENSITIES = ("psd", "power", "density", "pwr", "amplitude", "asd", "level", "pxx")
 _CHOICES = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
 _FEWEST_LINES = 16
-# Two columns of one spectrum differ by less than this share, which their digits do.
+# Two columns are the same spectrum if they differ by less than this share, which rounding explains.
 _ALIKE = 0.02
 
 
 class Spectrum(NamedTuple):
-    """A thermal spectrum: lines [Hz], their one-sided density, whether that is of metres, and its averages.
+    """A thermal spectrum: lines [Hz], their one-sided density, whether that is in metres, and its averages.
 
-    averages: None where nothing says how many periodograms a line is the mean of; remarks: how the file was read;
-    window: as `scipy.signal.get_window` takes it, None where the file names none.
+    averages: number of periodograms averaged per line, None if not stated; remarks: how the file was read; window:
+    window
+    as `scipy.signal.get_window` takes it, None if the file names none.
     """
 
     frequency_hz: Array
@@ -52,10 +53,10 @@ class Spectrum(NamedTuple):
 
 
 class SpectrumOptions(NamedTuple):
-    """What a person says of a spectrum in place of its file.
+    """The user's description of a spectrum, which replaces that of its file.
 
-    unit, frequency_unit: of density and frequency; columns: of frequency and density, by number or title; sides: 1 or
-    2; noise_bandwidth_hz: of a line, where the file has the power of lines.
+    unit, frequency_unit: units of density and frequency; columns: columns of frequency and density, by number or title;
+    sides: 1 or 2; noise_bandwidth_hz: noise bandwidth of a line, if the file has the power of lines.
     """
 
     unit: str = ""
@@ -74,16 +75,18 @@ def spectrum_of(
     sides: int | None = None,
     noise_bandwidth_hz: float | None = None,
 ) -> Spectrum:
-    """Return a thermal spectrum, as the one-sided density of a power.
+    """Return the thermal spectrum in a file, as a one-sided power density.
 
     Args:
-        path: A text table whose head may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that an
+        path: A text table whose header may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that
+            an
             installed package reads.
-        unit: The unit of the density; empty takes that of the file.
-        frequency_unit: The unit of the frequency; empty takes that of the file.
-        columns: Those of frequency and density in a text table, by number or title; none takes what its head says.
-        sides: 1 or 2: whether the density is that of one side of 0 Hz or of both; None takes what the file says.
-        noise_bandwidth_hz: Of a line [Hz], where the file has the power of lines; None takes what the file says.
+        unit: The unit of the density; empty for that of the file.
+        frequency_unit: The unit of the frequency; empty for that of the file.
+        columns: Columns of frequency and density in a text table, by number or title; empty to follow the header.
+        sides: 1 for a one-sided density, 2 for a two-sided one; None for what the file states.
+        noise_bandwidth_hz: Noise bandwidth of a line [Hz], if the file has the power of lines; None for that of the
+            file.
 
     Raises:
         ConfigError: The file cannot be read, or its normalisation is not known or contradicts itself; the message says
@@ -154,7 +157,7 @@ def _frequency(table: TextTable, options: SpectrumOptions) -> Column:
     of_unit = of_unit or [one for one in table.columns if _is_angular(one.unit)]
     by_name = [one for one in of_unit if one.name.lower().startswith(_FREQUENCIES)]
     named = table.find(*_FREQUENCIES)
-    # a name without a unit that contradicts it, else the first column that is no density
+    # Prefer a name without a contradicting unit, else the first column that is no density.
     rest = [one for one in table.columns if not isinstance(form_of(one.unit), Form)]
     unnamed = [named] if named is not None and not named.known else []
     return next(iter((*by_name, *of_unit, *unnamed, *rest, *table.columns)))
@@ -187,7 +190,7 @@ def _lines_hz(table: TextTable, column: Column, given: str) -> tuple[Array, tupl
 def _density(
     table: TextTable, frequency: Column, options: SpectrumOptions, head: str
 ) -> tuple[Column, Form, tuple[str, ...]]:
-    """Return the column of the density, what its values are, and remarks."""
+    """Return the column of the density, the form of its values, and remarks."""
     others = [column for column in table.columns if column is not frequency]
     chosen = table.column(options.columns[1]) if options.columns else None
     if options.unit:
@@ -204,7 +207,7 @@ def _density(
     if chosen is not None:
         return chosen, _form(table, chosen, head), ()
     forms = [(column, form) for column in others if isinstance(form := form_of(column.unit, head), Form)]
-    # a voltage beside a density is another channel
+    # A voltage beside a density is another channel.
     forms = [one for one in forms if not one[1].per_line] or forms
     if len(forms) > 1:
         _require_alike(table, forms)
@@ -217,7 +220,7 @@ def _density(
 
 
 def _of_peak_in_name(form: Form, column: Column) -> Form:
-    """Return the form of a column whose name, and not its unit, says that it is of a peak."""
+    """Return the form of a column whose name, rather than unit, says that its values are peaks."""
     name = f" {column.name.lower()} "
     if "root of the mean square" not in form.words or not any(word in name for word in (" peak ", " pk ", "peak-")):
         return form
@@ -232,7 +235,7 @@ def _by_name(columns: Sequence[Column]) -> Column:
 
 
 def _require_alike(table: TextTable, forms: Sequence[tuple[Column, Form]]) -> None:
-    """Raise ConfigError where columns that each are a spectrum are not the same one."""
+    """Raise ConfigError if columns that are each a spectrum are not the same one."""
     powers = [power_of(table.numbers(column), form, table.name) for column, form in forms]
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = [float(np.nanmedian(np.abs(np.log(power / powers[0])))) for power in powers[1:]]
@@ -267,7 +270,7 @@ def _form(table: TextTable, column: Column, head: str) -> Form:
 def _per_hertz(
     power: Array, form: Form, said: SpectrumHead, spacing_hz: float, options: SpectrumOptions, where: str
 ) -> tuple[Array, str]:
-    """Return the power of a bandwidth of 1 Hz, and how it follows from that of a line."""
+    """Return the power per hertz, and words on how it follows from the power of a line."""
     if not form.per_line:
         if said.of_lines and not options.unit:
             raise ConfigError(

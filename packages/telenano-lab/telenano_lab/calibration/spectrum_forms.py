@@ -1,8 +1,8 @@
-"""Normalisations of spectra: what a unit, a head and the order of the lines say, and the one-sided density they mean.
+"""Normalisations of spectra: interpret a unit, a header and the order of the lines, and convert to a one-sided density.
 
-A spectrum may be a density or the power of a line, a power or its root, of the root of the mean square or of a peak, in
-decibels of a reference, on one side of 0 Hz or on both. What stands in the file is honoured; what a file leaves open
-and what contradicts itself is refused with the option that says it.
+A spectrum may be a density or the power per line, a power or its root, an RMS or a peak value, in decibels of a
+reference, one-sided or two-sided. The statements of a file are honoured; what a file leaves open or contradicts is
+refused with the option that decides it.
 """
 
 import math
@@ -19,11 +19,11 @@ from telenano_lab.calibration.resonance import noise_bandwidth_of
 
 Array = npt.NDArray[np.float64]
 
-# Units of a density, as columns are named: of a power or of its root, in volts or in metres.
+# Units of a density in column titles: of a power or its root, in volts or metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
-# Units of the power of a line or its root, which are a density once they are divided by the noise bandwidth.
+# Units of the power of a line or its root, which divided by the noise bandwidth is a density.
 LINES = ("V^2", "V", "m^2", "m")
-# the power that a value stands for, where it is another than the mean square: of a peak, and of both peaks
+# Mean square per squared value, for RMS, peak and peak-to-peak values.
 _OF_PEAKS = {"rms": 1.0, "eff": 1.0, "pk": 0.5, "peak": 0.5, "p": 0.5, "pp": 0.125, "p-p": 0.125, "pk-pk": 0.125,
              "pkpk": 0.125, "peak-to-peak": 0.125}  # fmt: skip
 _PEAK = re.compile(
@@ -41,7 +41,7 @@ _ONE_SIDED = re.compile(
     r"(?i)(?:one|single|1)[-_ ]?sided|einseitig|unilat[eé]ral|unilateral|return_onesided\s*[=:]\s*true"
 )
 _WORD_OF_SIDES = re.compile(r"(?i)(?:two|double|2|one|single|1)[-_ ]sided|(?:two|double)sided")
-# A sample may be on two-sided tape: the words count in a line that speaks of a spectrum.
+# Words on sides count only in a line on spectra: a sample may be on two-sided tape.
 _SPECTRAL = re.compile(r"(?i)spectr|spektr|psd|densi|dichte|sides?\b|seiten|onesided|periodogram|welch|range")
 _OF_LINES = re.compile(r"(?i)scaling\s*[=:]\s*['\"]?spectrum|per (?:bin|line)\b|pro (?:linie|bin)\b|\bpro Kanal\b")
 _BANDWIDTH = re.compile(
@@ -63,14 +63,15 @@ _WITH_PARAMETER = ("kaiser", "tukey", "gaussian")
 _AVERAGES = re.compile(
     r"(?i)\b(?:number of averages|averages?|averaged spectra|mittelungen|moyennes|promedios|medie)\b\s*[=:\t]\s*(\d+)\b"
 )
-# Two columns, or both sides of 0 Hz, are one spectrum where they differ by less, which the digits of a file do.
+# Both sides of 0 Hz agree if they differ by less than this share, which rounding explains.
 _ALIKE = 0.01
 
 
 class Form(NamedTuple):
-    """What values in a unit are: their power in SI is factor * value^power, or factor * 10^(value/10) in decibels.
+    """The meaning of values in a unit: their SI power is factor * value^power, or in decibels factor * 10^(value/10).
 
-    per_line: of a line, and not of a bandwidth of 1 Hz; is_of_metres: and not of volts; words: what it is called.
+    per_line: whether it is the power of a line rather than per hertz; is_of_metres: metres rather than volts; words:
+    name.
     """
 
     factor: float
@@ -82,15 +83,15 @@ class Form(NamedTuple):
 
 
 class NoReference(NamedTuple):
-    """Decibels of something that the unit does not say, or of a milliwatt in a resistance that the file does not."""
+    """Decibels without a stated reference, or of a milliwatt in a resistance that the file does not name."""
 
     words: str
 
 
 def form_of(word: str, head: str = "") -> Form | NoReference | None:
-    """Return what a unit says of a spectrum, None where it is that of none.
+    """Return the meaning of a unit of a spectrum; None if it is none, NoReference if it lacks a reference.
 
-    head: The text above the table, which may name the resistance that a milliwatt is of.
+    head: The text above the table, which may name the resistance that a milliwatt refers to.
     """
     text = word.strip()
     decibels = _DECIBELS.fullmatch(text)
@@ -120,7 +121,7 @@ def form_of(word: str, head: str = "") -> Form | NoReference | None:
             continue
         is_root = "^2" not in name
         factor = share * unit.factor ** (2.0 if is_root else 1.0)
-        # a density over angular frequency is 2 pi times smaller than one over frequency
+        # A density over angular frequency is 2 pi times smaller than one over frequency.
         factor *= (2.0 * math.pi) ** angular
         of = {1.0: "root of the mean square", 0.5: "peak", 0.125: "peak to peak"}[share]
         return Form(
@@ -130,7 +131,7 @@ def form_of(word: str, head: str = "") -> Form | NoReference | None:
 
 
 def power_of(values: Array, form: Form, where: str) -> Array:
-    """Return the power that values stand for, of a bandwidth of 1 Hz or of a line; ConfigError for values below 0."""
+    """Return the power of values, per hertz or per line; ConfigError for negative values that are not in decibels."""
     if form.decibels:
         return np.asarray(form.factor * 10.0 ** (values / 10.0))
     if np.any(values < 0.0):
@@ -142,10 +143,11 @@ def power_of(values: Array, form: Form, where: str) -> Array:
 
 
 class SpectrumHead(NamedTuple):
-    """What a head says of a spectrum; None and empty where it says nothing.
+    """The statements of a header on its spectrum; None or False where it states nothing.
 
-    sides: 1 or 2; of_lines: that it has the power of lines; bandwidth: value and unit of the noise bandwidth; window:
-    as `scipy.signal.get_window` takes it; averages: how many.
+    sides: 1 or 2; of_lines: whether it has the power of lines; bandwidth: value and unit of the noise bandwidth;
+    window: as
+    `scipy.signal.get_window` takes it; averages: number of averages.
     """
 
     sides: int | None
@@ -156,7 +158,7 @@ class SpectrumHead(NamedTuple):
 
 
 def said_of(head: str) -> SpectrumHead:
-    """Return what the text of a head says of its spectrum; ConfigError where it says both sides and one."""
+    """Parse the header of a spectrum; ConfigError if it claims both one and two sides."""
     of_sides = "\n".join(line for line in head.splitlines() if _SPECTRAL.search(_WORD_OF_SIDES.sub("", line)))
     two, one = _TWO_SIDED.search(of_sides), _ONE_SIDED.search(of_sides)
     if two and one:
@@ -183,7 +185,7 @@ def _window_of(head: str) -> Any:
 
 
 def bandwidth_hz(said: SpectrumHead, spacing_hz: float) -> float | None:
-    """Return the noise bandwidth of a line [Hz] by what the head says, None where it says neither that nor a window."""
+    """Return the noise bandwidth of a line [Hz] from bandwidth or window in the header; None if it states neither."""
     if said.bandwidth:
         value, unit = said.bandwidth
         known = unit_of(unit) if unit.endswith("Hz") else None
@@ -194,7 +196,7 @@ def bandwidth_hz(said: SpectrumHead, spacing_hz: float) -> float | None:
 
 
 class Sides(NamedTuple):
-    """Lines [Hz] that rise from 0, their one-sided density, and a sentence on what was done, empty where nothing."""
+    """Lines [Hz] rising from 0, their one-sided density, and a sentence on the conversion, empty if there was none."""
 
     frequency_hz: Array
     density: Array
@@ -202,17 +204,17 @@ class Sides(NamedTuple):
 
 
 def one_sided(frequency_hz: Array, density: Array, sides: int | None, where: str, lines: Sequence[int]) -> Sides:
-    """Return the lines in order with a one-sided density, as their own order and the head say.
+    """Return the sorted lines with a one-sided density, judged by their order and the header.
 
     Args:
-        frequency_hz: The lines as they stand, shape (n,).
+        frequency_hz: The lines in their original order, shape (n,).
         density: The density there.
         sides: 1 or 2 where it is stated.
         where: The file, for the messages.
-        lines: The line of the file of each.
+        lines: The line number in the file of each.
 
     Raises:
-        ConfigError: The lines begin again, or those below 0 Hz are no mirror of those above.
+        ConfigError: The frequencies repeat, or those below 0 Hz do not mirror those above.
     """
     steps = np.diff(frequency_hz)
     falls = np.flatnonzero(steps < 0.0)
@@ -266,7 +268,7 @@ def _folded(f: Array, p: Array, spacing: float, sides: int | None, where: str) -
 
 
 def _mirrored(f: Array, p: Array, spacing: float, sides: int | None, where: str) -> Sides | None:
-    """Return the lower half of lines from 0 to the rate of which the upper half is the mirror, None for others."""
+    """Fold lines from 0 to the sampling rate whose upper half mirrors the lower one; None for other spectra."""
     if len(f) < 32 or np.ptp(np.diff(f)) > 0.1 * spacing:
         return None
     kept = f > 0.5 * spacing

@@ -54,7 +54,7 @@ _ENOUGH = 0.02
 
 
 class FittedContact(NamedTuple):
-    """The contact that was fitted: base [m], force as measured and of the model with the zero line [N], shape (n,)."""
+    """The fitted contact: base [m], measured force [N], model force with the zero line [N]; each of shape (n,)."""
 
     base_m: Array
     measured_n: Array

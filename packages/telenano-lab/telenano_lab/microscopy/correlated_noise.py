@@ -35,9 +35,9 @@ _SUPPORT = 2.0
 
 
 class Noise(NamedTuple):
-    """Coefficients and their covariance; standard deviations of the white noise and the wander, and its T in points.
+    """Coefficients, their covariance, deviations of the white noise and of the wander, and the wander's T in points.
 
-    zero: for a caller that regresses a zero line as well, that line, shape (n,).
+    zero: the zero line, shape (n,), for a caller that regresses one as well.
     """
 
     coefficients: Array

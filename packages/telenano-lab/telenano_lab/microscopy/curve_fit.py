@@ -153,7 +153,7 @@ class CurveFit(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Points of a way in the order of time: base towards the sample [m], force [N], place in the way, averaged over."""
+    """Points of a way in the order of time: base towards the sample [m], force [N], index; raw points per mean."""
 
     base_m: Array
     force_n: Array
@@ -369,7 +369,7 @@ def _pulling(way: _Way, model: str) -> tuple[_Way, npt.NDArray[np.bool_], _Pull]
 
 
 def _last_in_contact(way: _Way) -> int:
-    """Return the number of the last point before the greatest rise of the force over a few points."""
+    """Return the index of the last point before the greatest rise of the force between two groups of points."""
     force, width = way.force_n, 4
     count = len(force)
     before, behind = np.zeros(count - 2 * width + 1), np.zeros(count - 2 * width + 1)
@@ -463,7 +463,7 @@ class _Problem(NamedTuple):
 def _start(
     number: int, shape: ContactShape, k: float, way: _Way, contact: npt.NDArray[np.bool_], pull: _Pull | None
 ) -> Array:
-    """Return where a fit begins: touch, logarithm of E*, pull-off, zero and tilt, in the units of the problem."""
+    """Return the starting values of a fit, in the problem's units: touch, logarithm of E*, pull-off, zero, tilt."""
     length, scale = float(np.ptp(way.base_m)), max(float(np.ptp(way.force_n)), 1e-15)
     if pull is None:
         return _start_of_push(number, shape, k, way, length, scale)

@@ -38,7 +38,7 @@ _SPEED_M_PER_S = 200e-9
 
 @dataclass(frozen=True)
 class Half:
-    """One way of a curve, in the order of time: base x_s [m], towards the sample, deflection [m], force on tip [N]."""
+    """One way of a curve in the order of time: base x_s towards the sample [m], deflection [m], tip force [N]."""
 
     base_m: Array
     deflection_m: Array

@@ -54,9 +54,10 @@ class ImageFacts(NamedTuple):
 
 @dataclass
 class LiveImage:
-    """The lines of an image so far: heights [m], lateral forces [N] of shape (lines, pixels), NaN for none; sides.
+    """The lines of an image so far: heights [m] and lateral forces [N], shape (lines, pixels), NaN where missing.
 
-    Of the trace in tapping mode amplitude [m], phase [rad], and energy that the sample takes in a period [J].
+    In tapping mode the trace also has amplitude [m], phase [rad] and the energy that the sample dissipates per period
+    [J].
     """
 
     trace_m: Heights = field(default_factory=lambda: np.empty((0, 0)))

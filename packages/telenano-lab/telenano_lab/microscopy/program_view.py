@@ -1,4 +1,4 @@
-"""A program of the instrument of a running rig, as a person sees it: a bar, and the keys that pause and end it."""
+"""Terminal view of a program that a running rig's instrument carries out: a progress bar, keys to pause and end."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
