@@ -1,6 +1,6 @@
-"""Particles: how they lie on a sample and yield to a tip, how images find them, and how pushes bring them in place.
+"""Particles: their places on a sample, motion under a tip, detection in images, and assembly by pushes.
 
-What is named here is public for other packages:
+The names below are public for other packages:
 
     from telenano_lab.assembly import Push, bench, carried_out, new_hand
 """
@@ -51,7 +51,7 @@ else:
     }
 
     def __getattr__(name: str) -> Any:
-        # the steps of a push need the compiler, which the layer and the program do without
+        # The steps of a push need the compiler; the layer and the program do without it.
         from importlib import import_module
 
         if name not in _MODULES:

@@ -1,4 +1,4 @@
-"""`telenano particles` and `telenano assemble`: particles found in an image, and pushed into a pattern."""
+"""`telenano particles` and `telenano assemble`: find particles in an image, and push them into a pattern."""
 
 import json
 import math
@@ -165,7 +165,7 @@ def assemble(
 
 
 def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
-    """Return what only a simulation knows, and no step of the assembly knew; nothing of a rig."""
+    """Return the true error, which only a simulation knows and no step of the assembly uses; empty on a rig."""
     from telenano_lab.assembly.run import VirtualBench
 
     if not isinstance(bench, VirtualBench):

@@ -1,23 +1,23 @@
 """The thermal drift between tip and sample, estimated from places that are seen again.
 
-An axis has the offset p and its speed v, which wanders by a white acceleration of the density q: over the time T,
+Each axis has an offset p and a speed v, which changes by a white acceleration of density q: over the time T,
 
     p' = p + v T,    Q = q [[T^3 / 3, T^2 / 2], [T^2 / 2, T]],
 
-and a look measures p with the deviation sigma (a Kalman filter, after B. Mokaberi and A. A. G. Requicha, IEEE Trans.
-Autom. Sci. Eng. 3 (2006) 199).
+and a look measures p with the standard deviation sigma (a Kalman filter, after B. Mokaberi and A. A. G. Requicha, IEEE
+Trans. Autom. Sci. Eng. 3 (2006) 199).
 """
 
 import math
 from typing import NamedTuple
 
-# A speed of 0.1 nm/s that changes within two hours.
+# Density for a speed of 0.1 nm/s that changes within two hours.
 DENSITY_M2_PER_S3 = 1.3889e-24
 FASTEST_M_PER_S = 0.1e-9
 
 
 class Axis(NamedTuple):
-    """Offset [m] and speed [m/s] of an axis, and their covariance [m^2, m^2/s, m^2/s^2]."""
+    """Offset [m] and speed [m/s] of an axis, with their covariance [m^2, m^2/s, m^2/s^2]."""
 
     offset_m: float
     speed_m_per_s: float
@@ -31,7 +31,7 @@ class Axis(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """Both axes, at a time [s]."""
+    """The drift along both axes at a time [s]."""
 
     time_s: float
     x: Axis
@@ -39,7 +39,7 @@ class Drift(NamedTuple):
 
 
 def unknown(fastest_m_per_s: float = FASTEST_M_PER_S) -> Axis:
-    """Return an axis at the first look: no offset by definition, and a speed of at most about this."""
+    """Return an axis at the first look: its offset is 0 by definition, its speed has this standard deviation."""
     return Axis(0.0, 0.0, 0.0, 0.0, fastest_m_per_s**2)
 
 
@@ -56,7 +56,7 @@ def predicted(axis: Axis, elapsed_s: float, density_m2_per_s3: float = DENSITY_M
 
 
 def looked(axis: Axis, offset_m: float, error_m: float) -> Axis:
-    """Return an axis of which an offset [m] was measured with a standard error [m]."""
+    """Return an axis after a measurement of its offset [m] with a standard error [m]."""
     whole = axis.offset_variance + error_m**2
     if whole <= 0.0:
         return axis
@@ -72,9 +72,9 @@ def looked(axis: Axis, offset_m: float, error_m: float) -> Axis:
 
 
 def moved(axis: Axis, by_m: float, elapsed_s: float, error_m: float) -> Axis:
-    """Return an axis that is seen to have gone by_m [m] in the last elapsed_s [s], with a standard error [m].
+    """Return an axis after a measurement of its motion by_m [m] in the last elapsed_s [s], with a standard error [m].
 
-    A particle that is seen twice tells this; where it lay before the drift began is not known.
+    A particle that is seen twice gives this motion; its place before the drift began is not known.
     """
     whole = elapsed_s**2 * axis.speed_variance + error_m**2
     if whole <= 0.0:
@@ -91,12 +91,12 @@ def moved(axis: Axis, by_m: float, elapsed_s: float, error_m: float) -> Axis:
 
 
 def drift_at(drift: Drift, time_s: float) -> Drift:
-    """Return the drift that is expected at a time [s]."""
+    """Return the predicted drift at a time [s]."""
     elapsed_s = max(time_s - drift.time_s, 0.0)
     return Drift(drift.time_s + elapsed_s, predicted(drift.x, elapsed_s), predicted(drift.y, elapsed_s))
 
 
 def offset_at(drift: Drift, time_s: float) -> tuple[float, float]:
-    """Return both offsets [m] at a time [s] before or after the last look, at the speeds that are known now."""
+    """Return both offsets [m] at a time [s] before or after the last look, at the speeds known now."""
     elapsed_s = time_s - drift.time_s
     return drift.x.offset_m + drift.x.speed_m_per_s * elapsed_s, drift.y.offset_m + drift.y.speed_m_per_s * elapsed_s

@@ -1,4 +1,4 @@
-"""The figure of an assembly: the images before and after, the targets, and how far each particle is from its own."""
+"""The figure of an assembly: the images before and after, the targets, and each particle's distance from its own."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def assembly_figure(assembly: Assembly, tolerance_m: float) -> "Figure":
-    """Return the figure; a particle within tolerance_m [m] of its target is marked as placed."""
+    """Draw an assembly; a particle within tolerance_m [m] of its target counts as placed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")

@@ -1,8 +1,8 @@
-"""Particles in an image: places, radii and their errors.
+"""Find particles in an image: places, radii and their standard errors.
 
-What is above the lines of an image is divided into groups of peaks, and profiles of spheres under a tip
+The parts of an image above the ground are divided into groups of peaks. Profiles of spheres under a tip
 (`tip_shape.ride_height_m`) are fitted to each group by least squares, with places and radii free. The height of a
-sphere is 2 R whatever the tip is, and its flanks are those of the tip: so a fit, unlike a centroid, is not drawn to the
+sphere is 2 R for any tip, and its flanks are those of the tip: so a fit, unlike a centroid, is not biased towards the
 pixels.
 """
 
@@ -22,18 +22,18 @@ Mask = npt.NDArray[np.bool_]
 _DEVIATIONS = 3.0
 # A peak rises above this share of the usual height of peaks.
 _SHARE = 0.3
-# Two tops are nearer than this share of the radius only where they are one.
+# Two tops nearer than this share of the radius are one.
 _LEAST_APART = 0.7
-# A fit that leaves more than this share of the height is one of several particles that touch.
+# Residuals above this share of the height mean several particles that touch.
 _CLUSTER = 0.05
 _FEWEST_PIXELS = 6
-# An object beside the particles is fixed to the sample if it rises above this number of deviations of the noise.
+# An object beside the particles is fixed to the sample if it exceeds this number of deviations of the noise.
 _STANDS_DEVIATIONS = 6.0
-# It also rises above this share of the usual height of peaks.
+# It must also exceed this share of the usual height of peaks.
 _STANDS_SHARE = 0.05
-# What is nearer to a particle than this multiple of the reach of its image belongs to that image.
+# Pixels nearer to a particle than this multiple of the reach of its image belong to that image.
 _BESIDE = 1.4
-# this many heights around the part that is high belong to the flanks of a particle
+# The flanks of a particle extend this multiple of its height around the high part.
 _AROUND = 0.25
 _EIGHT = np.ones((3, 3))
 _DEVIATION_OF_MEDIAN = 1.4826
@@ -42,8 +42,8 @@ _DEVIATION_OF_MEDIAN = 1.4826
 class FoundParticle(NamedTuple):
     """A particle in an image: place of its centre, its radius, and their standard errors [m].
 
-    residual: what the fit leaves, root mean square, as a share of the height. is_cluster: whether that is more than
-    spheres leave. time: when the line through its centre was taken, as a share of the image, 0 to 1.
+    residual: root mean square residual of the fit, as a share of the height. is_cluster: whether it exceeds that of
+    spheres. time: time at which the line through its centre was taken, as a share of the image, 0 to 1.
     """
 
     x_m: float
@@ -66,9 +66,9 @@ def sphere_m(tip: TipShape, radius_m: float, distance_m: Array) -> Array:
 
 
 def flattened(height_m: Array) -> tuple[Array, float]:
-    """Return an image whose lines lie at 0 [m] beside the particles, and the deviation of its noise [m].
+    """Return an image whose lines are level at 0 [m] beside the particles, and the standard deviation of its noise [m].
 
-    A straight line is taken from each row, fitted to the part that does not rise above the noise.
+    A straight line is subtracted from each row, fitted to the part that does not exceed the noise.
     """
     rows, columns = height_m.shape
     level = height_m - np.median(height_m, axis=1, keepdims=True)
@@ -96,14 +96,14 @@ def find_particles(
     """Return the particles in an image, from left to right.
 
     Args:
-        height_m: Heights, shape (rows, columns); y rises with the row. What is no number is left out.
+        height_m: Heights [m], shape (rows, columns); y rises with the row. Values that are not finite are ignored.
         step_x_m: Width of a pixel [m].
         step_y_m: Depth of a pixel [m].
-        tip: The tip that took it.
+        tip: The tip that took the image.
         middle: The place of the middle of the image [m].
 
     Raises:
-        ValueError: The image is no image, or a pixel has no size.
+        ValueError: The image has fewer than 3 rows or columns, or a pixel has no size.
     """
     heights = np.array(height_m, np.float64)
     if heights.ndim != 2 or min(heights.shape) < 3:
@@ -132,14 +132,14 @@ def fixed_places(
     reach_m: float,
     middle: tuple[float, float] = (0.0, 0.0),
 ) -> list[tuple[float, float]]:
-    """Return places of what stands in an image and is no particle, such as the edges of steps, not all too close.
+    """Return thinned-out places of objects in an image that are no particles, such as the edges of steps.
 
     Args:
         height_m: Heights, as for `find_particles`.
         step_x_m: Width of a pixel [m].
         step_y_m: Depth of a pixel [m].
         particles: The particles of the image.
-        reach_m: How far the image of a particle reaches from its centre [m].
+        reach_m: Radius of the image of a particle [m].
         middle: The place of the middle of the image [m].
     """
     heights = np.array(height_m, np.float64)
@@ -164,7 +164,7 @@ def fixed_places(
 
 
 def _groups(level: Array, noise: float, step_x_m: float, step_y_m: float) -> list[tuple[Mask, list[tuple[int, int]]]]:
-    """Return the pixels of each group of peaks whose flanks meet, with those around it, and the pixels of its tops."""
+    """Return for each group of peaks with joined flanks a mask of its pixels and surroundings, and its tops."""
     above = ndimage.binary_opening(level > max(_DEVIATIONS * noise, 1e-12))
     labels, count = ndimage.label(above)
     if count == 0:
@@ -181,7 +181,7 @@ def _groups(level: Array, noise: float, step_x_m: float, step_y_m: float) -> lis
     tops, number = ndimage.label((smooth == ndimage.maximum_filter(smooth, size)) & mask, _EIGHT)
     places = [(round(row), round(column)) for row, column in ndimage.center_of_mass(tops, tops, range(1, number + 1))]
     groups, _ = ndimage.label(mask, _EIGHT)
-    # The flanks below the mask say most of where a particle is.
+    # The flanks below the mask determine the place of a particle best.
     around = (2 * math.ceil(_AROUND * usual / step_y_m) + 1, 2 * math.ceil(_AROUND * usual / step_x_m) + 1)
     result = []
     for group in sorted({int(groups[place]) for place in places} - {0}):
@@ -193,7 +193,7 @@ def _groups(level: Array, noise: float, step_x_m: float, step_y_m: float) -> lis
 def _fitted(
     level: Array, pixels: Mask, tops: list[tuple[int, int]], x: Array, y: Array, noise: float, tip: TipShape
 ) -> list[FoundParticle]:
-    """Return the spheres of a group of peaks, fitted together; none for a few pixels."""
+    """Return the spheres of a group of peaks, fitted together; empty if there are too few pixels."""
     if int(np.count_nonzero(pixels)) < max(_FEWEST_PIXELS, 3 * len(tops)):
         return []
     row, column = np.nonzero(pixels)

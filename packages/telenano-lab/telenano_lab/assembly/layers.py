@@ -1,4 +1,4 @@
-"""The layer of particles by which telenano finds it (entry point `telenano.layers`); it imports no compiled step."""
+"""The layer of particles as telenano finds it (entry point `telenano.layers`); it imports no compiled step."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ def _around(settings: ParticlesConfig, part: Any, ground: Ground) -> Any:
 
 
 def _fields(particles: "Particles") -> dict[str, Any]:
-    """Return the fields of `afm/particles`, which has where the particles really are."""
+    """Return the fields of `afm/particles`, the true places of the particles."""
     arrays = particles._replace(moving=particles.moving.astype(np.uint8))._asdict()
     return {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
 

@@ -1,4 +1,4 @@
-"""An assembly on a running rig: its images and pushes are programs of the instrument there."""
+"""The bench of an assembly on a running rig, whose images and pushes are programs of the instrument there."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ class LiveBench(ProgramBench):
     """The instrument of a running rig.
 
     Args:
-        config: What is known of the tip and of the kind of particle.
+        config: The known properties of the tip and of the kind of particle.
         site_file: The site file of the rig.
     """
 
@@ -44,7 +44,7 @@ class LiveBench(ProgramBench):
         return values
 
     def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, Mapping[str, Scalar] | None]:
-        """Run a program to its end, and return its image and values; RigError, where something else ended it."""
+        """Run a program to its end and return its image and values; RigError if it does not finish."""
         image = LiveImage()
         report = run_program(self._site_file, keys, image, lambda report: "")
         if report.state != "finished":

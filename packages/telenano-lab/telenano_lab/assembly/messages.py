@@ -1,4 +1,4 @@
-"""The truth about the particles of a simulation, on a topic of its own (`telenano.topics`)."""
+"""The topic `afm/particles` with the true places of simulated particles (`telenano.topics`)."""
 
 from typing import Annotated
 
@@ -28,5 +28,5 @@ class AfmParticles(Message):
             raise ValueError("simulated must be true: no instrument knows where particles are")
 
 
-# No node reads it, and no link carries it.
+# No node reads this topic, and no link carries it.
 AFM_PARTICLES = Topic("afm/particles", AfmParticles, ("afm_node",), "lossless", None, None, None)

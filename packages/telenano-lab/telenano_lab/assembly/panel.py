@@ -1,4 +1,4 @@
-"""The panel of particles on the page of a rig: where they are believed to be, their targets, and who pushes them."""
+"""The panel of particles on the page of a rig: their believed places, their targets, and who pushes them."""
 
 from pathlib import Path
 

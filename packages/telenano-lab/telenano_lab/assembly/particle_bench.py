@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from telenano.sections import AfmConfig
     from telenano_lab.assembly.particles.settings import ParticlesConfig
 
-# A thermal drift of 0.05 nm/s and the noise of the read-out.
+# A thermal drift of 0.05 nm/s and noise of the read-out.
 DISTURBED: dict[str, Any] = {
     "drift": {"enabled": True, "speed_m_per_s": 0.0, "x_m_per_s": 4e-11, "y_m_per_s": -3e-11},
     "readout": {"enabled": True},
@@ -21,7 +21,9 @@ def bench(particles: dict[str, Any], stiffness_n_per_m: float = 0.1, **others: A
 
     Args:
         particles: The section `sample.particles`.
-        stiffness_n_per_m: Of the cantilever [N/m]; 0.1 is soft enough to image in contact below what moves a particle.
+        stiffness_n_per_m: Spring constant of the cantilever [N/m]; 0.1 is soft enough to image in contact without
+            moving
+            a particle.
         others: Further keys of the section.
     """
     return {
@@ -42,11 +44,11 @@ def bench(particles: dict[str, Any], stiffness_n_per_m: float = 0.1, **others: A
 def configured(
     settings: Sequence[str], particles: dict[str, Any], disturbances: dict[str, Any], *elsewhere: str
 ) -> "AfmConfig":
-    """Return the disturbed bench with what options `--afm` change of it.
+    """Return the disturbed bench, modified by the options `--afm`.
 
     Args:
-        settings: What each option says, such as `sample.particles.count=3`.
-        particles: The section `sample.particles` where no option names a key of `elsewhere` in it.
+        settings: The text of each option, such as `sample.particles.count=3`.
+        particles: The section `sample.particles`, unless an option sets a key of `elsewhere` in it.
         disturbances: The section `disturbances`.
         elsewhere: Keys of `sample.particles`.
 
@@ -62,6 +64,6 @@ def configured(
 
 
 def particles_of(config: "AfmConfig") -> "ParticlesConfig | None":
-    """Return the particles on the sample of a configuration, None without any."""
+    """Return the particles on the sample of a configuration; None without any."""
     particles: ParticlesConfig | None = None if config.sample is None else config.sample.layer("particles")
     return particles

@@ -1,4 +1,4 @@
-"""Patterns of places: a line, a square, a ring, letters, or those of a file."""
+"""Patterns of target places: a line, a square, a ring, letters, or the places in a file."""
 
 import math
 from pathlib import Path
@@ -7,11 +7,11 @@ from telenano.files import read_regular
 from telenano.wire import ConfigError
 from telenano_lab.assembly.plan import Point
 
-# A line of a file of places has some thirty letters.
+# A line in a file of places has about thirty characters.
 _LARGEST_BYTES = 1 << 20
 
 NAMES = ("line", "square", "ring", "letters:TEXT")
-# A character is five rows of three places, the uppermost first: an octal digit each, whose highest bit is on the left.
+# A character has five rows of three places, the top one first: an octal digit each, whose highest bit is on the left.
 _LETTERS = "25755 65656 34443 65556 74647 74644 34553 55755 22222 11152 55655 44447 57755"
 _LETTERS += " 65555 25552 65644 25563 65655 34216 72222 55557 55552 55775 55255 55222 71247"
 _DIGITS = "75557 26227 71747 71717 55711 74717 74757 71111 75757 75717"
@@ -19,16 +19,16 @@ _ROWS = dict(zip("ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789", f"{_LETTERS} {_DIGITS}"
 
 
 def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
-    """Return the places of a pattern [m], its middle at 0, 0.
+    """Return the places of a pattern [m], centred at 0, 0.
 
     Args:
         name: line, square, ring, letters:TEXT (letters alone is a T), or a file with a line `x y` [m] for each place.
-        count: How many places a named pattern has; letters have their own number.
-        spacing_m: Their least distance [m].
+        count: Number of places of a line, square or ring.
+        spacing_m: Distance of neighbouring places [m].
 
     Raises:
-        ConfigError: The pattern is not known, the file cannot be read, a square cannot have that number, or there is no
-            such letter.
+        ConfigError: The pattern is not known, the file cannot be read, a square cannot have that number, or a character
+            has no form.
     """
     if name == "line":
         return [((i - 0.5 * (count - 1)) * spacing_m, 0.0) for i in range(count)]
@@ -72,7 +72,7 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
 
 
 def _spelled(text: str, spacing_m: float) -> list[Point]:
-    """Return the places of the dots of a word [m], its middle at 0, 0."""
+    """Return the places of the dots of a word [m], centred at 0, 0."""
     for letter in text.upper():
         if letter not in _ROWS:
             raise ConfigError(f"--pattern letters:{text}: {letter!r} is not one of A to Z, 0 to 9 and space")

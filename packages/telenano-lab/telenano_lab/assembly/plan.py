@@ -1,9 +1,9 @@
-"""Which particle goes where, in which order, and along which way.
+"""Plan an assembly: assign particles to targets, order the pushes, and find their ways.
 
-Targets are given to particles so that the sum of the squared ways is least. A way goes round the other particles, each
-grown by what the pushed one and the tip need, along the corners of the polygons around them; the shortest one is that
-of the graph of all corners that see each other. A particle whose target is still occupied, or whose way leads through
-another that has yet to move, waits; where all wait for each other, one goes to a parking place first.
+Targets are assigned so that the sum of the squared distances is least. A way leads around the other particles, each
+enlarged by the room that the pushed one and the tip need, along the corners of the polygons around them; it is the
+shortest path in the graph of all corners that see each other. A particle whose target is still occupied, or whose way
+is blocked by another that has yet to move, waits; if all wait for each other, one goes to a parking place first.
 """
 
 import math
@@ -22,12 +22,12 @@ from telenano.wire import ConfigError
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float]
 
-# corners of the polygon around an obstacle
+# Number of corners of the polygon around an obstacle.
 _CORNERS = 12
 
 
 class Task(NamedTuple):
-    """A push: number of the particle, and its way from its place to where it goes, with the corners between [m].
+    """A push: number of the particle, and its way from start to end with the corners between [m].
 
     target: the number of the target, -1 for a parking place.
     """
@@ -42,11 +42,11 @@ class Task(NamedTuple):
 
 
 class UnreachableError(ConfigError):
-    """A target that no way leads to, or that cannot be taken; the message names it."""
+    """A target that no way leads to, or that cannot be used; the message names it."""
 
 
 def assigned(places: npt.ArrayLike, targets: npt.ArrayLike) -> list[int]:
-    """Return the number of the target of each particle, -1 for one that has none; the squared ways are least in sum.
+    """Return the target of each particle, -1 for none, so that the sum of the squared distances is least.
 
     Args:
         places: Places of the particles, shape (n, 2) [m].
@@ -66,7 +66,7 @@ def assigned(places: npt.ArrayLike, targets: npt.ArrayLike) -> list[int]:
 
 
 def require_room(targets: Sequence[Point], clearance_m: float) -> None:
-    """Raise UnreachableError for targets [m] that are nearer to each other than clearance_m [m], naming the first."""
+    """Raise UnreachableError, naming the first pair, if targets [m] are nearer to each other than clearance_m [m]."""
     for i, one in enumerate(targets):
         for j in range(i):
             if math.dist(one, targets[j]) < clearance_m:
@@ -77,9 +77,9 @@ def require_room(targets: Sequence[Point], clearance_m: float) -> None:
 
 
 def way_around(start: Point, goal: Point, obstacles: list[Point], clearance_m: float) -> tuple[Point, ...] | None:
-    """Return the shortest way from start to goal that keeps clearance_m [m] from each obstacle, None for none.
+    """Return the shortest way from start to goal that keeps clearance_m [m] from each obstacle; None if there is none.
 
-    An obstacle nearer to the start than that is left in the direction away from it.
+    Obstacles within that distance of the start are ignored.
     """
     kept = [one for one in obstacles if math.dist(one, start) > clearance_m * (1.0 + 1e-9)]
     if any(math.dist(one, goal) < clearance_m * (1.0 - 1e-9) for one in obstacles):
@@ -136,10 +136,10 @@ def planned(
         clearance_m: Distance of the centre of a pushed particle from those of others [m].
         done_m: A particle nearer to its target than this stays [m].
         half_m: Half of the side of the square within which a parking place may lie [m].
-        fixed: Places of what stands and is no particle [m], such as the steps of a sample.
+        fixed: Places of fixed obstacles [m], such as the steps of a sample.
 
     Raises:
-        UnreachableError: A target lies too near to another, to a particle that stays or to what is fixed, or no way
+        UnreachableError: A target lies too near to another, to a particle that stays or to a fixed obstacle, or no way
             leads to it.
     """
     stands = list(fixed)
@@ -188,7 +188,7 @@ def _parking(
     clearance_m: float,
     half_m: float,
 ) -> Task:
-    """Return a push of one of those that wait for each other to the nearest place that is in no other's way."""
+    """Return a push of one of the waiting particles to the nearest place that blocks no target or particle."""
     raster = np.arange(-half_m, half_m + 0.5 * clearance_m, 0.5 * clearance_m).tolist()
     for particle in (i for i in waiting if i not in parked):
         taken = [place for j, place in enumerate(at) if j != particle] + to + stands

@@ -1,4 +1,4 @@
-"""`telenano push`: one push of a particle, in simulated time or by the instrument of a running rig."""
+"""`telenano push`: push one particle, in simulated time or with the instrument of a running rig."""
 
 import math
 from collections.abc import Mapping
@@ -58,7 +58,7 @@ def push(
 
 
 def _place(option: str, text: str) -> tuple[float, float]:
-    """Return the place that an option names [m]."""
+    """Parse the place [m] that an option names in nm; ConfigError if it is no pair or out of reach."""
     try:
         x, y = (1e-9 * float(word) for word in text.split(","))
     except ValueError as error:
@@ -70,7 +70,7 @@ def _place(option: str, text: str) -> tuple[float, float]:
 
 
 def _values(values: "Mapping[str, Scalar]") -> dict[str, Any]:
-    """Return what a push says of itself, its places as pairs."""
+    """Return the values of a push, with its believed place as a pair."""
     document = dict(values)
     believed = document.pop("believed_x_m"), document.pop("believed_y_m")
     why = str(document.pop("why"))
@@ -87,7 +87,7 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
-    """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
+    """Push in simulated time a particle at its believed place, or those that --afm names."""
     from telenano.devices import VirtualInstrument
     from telenano_lab.assembly.particle_bench import DISTURBED, configured
 
@@ -95,7 +95,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     config = configured(overrides, particles, DISTURBED, "places", "count", "seed")
     instrument = VirtualInstrument(config)
     with progress("push", 1.0, shown=not as_json) as show:
-        # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
+        # A bar is drawn at most ten times a second, and a step takes a tenth of a millisecond.
         for number, _ in enumerate(instrument.run(keys)):
             if number % 1000 == 0 and (report := instrument.report()) is not None:
                 show(0.01 * report.done_percent, text=report.text)
@@ -104,5 +104,5 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
         raise ConfigError("--from: nothing was pushed: check that place" if outcome is None else outcome.text)
     places = instrument.truths["particles"].places_m.tolist()
     outcome_values = _values(outcome.values)
-    # What the simulation knows, and neither the program nor a real instrument does.
+    # Only a simulation knows the true place.
     return {**outcome_values, "true_m": min(places, key=lambda place: math.dist(place, outcome_values["believed_m"]))}

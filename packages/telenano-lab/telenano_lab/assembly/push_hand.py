@@ -1,10 +1,10 @@
-"""A scripted hand that steers the tip by rate over a link, so that it pushes a particle to a goal.
+"""A scripted hand that steers the tip in rate control over a link, so that it pushes a particle to a goal.
 
-It sees what arrives from the instrument, the place of the tip and the force across it, and acts on that a reaction time
-later, with errors of what it sees and feels and a tremor. It goes behind the place where it believes the particle to
-be, pushes it, turns it towards the goal (`steering`), slows down before the goal, and stops there. When the force is
-gone on the way it has lost the particle, and goes behind it again. When it stands it waits for what its last motion
-did, and corrects that where it is more than it wants to leave.
+It perceives the answers of the instrument, the place of the tip and the lateral force, and acts on them a reaction time
+later, with errors of sight and touch and a tremor. It moves behind the believed place of the particle, pushes it, turns
+it towards the goal (`steering`), slows down before the goal, and stops there. If the force vanishes on the way it has
+lost the particle, and moves behind it again. After stopping it waits for the effect of its last motion, and corrects
+the place if the remaining distance exceeds its tolerance.
 """
 
 import math
@@ -21,13 +21,13 @@ from telenano_lab.assembly.particles.tip_shape import touch_distance_m
 
 Array = npt.NDArray[np.float64]
 
-# columns of `plan`: goal [m], d [m], kinetic friction [N], speed [m/s], gain of the speed before the goal [1/s], when
-# it begins [ticks], how long it waits [ticks], what it leaves [m]; errors: of force, place [m], speed, heading [rad]
+# Columns of `plan`: goal [m], d [m], kinetic friction [N], speed [m/s], gain of the speed before the goal [1/s], tick
+# at which it begins, ticks that it waits, tolerance [m]; errors of force, place [m], speed and heading [rad].
 GOAL_X, GOAL_Y, D, FRICTION, SPEED, GAIN, BEGINS, WAITS, LEAVES, FORCE_ERROR, PLACE_ERROR, TREMOR, HEADING = range(13)
 PLAN = 13
-# columns of `state`: believed place of the particle [m], phase, ticks without force, ticks of waiting, losses, when it
-# was done [ticks], the largest lateral and normal force [N], the true place of the particle [m], the mean of what is
-# felt [N], and whether the particle was felt since the push began
+# Columns of `state`: believed place of the particle [m], phase, ticks without force, ticks of waiting, losses, tick at
+# which it was done, largest lateral and normal force [N], true place of the particle [m], mean of the felt force [N],
+# and whether the particle was felt since the push began.
 BELIEVED_X, BELIEVED_Y, PHASE, FAINT, WAITED, LOSSES, DONE_AT, PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y = range(11)
 FELT_X, FELT_Y, TOUCHED = range(11, 14)
 STATE = 14
@@ -39,23 +39,23 @@ _CONTACT = 0.3
 _FAINT_TICKS = 60
 # The particle was missed if the tip comes nearer to its place than this multiple of d without a contact.
 _MISSED = 0.7
-# A force is felt as a mean over this number of ticks.
+# The felt force is a mean over this number of ticks.
 _FELT_TICKS = 100.0
 # The tip goes behind the particle by this multiple of d.
 _BEHIND = 1.35
-# On the way there it keeps this multiple of d from the particle.
+# On the way there the tip keeps this multiple of d from the particle.
 _KEEPS = 1.25
 # A particle that lies further aside than this angle is approached again; this is its cosine.
 _MOST_ASIDE = math.cos(math.radians(75.0))
-# The errors of a hand change this number of times a second: every this number of ticks.
+# The errors of the hand change every this number of ticks.
 _HELD_TICKS = 20
 
 
 class Hand(NamedTuple):
-    """The hand and what is on the link: `plan` and `state`, a row of columns each.
+    """A hand and its link: `plan` and `state`, a row of columns each.
 
-    seen: place and force of the newest answer, (4,) [m, N]; perceived: those of the reaction time, (ticks, 4); errors:
-    unit variance, (k, 6), in the order in which they are used.
+    seen: place and force in the newest answer, (4,) [m, N]; perceived: those of the reaction time, (ticks, 4); errors:
+    standard normal numbers, (k, 6), in the order of their use.
     """
 
     plan: Array
@@ -66,11 +66,12 @@ class Hand(NamedTuple):
 
 
 class Push(NamedTuple):
-    """What a hand is to do, and how well it can.
+    """The task of a hand, and its limits.
 
-    goal_m, place_m: of the particle [m]; d_m: from the middle of a particle to a tip that touches it [m]; friction_n:
-    what holds a particle that slides [N]; speed_m_per_s: the greatest of the tip; reaction_s: of the hand; answers_s:
-    what else passes until the tip has done what the hand did, and the hand sees it [s]; leaves_m: what it leaves [m].
+    goal_m, place_m: of the particle [m]; d_m: distance of the particle's centre from the axis of a touching tip [m];
+    friction_n: kinetic friction of the particle [N]; speed_m_per_s: greatest speed of the tip; reaction_s: reaction
+    time of
+    the hand; answers_s: further delay until the hand sees the effect of its motion [s]; leaves_m: tolerance [m].
     """
 
     goal_m: tuple[float, float]
@@ -100,7 +101,7 @@ def new_hand(push: Push, random: np.random.Generator, begins: int, period_s: flo
     """Return a hand before its first tick.
 
     Args:
-        push: What it is to do.
+        push: Its task.
         random: The source of its errors.
         begins: The tick of the session at which it begins.
         period_s: The time between two ticks [s].
@@ -108,7 +109,7 @@ def new_hand(push: Push, random: np.random.Generator, begins: int, period_s: flo
     plan, state = np.zeros(PLAN), np.zeros(STATE)
     plan[[GOAL_X, GOAL_Y]], plan[D], plan[FRICTION] = push.goal_m, push.d_m, push.friction_n
     late_s = push.reaction_s + push.answers_s
-    # it slows down so early that what it sees late does not carry it past
+    # The hand slows down early enough that the delay does not carry it past the goal.
     plan[SPEED], plan[GAIN] = push.speed_m_per_s, 0.35 / late_s
     plan[BEGINS], plan[LEAVES], plan[WAITS] = begins, push.leaves_m, round((late_s + 0.1) / period_s)
     plan[[FORCE_ERROR, PLACE_ERROR, TREMOR, HEADING]] = _FORCE_SHARE, _PLACE_M, _TREMOR, _TURN
@@ -131,7 +132,7 @@ def push_of(
     answers_s: float,
     leaves_m: float,
 ) -> Push:
-    """Return the push of the first particle of a layer, the parameters of an instrument's part (`particles.layer`).
+    """Return the push of the first particle of a layer, given by its parameters (`particles.layer`).
 
     The other arguments are those of `Push`.
     """
@@ -149,9 +150,10 @@ def push_of(
 
 
 class PushOutcome(NamedTuple):
-    """What a hand has done: whether it was content, and at which tick; where the particle really is [m].
+    """The result of a hand: whether it is done, and at which tick; the true place of the particle [m].
 
-    losses: how often it lost the particle; peak_n, press_n: the largest force across the tip and along it [N].
+    losses: number of times that it lost the particle; peak_n, press_n: the largest lateral and normal force on the tip
+    [N].
     """
 
     done: bool
@@ -163,7 +165,7 @@ class PushOutcome(NamedTuple):
 
 
 def carried_out(hand: Hand) -> PushOutcome:
-    """Return what a hand has done until now."""
+    """Return the result of a hand so far."""
     state = hand.state
     return PushOutcome(
         done=bool(state[PHASE] == DONE),
@@ -177,7 +179,7 @@ def carried_out(hand: Hand) -> PushOutcome:
 
 @compiled
 def hand_moves(hand: Hand, tick: int) -> tuple[float, float]:
-    """Return the speed of the tip that the hand asks for at a tick of the session [m/s]."""
+    """Return the velocity of the tip that the hand asks for at a tick of the session [m/s]."""
     plan, state = hand.plan, hand.state
     slot = tick % hand.perceived.shape[0]
     x, y, force_x, force_y = (
@@ -191,11 +193,11 @@ def hand_moves(hand: Hand, tick: int) -> tuple[float, float]:
         return 0.0, 0.0
     errors = hand.errors[(tick // _HELD_TICKS) % hand.errors.shape[0]]
     x, y = x + plan[PLACE_ERROR] * errors[0], y + plan[PLACE_ERROR] * errors[1]
-    # an error of a felt force is a share of that force
+    # The error of a felt force is a share of that force.
     error = plan[FORCE_ERROR] * math.sqrt(force_x * force_x + force_y * force_y)
     force_x, force_y = force_x + error * errors[2], force_y + error * errors[3]
     way_x, way_y, share = _wanted(plan, state, x, y, force_x, force_y, tick)
-    # a hand neither keeps a speed nor a heading
+    # The tremor disturbs both speed and heading.
     share, turn = share * (1.0 + plan[TREMOR] * errors[4]), plan[HEADING] * errors[5]
     speed = plan[SPEED] * min(max(share, 0.0), 1.0)
     return speed * (way_x - turn * way_y), speed * (way_y + turn * way_x)
@@ -205,7 +207,7 @@ def hand_moves(hand: Hand, tick: int) -> tuple[float, float]:
 def _wanted(
     plan: Array, state: Array, x: float, y: float, force_x: float, force_y: float, tick: int
 ) -> tuple[float, float, float]:
-    """Return the direction in which the hand wants the tip to go, of length 1, and the share of its speed."""
+    """Return the direction in which the hand moves the tip, of length 1, and the share of its greatest speed."""
     d, least = plan[D], _CONTACT * plan[FRICTION]
     touches = force_x * force_x + force_y * force_y > least * least
     share = 1.0 / _FELT_TICKS if state[FAINT] == 0.0 else 1.0
@@ -239,7 +241,7 @@ def _wanted(
             way_x, way_y = steered(ahead_x, ahead_y, to_x, to_y)
             return way_x, way_y, min(slow * left, 1.0)
         if state[PHASE] == PUSHES:
-            # it has gone past the goal, or the particle has slipped aside
+            # The tip has passed the goal, or the particle has slipped aside.
             state[PHASE] = STANDS if left <= plan[LEAVES] else APPROACHES
             state[WAITED] = 0.0
             state[LOSSES] += 0.0 if left <= plan[LEAVES] else 1.0
@@ -261,7 +263,7 @@ def _wanted(
     way_x, way_y = way_x / way, way_y / way
     inwards = (way_x * from_x + way_y * from_y) / between
     if between < _KEEPS * d and inwards > 0.0:
-        # around the particle, and away from it where it is too near
+        # Move around the particle, and away from it if too near.
         out_x, out_y = -from_x / between, -from_y / between
         along_x, along_y = way_x + inwards * out_x, way_y + inwards * out_y
         length = math.sqrt(along_x * along_x + along_y * along_y)
@@ -281,7 +283,7 @@ def _sees(hand: Hand, answer: Array) -> None:
 
 @compiled
 def _notes(hand: Hand, part: Any, force_n: float, across_n: tuple[float, float]) -> None:
-    """Write down the largest forces on the tip [N], and where the first particle really is [m]."""
+    """Record the largest forces on the tip [N] and the true place of the first particle [m]."""
     state, across = hand.state, np.sqrt(across_n[0] * across_n[0] + across_n[1] * across_n[1])
     state[PEAK_ACROSS], state[PEAK_ALONG] = max(state[PEAK_ACROSS], across), max(state[PEAK_ALONG], force_n)
     state[TRUE_X], state[TRUE_Y] = part.moving[0, 0], part.moving[0, 1]

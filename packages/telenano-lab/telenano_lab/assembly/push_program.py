@@ -1,14 +1,13 @@
-"""A particle pushed from one place to another: the tip goes behind it, down to the surface, and drives it along.
+"""A program that pushes a particle from one place to another: the tip moves behind it, down to the surface, and on.
 
-The program knows where the particle is believed to be and how large it is, nothing else. It comes down behind it until
-it touches the surface, goes up by the height at which it pushes, and drives on. What it feels across the tip tells the
-rest: with F the lateral force on the tip, the particle lies in the direction -F, d away (the distance of the axes of a
-tip and a sphere that touch). Modes:
+The program knows only the believed place of the particle and its radius. The tip comes down behind it until it touches
+the surface, rises to the height of the push, and moves on. The lateral force F on the tip tells the rest: the particle
+lies in the direction -F at the distance d (that of the axes of a tip and a sphere that touch). Modes:
 
-- *straight*: along the line from the believed place to the goal. A particle that was found beside it slips off.
+- *straight*: along the line from the believed place to the goal. A particle that lies beside it slips off.
 - *steered*: the tip turns the particle towards the goal (`telenano_lab.assembly.particles.steering`).
-- *sweep*: lines across, each nearer to the goal than the last by a share of d; where the particle begins beside them
-  does not matter.
+- *sweep*: lines across the way, each nearer to the goal than the last by a share of d; the start of the particle beside
+  the way does not matter.
 """
 
 import math
@@ -36,11 +35,11 @@ from telenano.wire import RefusedError, Scalar
 from telenano_lab.assembly.particles.steering import steered
 from telenano_lab.assembly.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 
-# These phases come after the way to the surface.
+# Phases after the approach to the surface.
 LIFT = Way.ARRIVED
 PUSH = Way.ARRIVED + 1
 DONE = Way.ARRIVED + 2
-# The reasons for which a push ends.
+# Reasons for which a push ends.
 AT_GOAL = "the particle is at its goal"
 LOST = "the particle is lost"
 TOO_FAR = "the way is longer than planned"
@@ -49,27 +48,27 @@ PASSED = "the particle has passed its goal"
 
 # The approach point lies this many d behind the believed place.
 _BEHIND = 1.3
-# a way longer than this share of the planned one is given up
+# A push is given up if its way exceeds the planned one by this factor.
 _LONGEST = 1.5
 # The particle is lost when the lateral force stays below this share of its plateau.
 _LOST_SHARE = 0.3
 # The force has to stay that low for this share of d.
 _LOST_WAY = 0.05
-# The particle is also lost when it lies this far beside the direction of the tip.
+# The particle is also lost when it lies this far aside of the tip's direction.
 _LOST_RAD = math.radians(75.0)
 # The plateau and the direction of the force are means over this share of d.
 _MEAN_WAY = 0.02
-# A lateral force is a contact above this number of standard deviations of the forces on the way.
+# A lateral force is a contact above this number of standard deviations of the noise on the way.
 _CONTACT_DEVIATIONS = 3.0
 # The force has to be that high for this number of steps.
 _CONTACT_STEPS = 3
 # The forces on the way are averaged over this number of steps before a contact counts.
 _QUIET_STEPS = 10
-# A contact exceeds the deviations by this force, so that a noise of zero leaves a threshold.
+# A contact also exceeds the deviations by this force, so that a noise of zero leaves a threshold.
 _LEAST_N = 1e-11
 # The lines of a sweep go this many d to either side, so that their ends are clear of the particle.
 _HALF_LINE = 2.5
-# A steered particle that can come no nearer has arrived within this share of its radius.
+# A steered particle that can come no nearer has arrived if it is within this share of its radius.
 _NEAR = 0.2
 
 
@@ -101,7 +100,7 @@ class PushSettings(ProgramSettings):
 
 
 class PushPlan(NamedTuple):
-    """A push: its settings, distance d of the axes [m], where the tip begins, and what it knows of the instrument."""
+    """A push: its settings, distance d of the axes [m], start of the tip, and facts of the instrument."""
 
     settings: PushSettings
     distance_m: float
@@ -117,13 +116,16 @@ class PushPlan(NamedTuple):
 
 
 class PushState(NamedTuple):
-    """Phase, time in it [s], base at the touch [m]; what was felt and where the particle is believed to be.
+    """Phase, time in it [s], base at the touch [m]; the felt forces, and the believed place of the particle.
 
-    gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size
-    since the particle moves; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations
-    of the lateral force before contact, which is what the channel reads without a particle: crosstalk, the friction of
-    the tip, noise. All other forces are less that mean. steps: steps above the threshold; faint_m: way without force.
-    line: of a sweep. why: how it ended. aside_rad: the angle from the motion of the tip to the particle.
+    gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size since
+    contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the lateral
+    force
+    before contact, which is the reading of the channel without a particle: crosstalk, friction of the tip, noise. That
+    mean
+    is subtracted from all other forces. steps: steps above the threshold; faint_m: way without force. line: index of
+    the
+    line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the particle.
     """
 
     phase: int
@@ -242,7 +244,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             "why": state.why,
             "plateau_n": state.plateau_n,
             "peak_n": state.peak_n,
-            # that of its size by the calibration and the noise; the direction has that of the noise, and so the place
+            # Size: calibration and noise; direction, and so the place: noise alone.
             "plateau_error_n": math.hypot(plan.lateral_uncertainty * state.plateau_n, _noise_n(state)),
             "aside_rad": state.aside_rad,
             "believed_x_m": state.believed.x_m,
@@ -259,7 +261,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
 
 
 def _base_m(plan: PushPlan, state: PushState, inputs: Inputs, dt: float) -> float:
-    """Return where the base is to go [m]: a height above the surface that it touched, or after the force."""
+    """Return the next position of the base [m]: a height above the touched surface, or one that holds the force."""
     s = plan.settings
     if s.hold == "height":
         return state.touched_m - s.setpoint_n / plan.stiffness_n_per_m - s.height_m
@@ -268,7 +270,7 @@ def _base_m(plan: PushPlan, state: PushState, inputs: Inputs, dt: float) -> floa
 
 
 def _felt(plan: PushPlan, state: PushState, inputs: Inputs) -> PushState:
-    """Take what was felt across the tip at the last step."""
+    """Update the state with the lateral force of the last step."""
     place, (count, rest_x, rest_y, squares) = inputs.place, state.quiet
     force_x, force_y = inputs.lateral_n[0] - rest_x, inputs.lateral_n[1] - rest_y
     way, size = math.dist(place, state.place), math.hypot(force_x, force_y)
@@ -286,7 +288,7 @@ def _felt(plan: PushPlan, state: PushState, inputs: Inputs) -> PushState:
     share = 1.0 - math.exp(-way / (_MEAN_WAY * plan.distance_m))
     mean_x = state.force_x_n + share * (force_x - state.force_x_n)
     mean_y = state.force_y_n + share * (force_y - state.force_y_n)
-    # the flank has lifted the apex by what it carries
+    # The flank has lifted the apex by the deflection of its load.
     apex_m = plan.settings.height_m + max(inputs.force_n, 0.0) / plan.stiffness_n_per_m
     held = plan.settings.hold == "force"
     reach = touch_distance_m(plan.tip, plan.settings.radius_m, 0.0 if held else apex_m) / math.hypot(mean_x, mean_y)
@@ -305,7 +307,7 @@ def _noise_n(state: PushState) -> float:
 
 
 def _ended(plan: PushPlan, state: PushState, size_n: float) -> str:
-    """Return why the push is over; empty where it continues."""
+    """Return the reason why the push is over; empty if it continues."""
     s, goal = plan.settings, Place(plan.settings.x1_m, plan.settings.y1_m)
     if size_n > s.lateral_limit_n:
         return f"the lateral force is above push.lateral_limit_n = {s.lateral_limit_n:g} N"
@@ -325,7 +327,7 @@ def _ended(plan: PushPlan, state: PushState, size_n: float) -> str:
 
 
 def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Place]:
-    """Return the state and where the stage is to go next."""
+    """Return the state and the next place of the stage."""
     s = plan.settings
     step_m, bearing = plan.speed_m_per_s * dt, math.atan2(s.y1_m - s.y0_m, s.x1_m - s.x0_m)
     if s.mode == "sweep":
@@ -342,7 +344,7 @@ def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Pl
 
 
 def _swept(plan: PushPlan, state: PushState, bearing: float, step_m: float) -> tuple[PushState, Place]:
-    """Continue along a line across the way, and at its end to the next one."""
+    """Continue along a line across the way; at its end, change to the next line."""
     d = plan.distance_m
     along, across = state.line * plan.settings.pitch * d, (-1.0 if state.line % 2 else 1.0) * _HALF_LINE * d
     end = _beyond(_beyond(plan.start, bearing, along), bearing + 0.5 * math.pi, across)
@@ -353,7 +355,7 @@ def _swept(plan: PushPlan, state: PushState, bearing: float, step_m: float) -> t
 
 
 def _lines(plan: PushPlan) -> int:
-    """Return how many lines a sweep has: after the last one the particle lies d beside it, at its goal."""
+    """Return the number of lines of a sweep; after the last one the particle lies d ahead, at its goal."""
     return math.ceil(plan.way_m / (plan.settings.pitch * plan.distance_m)) + 1
 
 

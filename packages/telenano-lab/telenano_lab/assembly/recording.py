@@ -1,4 +1,4 @@
-"""The recording of an assembly in simulated time: what the instrument of a rig would publish, and the truth apart."""
+"""The recording of an assembly in simulated time: messages as of a rig's instrument, and the truth on its own topic."""
 
 from pathlib import Path
 from typing import Any
@@ -9,25 +9,25 @@ from telenano.wire import TOPICS, compose
 from telenano_lab.assembly.layers import PARTICLES
 
 NAME = "assembly.mcap"
-# The nodes under whose names the messages are written.
+# Nodes under whose names the messages are written.
 _INSTRUMENT = "afm_node@slave"
 _PLANNER = "console@slave"
-# The intervals at which the state of the instrument and the report of its program are recorded.
+# Intervals at which the state of the instrument and the report of its program are recorded.
 _STATE_S = 0.05
 _REPORT_S = 0.1
-# A message is recorded at this interval while nothing in it changes.
+# Recording interval of a message that does not change.
 _RESTING_S = 1.0
-# characters of a sentence of the assembly
+# Greatest length of a sentence of the assembly.
 _MOST_TEXT = 512
 # Simulated time begins here [ns], because 0 means that there is no message.
 _BEGAN_NS = 1_000_000_000
 
 
 class AssemblyRecorder:
-    """Writes what an instrument in simulated time does: the same assembly gives the same file, byte by byte.
+    """Records an instrument in simulated time; the same assembly gives the same file, byte by byte.
 
     Args:
-        folder: Where the file goes.
+        folder: The folder of the file.
         instrument: The instrument.
     """
 
@@ -39,7 +39,7 @@ class AssemblyRecorder:
         self._due_s = {"afm/state": 0.0, "afm/program": 0.0, "afm/particles": 0.0}
 
     def step(self) -> None:
-        """Record the last step of a program, where it is due."""
+        """Record the messages that are due after a step of a program."""
         if self._is_due("afm/state", _STATE_S):
             self._write("afm/state", **self._instrument.state())
             self._truth()
@@ -49,7 +49,7 @@ class AssemblyRecorder:
             self._write("afm/scanline", **line)
 
     def ended(self) -> None:
-        """Record how a program has ended."""
+        """Record the outcome of a program."""
         if self._instrument.outcome is not None:
             self._write("afm/program", **self._instrument.outcome.fields())
 

@@ -1,7 +1,7 @@
-"""An assembly from the first look to the last: image, find, plan, push, look again, until each particle is in place.
+"""Carry out an assembly: image, find, plan, push and look again, until each particle is in place.
 
-It knows what an image and a push say, and nothing of the truth. Places are those of the sample when the assembly began;
-the drift of the sample under the stage is estimated from particles that were seen twice without having been pushed.
+The assembler uses only the results of images and pushes, never the truth. Places are those of the sample when the
+assembly began; the drift of the sample under the stage is estimated from particles seen twice without a push between.
 """
 
 import math
@@ -37,16 +37,16 @@ _LOOK_LINES = 14
 _LOOK_PIXELS = 28
 # The edges of that image keep this multiple of d from other particles.
 _EDGE = 1.05
-# They stay this multiple of d from the particle itself, even where another one is nearer.
+# They keep at least this multiple of d from the particle itself, even if another one is nearer.
 _LEAST_SIDE = 1.1
-# A pixel of an image of all particles is this share of their known radius wide.
+# Width of a pixel of an image of all particles, as a share of their known radius.
 _PIXEL_SHARE = 0.5
-# The lines of that image are this share of the radius apart.
+# Distance of the lines of that image, as a share of the radius.
 _LINE_SHARE = 0.8
-# What an image says of a place is right within this, whatever its noise [m].
+# Least standard error of a place in an image, whatever its noise [m].
 _LEAST_ERROR_M = 1e-9
 _MOST_ROUNDS = 6
-# What has another radius than the particles, by more than this share, is not one of them.
+# An object whose radius differs by more than this share is not one of the particles.
 _OTHER_RADIUS = 0.3
 # The tip approaches the surface at this speed.
 _APPROACH_M_PER_S = 5e-6
@@ -57,7 +57,7 @@ _GAIN_PER_S = 1200.0
 
 
 class Look(NamedTuple):
-    """An image [m] with its middle, its sides [m], and when it began and ended [s]."""
+    """An image [m] with its middle [m], its sides [m], and the times at which it began and ended [s]."""
 
     height_m: Array
     middle: Point
@@ -67,13 +67,13 @@ class Look(NamedTuple):
 
     @property
     def step_m(self) -> tuple[float, float]:
-        """Width and depth of a pixel [m]."""
+        """Return width and depth of a pixel [m]."""
         rows, columns = self.height_m.shape
         return self.sides_m[0] / columns, self.sides_m[1] / rows
 
 
 class PushReport(NamedTuple):
-    """What a push says: why it ended, whether a particle was met, and where that is believed to be on the stage [m]."""
+    """The result of a push: reason of its end, whether a particle was met, and its believed place on the stage [m]."""
 
     why: str
     in_contact: bool
@@ -85,17 +85,17 @@ class Bench(Protocol):
 
     @property
     def time_s(self) -> float:
-        """Return its time [s]."""
+        """Return the time of the instrument [s]."""
 
     def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
         """Take an image."""
 
     def push(self, start: Point, goal: Point, radius_m: float) -> PushReport:
-        """Push what is believed to be at a place to another, both of the stage [m]."""
+        """Push a particle from its believed place to another, both on the stage [m]."""
 
 
 class TargetPlacement(NamedTuple):
-    """A target, the particle that is there, how far it is believed to be from it [m], and how often it was pushed."""
+    """A target, the believed place of the nearest particle, their distance [m], and its number of pushes."""
 
     target: Point
     believed: Point
@@ -104,7 +104,7 @@ class TargetPlacement(NamedTuple):
 
 
 class Assembly(NamedTuple):
-    """The outcome: a row a target, how long it took [s], counts of pushes, looks and losses, the drift, the images."""
+    """The outcome: a row per target, the duration [s], counts of pushes, looks and losses, the drift, the images."""
 
     placed: tuple[TargetPlacement, ...]
     duration_s: float
@@ -117,7 +117,7 @@ class Assembly(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """A particle: where the stage saw it and when [m, s], its radius [m], and how often it was pushed."""
+    """A particle: place on the stage [m], radius [m], time at which it was seen [s], and number of pushes."""
 
     x_m: float
     y_m: float
@@ -130,8 +130,8 @@ class ProgramBench(ABC):
     """A bench whose images and pushes are programs of an instrument.
 
     Args:
-        config: What is known of the instrument.
-        setpoint_n: Force of an image in contact [N], below what moves a particle.
+        config: The known properties of the instrument.
+        setpoint_n: Force of an image in contact [N], too small to move a particle.
         scan_m_per_s: Speed of its lines [m/s]. On a flank of 75 degrees the force is higher by k tan(75 deg) v (T + 1 /
             gain), T the period of the instrument: 1.4 nN for 2 um/s on the usual bench.
     """
@@ -158,15 +158,15 @@ class ProgramBench(ABC):
     @property
     @abstractmethod
     def time_s(self) -> float:
-        """Return its time [s]."""
+        """Return the time of the instrument [s]."""
 
     @abstractmethod
     def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
-        """Run the program of an image, and yield number and heights [m] of each line, both ways."""
+        """Run the program of an image, and yield the number and heights [m] of each line, both ways."""
 
     @abstractmethod
     def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
-        """Run the program of a push, and return the values of its last report."""
+        """Run the program of a push and return the values of its last report."""
 
     def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
         began_s, rows = self.time_s, np.full((lines, pixels), np.inf)
@@ -180,7 +180,7 @@ class ProgramBench(ABC):
             "scan.dwell_s": max(sides_m[0] / pixels / self._scan_m_per_s, 2e-3),
         }
         for number, height_m in self.lines(keys):
-            # A tip that comes down behind a particle is late, one that goes up is not: of both ways the lower is right.
+            # A tip that descends behind a particle lags, one that climbs does not: the lower of both ways is right.
             rows[number] = np.minimum(rows[number], height_m)
         return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
 
@@ -196,7 +196,7 @@ class VirtualBench(ProgramBench):
 
     Args:
         config: The instrument with its particles.
-        folder: Where its recording goes; none without it.
+        folder: Folder of its recording; None for no recording.
     """
 
     def __init__(self, config: AfmConfig, folder: Path | None = None) -> None:
@@ -210,7 +210,7 @@ class VirtualBench(ProgramBench):
         return self.instrument.time_s
 
     def truth(self) -> list[Point]:
-        """Return where the particles really are on the sample [m]: what no planner may know."""
+        """Return the true places of the particles on the sample [m], which no planner may use."""
         return [(x, y) for x, y in self.instrument.truths["particles"].places_m.tolist()]
 
     def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
@@ -219,7 +219,7 @@ class VirtualBench(ProgramBench):
                 yield wanted.line.line, wanted.line.height_m
 
     def _steps(self, keys: dict[str, Scalar]) -> Iterator[Wanted[Any]]:
-        """Run a program, and record it."""
+        """Run a program and record it."""
         for step in self.instrument.run(keys):
             if self.recorder is not None:
                 self.recorder.step()
@@ -235,14 +235,14 @@ class VirtualBench(ProgramBench):
 
 
 def look_sides_m(place: Point, others: list[Point], reach_m: float) -> tuple[float, float]:
-    """Return the sides of an image of a particle [m] whose edges do not run over others, where there is room for that.
+    """Return the sides of an image of a particle [m] whose edges avoid other particles, as far as there is room.
 
-    At an edge the tip steps from line to line, and on the flank of a particle it would push that.
+    At an edge the tip steps from line to line, and would push a particle on whose flank it is.
 
     Args:
         place: The particle [m].
-        others: The places of the others [m].
-        reach_m: How far the image of a particle reaches from its centre [m].
+        others: The places of the other particles [m].
+        reach_m: Radius of the image of a particle [m].
     """
     halves = [_LOOK_SIDE * reach_m, _LOOK_SIDE * reach_m]
     for x, y in others:
@@ -254,7 +254,7 @@ def look_sides_m(place: Point, others: list[Point], reach_m: float) -> tuple[flo
 
 
 def _room_m(radius_m: float, reach_m: float) -> float:
-    """Return how far the centre of a pushed particle has to stay from others [m], so that the tip gets between them."""
+    """Return the distance [m] of a pushed particle's centre from others that leaves room for the tip between them."""
     return 2.0 * radius_m + 0.5 * reach_m
 
 
@@ -263,14 +263,14 @@ class Assembler:
 
     Args:
         bench: The instrument.
-        config: What is known of it: the tip, and which kind of particle is on the sample.
-        targets: Where particles are to be on the sample [m].
+        config: The known properties of the tip and of the kind of particle on the sample.
+        targets: Target places on the sample [m].
         sides_m: Sides of the region that is imaged [m].
-        report: Called at each step with a sentence, and with how many targets are taken.
+        report: Called at each step with a sentence and the number of occupied targets.
 
     Raises:
-        UnreachableError: A target lies outside of the region, so near to its edge that no image has a whole particle
-            there, or too near to another.
+        UnreachableError: A target lies outside the region or too near to its edge to be imaged whole, or too near to
+            another.
     """
 
     def __init__(
@@ -299,10 +299,10 @@ class Assembler:
         self._pushes = self._looks = self._losses = 0
 
     def run(self) -> Assembly:
-        """Assemble, and return what came of it.
+        """Assemble the particles and return the outcome.
 
         Raises:
-            UnreachableError: There are too few particles, or no way leads to a target; nothing was pushed then.
+            UnreachableError: There are too few particles, or no way leads to a target.
         """
         before = self._whole()
         self._tell(f"{len(self._known)} particles were found")
@@ -312,7 +312,7 @@ class Assembler:
                 if not self._carry_out(task):
                     break
             after = self._whole()
-            # a push may have moved another particle than the one that was looked at
+            # A push may have moved another particle than the one that was looked at.
             if not self._plan():
                 break
         return self._outcome(before, after)
@@ -352,29 +352,29 @@ class Assembler:
         return True
 
     def _lost(self) -> bool:
-        """Look for all particles again, because one is not where it is believed to be; the plan holds no longer."""
+        """Look for all particles again, because one is not at its believed place; return False (end of the plan)."""
         self._losses += 1
         self._whole()
         return False
 
     def _place(self, one: _Known) -> Point:
-        """Return where a particle is on the sample [m]."""
+        """Return the place of a particle on the sample [m]."""
         x, y = offset_at(self._drift, one.seen_s)
         return one.x_m - x, one.y_m - y
 
     def _on_stage(self, place: Point) -> Point:
-        """Return where the stage meets a place of the sample now [m]."""
+        """Return the place on the stage of a place on the sample, now [m]."""
         x, y = offset_at(self._drift, self._bench.time_s)
         return place[0] + x, place[1] + y
 
     def _seen(self, look: Look) -> list[tuple[FoundParticle, float]]:
-        """Return the particles of an image, and when each was seen [s]; what is too small or too large is none."""
+        """Return the particles in an image with the times at which they were seen [s]; drop those of another size."""
         particles = find_particles(look.height_m, *look.step_m, self._tip, look.middle)
         spheres = [one for one in particles if abs(one.radius_m / self._nominal_m - 1.0) < _OTHER_RADIUS]
         return [(one, look.began_s + one.time * (look.ended_s - look.began_s)) for one in spheres]
 
     def _whole(self) -> Look:
-        """Take an image of all, and take the places of all particles from it."""
+        """Take an image of the whole region and update the places of all particles from it."""
         (width, depth), radius_m = self._sides, self._nominal_m
         pixels, lines = math.ceil(width / (_PIXEL_SHARE * radius_m)), math.ceil(depth / (_LINE_SHARE * radius_m))
         look = self._bench.image(self._on_stage((0.0, 0.0)), self._sides, max(pixels, 8), max(lines, 8))
@@ -396,7 +396,7 @@ class Assembler:
         return look
 
     def _look_at(self, particle: int, *, was_pushed: bool = False) -> bool:
-        """Look for a particle where it is believed to be; one that was not pushed since tells the drift."""
+        """Image a particle at its believed place; return whether it is there. Without a push, update the drift."""
         one = self._known[particle]
         place, others = self._place(one), [self._place(other) for other in self._known if other is not one]
         middle = self._on_stage(place)

@@ -1,4 +1,4 @@
-"""The scenario `assembly`."""
+"""Path of the scenario `assembly`."""
 
 from pathlib import Path
 

@@ -1,1 +1,1 @@
-"""Doubles for tests of this package and of what reads its files: files of makers, and journals of experiments."""
+"""Test doubles for this package and for readers of its files: files of makers, and journals of experiments."""

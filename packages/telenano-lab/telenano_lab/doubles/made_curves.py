@@ -1,11 +1,11 @@
-"""Force curves and maps of contacts that are known: noise, tilt, drift, adhesion and thin layers, from the equations.
+"""Simulated force curves and maps of known contacts, with noise, tilt, drift, adhesion and thin layers.
 
     made = drawn_curve("jkr", seed=3)
     made.approach_m, made.approach_n, made.truth.modulus_pa
 
-It knows nothing of the fit: the branches of each contact are computed on a fine grid of their own, and the force at a
-place of the base is read from it. The base goes to the sample and back; the sample drifts along with a constant speed,
-and the zero of the force tilts and wanders in time.
+The code is independent of the fit: the branches of each contact are computed from the equations on a fine grid of their
+own, and the force at a place of the base is interpolated. The base moves to the sample and back; the sample drifts at a
+constant speed, and the zero of the force tilts and wanders in time.
 
     python -m telenano_lab.doubles.made_curves MAP.h5 [MODEL [SIDE]]
 
@@ -28,7 +28,7 @@ _GRID = 40_000
 
 
 class Truth(NamedTuple):
-    """Height of the base at the touch [m], Young's modulus [Pa], greatest pull [N]; thickness [m], 0 if thick."""
+    """True height of the base at the touch [m], Young's modulus [Pa], greatest pull [N], thickness [m] (0 if thick)."""
 
     contact_m: float
     modulus_pa: float
@@ -37,7 +37,7 @@ class Truth(NamedTuple):
 
 
 class MadeCurve(NamedTuple):
-    """A curve: heights of the base, ascending [m], forces [N], constants, noise, and the truth of the fitted way."""
+    """A curve: heights of the base, ascending [m], forces [N], constants, kind of noise, and the true values."""
 
     model: str
     approach_m: Array
@@ -61,9 +61,9 @@ def branch(
     thickness_m: float,
     deepest_m: float,
 ) -> tuple[Array, Array]:
-    """Return indentations [m] and forces [N] of a contact, from where it may end to beyond deepest_m."""
+    """Return indentations [m] and forces [N] of a contact, from its possible end to beyond deepest_m."""
     if model == "jkr":
-        # P of Johnson, Kendall and Roberts with the load of Hertz at the same radius of contact
+        # JKR: force and indentation as functions of the contact radius a.
         work = pull_n / (1.5 * math.pi * radius_m)
         largest = math.sqrt(radius_m * deepest_m) * 2.0 + (pull_n * radius_m / reduced_pa) ** (1 / 3) * 3.0
         a = np.linspace(0.0, 1.0, _GRID)[1:] ** 2 * largest
@@ -80,19 +80,19 @@ def branch(
 
 
 def way_back(depth: Array, force: Array, k: float, x: Array) -> Array:
-    """Return the force over the place of the base from the touch, on the branch that is left last."""
+    """Return the force [N] at base positions x from the touch [m], on the branch that is left last."""
     base = depth + force / k
     first = int(np.argmin(base))
     return np.where(x < base[first], 0.0, np.interp(x, base[first:], force[first:]))
 
 
 def way_there(depth: Array, force: Array, k: float, x: Array) -> Array:
-    """Return the force over the place of the base from the touch, of a tip that meets the surface at 0."""
+    """Return the force [N] at base positions x from the touch [m], for a tip that meets the surface at 0."""
     return np.where(x < 0.0, 0.0, way_back(depth, force, k, x))
 
 
 def noise_of(kind: str, count: int, random: np.random.Generator) -> Array:
-    """Return noise whose white part has the deviation 1, and of which the rest wanders with the same deviation."""
+    """Return white noise of deviation 1 plus, for the other kinds, correlated noise of the same deviation."""
     white = random.standard_normal(count)
     if kind == "white":
         return white
@@ -112,7 +112,7 @@ def noise_of(kind: str, count: int, random: np.random.Generator) -> Array:
 
 
 class Conditions(NamedTuple):
-    """What is over and under a map: all but what varies from curve to curve."""
+    """The conditions of a map: everything that does not vary from curve to curve."""
 
     model: str
     points: int
@@ -129,7 +129,7 @@ class Conditions(NamedTuple):
 
 
 def drawn_conditions(model: str, random: np.random.Generator, *, is_layer: bool = False, noise: str = "") -> Conditions:
-    """Return conditions as laboratories have them: levers, loads, noise, tilt and drift over some decades."""
+    """Draw conditions as in laboratories: levers, loads, noise, tilt and drift over some decades."""
     return Conditions(
         model,
         int(math.exp(random.uniform(math.log(250), math.log(3000)))),
@@ -147,17 +147,17 @@ def drawn_conditions(model: str, random: np.random.Generator, *, is_layer: bool 
 
 
 def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, height_m: float = 0.0) -> MadeCurve:
-    """Return a curve under conditions; modulus, pull and thickness are its own."""
-    # how far the sample is indented, against how far the lever is bent
+    """Return a curve under conditions; modulus, pull and thickness are drawn for it."""
+    # Indentation of the sample, relative to the deflection of the lever.
     bent_m = c.load_n / c.stiffness_n_per_m
     indented_m = bent_m * 10.0 ** random.uniform(-0.5, 0.8)
     is_round = c.model != "sneddon"
-    # a paraboloid stands for a sphere as long as it goes in by less than its radius
+    # The paraboloid approximates a sphere only for indentations well below its radius.
     indented_m = min(indented_m, 0.3 * c.radius_m) if is_round else indented_m
     has_pull = c.model in ("dmt", "jkr") or bool(random.random() < 0.5)
     pull_n = c.load_n * random.uniform(0.1, 0.6) if has_pull else 0.0
     thickness_m = math.sqrt(c.radius_m * indented_m) / random.uniform(0.2, 1.5) if is_layer else 0.0
-    # the modulus with which that depth takes the load
+    # Find the modulus at which this depth carries the load, by bisection.
     low, high = 1e-3, 1e15
     for _ in range(200):
         reduced = math.sqrt(low * high)
@@ -168,15 +168,15 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
         if high / low < 1.0 + 1e-12:
             break
     depth, force = branch(c.model, reduced, c.radius_m, c.half_angle_rad, pull_n, thickness_m, indented_m)
-    # the other models know no pull: what holds the tip on its way back does not act on the way there
+    # Hertz and Sneddon have no pull: the adhesion acts on the way back only.
     back = (depth, force) if c.model in ("dmt", "jkr") else (depth, force - pull_n)
     pushed_m = indented_m + bent_m
     way_m = pushed_m / (1.0 - c.free_share)
     ends = pushed_m - way_m
-    # a tip that is held leaves far behind the touch: the way back needs room for its zero line as well
+    # An adhering tip detaches far behind the touch: the way back needs room for its zero line as well.
     ends = min(ends, -2.5 * pull_n / c.stiffness_n_per_m - (0.5 * indented_m if c.model == "jkr" else 0.0))
     x = np.linspace(ends, pushed_m, c.points)
-    # the sample moves with the time: the touch of the way there, and of the way back, which is turned in time
+    # The sample drifts: the touch moves on the way there, and on the way back, which is reversed in time.
     speed = c.drift_share
     there = way_there(depth, force, c.stiffness_n_per_m, x - speed * (x - ends))
     turned = x[::-1]
@@ -187,7 +187,7 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
     bases = np.concatenate([x, turned])
     tilted = c.load_n * c.tilt_share * (bases - ends) / (pushed_m - ends)
     value = np.concatenate([there, held]) + zero + tilted + 0.02 * c.load_n * random.standard_normal() * time
-    # The touch is here on the way that is fitted.
+    # Place of the touch on the fitted way.
     if c.model in ("dmt", "jkr"):
         touch = speed * (2.0 * pushed_m - ends) / (1.0 + speed)
     else:
@@ -202,7 +202,7 @@ def curve_under(c: Conditions, random: np.random.Generator, *, is_layer: bool, h
 
 
 def drawn_curve(model: str, seed: int, *, is_layer: bool = False, noise: str = "") -> MadeCurve:
-    """Return a curve of a contact whose conditions are drawn."""
+    """Return a curve of a contact under randomly drawn conditions."""
     random = np.random.default_rng([seed, is_layer, sorted(("hertz", "sneddon", "dmt", "jkr")).index(model)])
     return curve_under(drawn_conditions(model, random, is_layer=is_layer, noise=noise), random, is_layer=is_layer)
 
@@ -223,7 +223,7 @@ def made_map(model: str, side: int, seed: int) -> list[list[MadeCurve]]:
 
 
 def write_map(path: Path, curves: list[list[MadeCurve]], side_m: float = 1e-6) -> None:
-    """Write a map of curves as afmformats does: a group for each, with its place in the grid."""
+    """Write a map of curves in the layout of afmformats: a group per curve, with its place in the grid."""
     with h5py.File(path, "w") as file:
         file.attrs["software"], file.attrs["software version"] = "made_curves", "1"
         for number, (i, j) in enumerate((i, j) for i in range(len(curves)) for j in range(len(curves[0]))):

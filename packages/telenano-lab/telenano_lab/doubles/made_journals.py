@@ -1,16 +1,16 @@
-"""Journals of made-up experiments with a known effect, for tests of tables and analysis."""
+"""Journals of simulated experiments with a known effect, for tests of tables and analysis."""
 
 import random
 from collections.abc import Mapping
 from typing import Any
 
 LAWS, DELAYS_MS = ("virtual_impedance", "wave"), (0.0, 40.0, 80.0)
-# completion time [s] for a millisecond of delay, on average and its scatter over participants
+# Completion time per delay [s/ms]: mean, and deviation over participants.
 SLOPE, SLOPE_SPREAD = 0.02, 0.004
 
 
 def trial(participant: str, index: int, condition: Mapping[str, Any], **measures: Any) -> dict[str, Any]:
-    """Return the record of a trial that was done."""
+    """Return the record of a completed trial."""
     return {
         "record": "trial", "utc": "2026-11-22T10:00:00.000+00:00", "participant": participant, "session": 1, "block": 0,
         "index": index, "attempt": 0, "phase": "main", "task": "touch_and_hold", "seed": index, "status": "done",
@@ -30,7 +30,7 @@ def demo(seed: int, participants: int = 4, repetitions: int = 3) -> list[dict[st
         source.shuffle(cells)
         for index, (law, delay) in enumerate(cells):
             time_s = own + slope * delay + (0.3 if law == "wave" else 0.0) + source.gauss(0.0, 0.25)
-            # a force of nanonewtons, which the analysis has to take as it is
+            # A force of nanonewtons, which the analysis must not treat as zero.
             error_n = 1e-9 * (1.0 + abs(source.gauss(0.0, 0.2)))
             condition = {"law": law, "delay_ms": delay}
             records.append(

@@ -1,4 +1,4 @@
-"""Files of several makers with a known content, as the tests write them from the descriptions of the formats."""
+"""Files of several makers with a known content, written from the descriptions of the formats, for tests."""
 
 import struct
 import zipfile
@@ -12,14 +12,14 @@ HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) **
 
 
 def adhesive(z_m: Any) -> tuple[Any, Any]:
-    """Return the force of an approach that snaps in at 4 nm and of a retraction that lets go at 9 nm [N]."""
+    """Return the forces [N] of an approach with a snap-in at 4 nm and of a retraction that detaches at 9 nm."""
     z = np.asarray(z_m, dtype=np.float64)
     contact = 1.0e-9 * (3e-9 - z) / 1e-9
     down = np.where(z > 4e-9, 0.0, contact)
     return down, np.where(z > 9e-9, 0.0, np.maximum(contact, -5e-9))
 
 
-# a curve of 200 points a way: height above the sample [m], from far to near, and the force on the tip [N] both ways
+# A curve of 200 points each way: height above the sample [m], from far to near, and the force on the tip [N] both ways.
 HEIGHT_M = np.linspace(20e-9, 0.0, 200)
 DOWN_N, UP_N = adhesive(HEIGHT_M)
 SENSITIVITY_M_PER_V = 50e-9
@@ -28,7 +28,7 @@ SENSITIVITY_M_PER_V = 50e-9
 def wave(
     values: Any, *, unit: str = "m", side_unit: str = "m", labels: tuple[tuple[int, str], ...] = (), note: str = ""
 ) -> bytes:
-    """Return an Igor binary wave of version 5; labels as (dimension, label)."""
+    """Return an Igor binary wave of version 5; labels are pairs of dimension and label."""
     data = np.asarray(values, "<f4").tobytes(order="F")
     texts = [b"".join(text.encode().ljust(32, b"\0") for at, text in labels if at == place) for place in range(4)]
     texts = [b"\0" * 32 + text if text else b"" for text in texts]
@@ -42,14 +42,14 @@ def wave(
     struct.pack_into("<4s", head, 212, unit.encode())
     for place in range(2):
         struct.pack_into("<4s", head, 216 + 4 * place, side_unit.encode())
-    # the sum of the sixteen-bit words of both headers is zero
+    # The checksum makes the sum of the 16-bit words of both headers zero.
     total = sum(struct.unpack("<192h", bytes(head)))
     struct.pack_into("<H", head, 2, -total & 0xFFFF)
     return bytes(head) + data + note.encode() + b"".join(texts)
 
 
 def write_nid(path: Path, sets: list[tuple[dict[str, object], np.ndarray]], **sections: str) -> Path:
-    """Write data sets of Nanosurf: facts of each and values of shape (lines, points), in integers of 32 bits."""
+    """Write Nanosurf data sets, each with its facts and values of shape (lines, points), as integers of 32 bits."""
     head = ["[DataSet]", "Version=2", f"GroupCount={len(sets)}"]
     for place, (facts, _) in enumerate(sets):
         head += [f"Gr{place}-Name={facts['Frame']}", f"Gr{place}-ID=0", f"Gr{place}-Count=1"]
@@ -70,13 +70,13 @@ def write_nid(path: Path, sets: list[tuple[dict[str, object], np.ndarray]], **se
 
 
 def write_nid_map(path: Path, nx: int, ny: int) -> Path:
-    """Write a map of curves of Nanosurf whose depth of approach grows with the number of the column."""
+    """Write a Nanosurf map of curves whose heights shift by 1 nm from column to column."""
     rows: dict[str, list[np.ndarray]] = {"z": [], "down": [], "up": []}
     for j in range(ny):
         for i in range(nx) if j % 2 == 0 else reversed(range(nx)):
             rows["z"].append(3e-6 + 1e-9 * i - HEIGHT_M)
             rows["down"].append(DOWN_N)
-            # the way back is stored towards the sample, too
+            # The way back is stored towards the sample, too.
             rows["up"].append(UP_N)
     sets = []
     for frame, name in (("Spec forward", "down"), ("Spec backward", "up")):
@@ -92,7 +92,7 @@ def write_nid_map(path: Path, nx: int, ny: int) -> Path:
 
 
 def write_nhf(path: Path) -> Path:
-    """Write an image and a map of 3 x 2 curves of Nanosurf in HDF5; the number of samples differs between curves."""
+    """Write an image and a map of 3 x 2 curves as Nanosurf HDF5; the number of samples differs between curves."""
     import h5py
 
     def signal(group: "h5py.Group", name: str, unit: str, values: np.ndarray) -> None:
@@ -119,7 +119,7 @@ def write_nhf(path: Path) -> Path:
         for number, (name, force) in enumerate((("Advance", DOWN_N), ("Retract", UP_N[::-1]))):
             segment = curves.create_group(f"subgroup_{number:04}")
             segment.attrs.update({"segment_name": name, "segment_index": number})
-            # Position Z rises towards the sample
+            # Position Z rises towards the sample.
             height = HEIGHT_M if number == 0 else HEIGHT_M[::-1]
             cuts = [slice(None, 200 - 2 * place) if number == 0 else slice(2 * place, None) for place in range(6)]
             signal(segment, "Position Z", "m", np.concatenate([-height[cut] for cut in cuts]))
@@ -131,7 +131,7 @@ def write_nhf(path: Path) -> Path:
 
 
 def write_nanonis_dat(path: Path, columns: dict[str, np.ndarray], experiment: str = "Z spectroscopy") -> Path:
-    """Write a spectroscopy of Nanonis."""
+    """Write a Nanonis spectroscopy with these columns."""
     rows = ["\t".join(columns)]
     rows += ["\t".join(f"{1e12 * value:.8f}E-12" if np.isfinite(value) else "NaN" for value in row)
              for row in zip(*columns.values(), strict=True)]  # fmt: skip
@@ -141,7 +141,7 @@ def write_nanonis_dat(path: Path, columns: dict[str, np.ndarray], experiment: st
 
 
 def write_afm_workshop_map(path: Path, nx: int, ny: int) -> Path:
-    """Write a map of AFM workshop: an archive of text, a curve each, without its constants."""
+    """Write a map of AFM Workshop, an archive with a text file per curve and without constants."""
     with zipfile.ZipFile(path, "w") as archive:
         for number in range(nx * ny):
             x, y = 1.0 + 0.04 * (number % nx), 2.0 + 0.04 * (number // nx)
@@ -158,9 +158,9 @@ def write_afm_workshop_map(path: Path, nx: int, ny: int) -> Path:
 
 
 def write_nanoscope(path: Path, side: int = 1, *, factor: int = 1, capture: str = "Never", points: int = 200) -> Path:
-    """Write a force curve of Bruker, or a volume of side x side, in integers of 32 bits whose step is 0.1 mV."""
+    """Write a Bruker force curve, or a volume of side x side curves, as integers of 32 bits in steps of 0.1 mV."""
     volts = [force / STIFFNESS_N_PER_M / SENSITIVITY_M_PER_V for force in (DOWN_N, UP_N)]
-    # both ways go from the sample away
+    # Both ways are stored from the sample away.
     one = np.concatenate([np.round(way[::-1] / 1e-4) for way in volts]).astype("<i4") * factor
     data = np.tile(one, side * side).tobytes()
     lines = [

@@ -1,1 +1,1 @@
-"""Experiments: trials of people or simulated operators over conditions, their journal, and what is made from it."""
+"""Experiments: trials of people or simulated operators over conditions, their journal, and its tables and analysis."""

@@ -1,4 +1,4 @@
-"""`telenano study advise`: which law to take for a line, a sample and an instrument."""
+"""`telenano study advise`: recommend a law for a line, a sample and an instrument."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,6 +1,6 @@
-"""The analysis of an experiment from its tables: descriptive statistics, tests, effect sizes, thresholds, figures.
+"""The analysis of an experiment from its tables: descriptive statistics, tests, effect sizes and thresholds.
 
-`analyse` needs the tables alone, so a notebook that reads the Parquet file says the same as the command.
+`analyse` needs only the tables, so a notebook that reads the Parquet file gives the same results as the command.
 """
 
 import math
@@ -22,14 +22,14 @@ PACKAGES = ("telenano", "numpy", "scipy", "pandas", "statsmodels", "matplotlib")
 
 
 class Choice(NamedTuple):
-    """What is analysed, and how.
+    """Options of an analysis.
 
     Args:
-        measures: The measures; empty for all.
+        measures: The measures to analyse; empty for all.
         correction: The correction for multiple comparisons, one of `CORRECTIONS`.
         confidence: The confidence of all intervals.
-        categories: Numeric factors that are not to be slopes.
-        within: The factor within whose levels those of the others are compared; empty compares over all of them.
+        categories: Numeric factors to treat as categories rather than slopes.
+        within: The factor at whose levels the other factors are compared; empty to compare over all of them.
     """
 
     measures: tuple[str, ...] = ()
@@ -40,17 +40,17 @@ class Choice(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """What the tables of an experiment say.
+    """The results of an analysis.
 
     Args:
-        counts: Participants and trials, by what became of them.
+        counts: Numbers of participants and trials, by status.
         factors: The factors of each task.
-        measures: The measures of each task that were analysed, with their units.
+        measures: The analysed measures of each task, with their units.
         cells: A row for each task, measure and condition: count, mean, interval, deviation, quartiles, extremes.
         effects: The tests by task and measure.
         thresholds: A row for each participant and condition of an adaptive factor.
-        detections: d' and criterion of each participant and condition, where a task asks for a detection.
-        choice: What was asked for.
+        detections: d' and criterion of each participant and condition, if a task is one of detection.
+        choice: The options of the analysis.
     """
 
     counts: dict[str, int]
@@ -63,7 +63,7 @@ class Analysis(NamedTuple):
     choice: Choice
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
+        """Return the results as a dict that JSON can hold."""
         return {
             "counts": self.counts,
             "choice": self.choice._asdict(),
@@ -85,19 +85,19 @@ EVERYTHING = Choice()
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that the figures of an analysis depend on."""
+    """Return the versions of the packages that the results of an analysis depend on."""
     return {name: version(name) for name in PACKAGES}
 
 
 def analyse(
     tables: Tables, choice: Choice = EVERYTHING, adaptive: Mapping[str, Mapping[str, Any]] | None = None
 ) -> Analysis:
-    """Analyse the trials that count: of the main phase, done, of participants who are not excluded.
+    """Analyse the completed trials of the main phase, without excluded participants.
 
     Args:
         tables: The tables of the experiment.
-        choice: What is analysed, and how.
-        adaptive: The settings of each adaptive factor, by its name: their thresholds are fitted.
+        choice: The options.
+        adaptive: The settings of each adaptive factor, by name; their thresholds are fitted.
 
     Raises:
         ConfigError: A measure, factor or correction is not known, or no trial counts.
@@ -143,7 +143,7 @@ def analyse(
 
 
 def check_choice(tables: Tables, choice: Choice) -> None:
-    """Raise ConfigError where a measure, factor or correction that is chosen is not known."""
+    """Raise ConfigError if a chosen measure, factor or correction is not known."""
     if choice.correction not in CORRECTIONS:
         raise ConfigError(f"correction {choice.correction}: {known_names(choice.correction, CORRECTIONS)}")
     measures = measures_of(tables)
@@ -159,7 +159,7 @@ def check_choice(tables: Tables, choice: Choice) -> None:
 
 
 def measures_of(tables: Tables) -> dict[str, str]:
-    """Return the measures of the table, numbers and booleans, with their units."""
+    """Return the numeric and boolean measures of the table, with their units."""
     return {
         row.name: row.unit
         for row in tables.dictionary
@@ -262,8 +262,9 @@ def _thresholds(frame: Any, factor: str, settings: Mapping[str, Any]) -> list[Ro
 def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence: float) -> list[Row]:
     """Return d' and criterion of each participant and condition, over all levels of an adaptive factor.
 
-    In a choice of two a signal is the stiffer sample that comes first. Where the touch is to be detected, the time
-    before it is the noise of the same trial: a trial with a false alarm has no signal left to detect.
+    In a 2AFC task the signal is a stiffer sample that comes first. In the detection of a touch, the time before the
+    touch
+    is the noise of the same trial: a trial with a false alarm has no signal left to detect.
     """
     detections = []
     for task, of_task in frame.groupby("task", sort=True):

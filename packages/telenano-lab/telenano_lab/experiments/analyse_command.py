@@ -69,7 +69,7 @@ def analyse(
         choice = Choice(tuple(measure or ()), correction, confidence, tuple(category or ()), within)
         check_choice(tables, choice)
         target = out or folder / FOLDER
-        # whatever becomes of the analysis, the table of the trials is there
+        # The table of trials is written even if the analysis fails.
         with results_in(target) as part:
             write_tables(tables, part)
         analysis = analyse(tables, choice, adaptive_factors(folder))
@@ -110,5 +110,5 @@ def _print(document: dict[str, Any], page: Path) -> None:
 
 
 def _varied(document: dict[str, Any]) -> list[str]:
-    """Return the names of the factors beside an adaptive one."""
+    """Return the names of the factors other than the adaptive one."""
     return list(dict.fromkeys(factor["name"] for factors in document["factors"].values() for factor in factors))

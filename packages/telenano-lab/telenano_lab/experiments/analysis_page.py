@@ -40,13 +40,13 @@ def write_analysis(
     Args:
         folder: The folder.
         analysis: The analysis.
-        tables: The tables that it is of.
-        about: What the paragraph on methods says of the experiment: title, seed, order, apparatus, digest.
+        tables: The tables that were analysed.
+        about: Facts for the methods paragraph: title, seed, order, apparatus, digest.
         command: The command that makes the page.
         options: The formats and the style of the figures.
 
     Returns:
-        The results as they are in `experiment.json`.
+        The results as in `experiment.json`.
     """
     write_tables(tables, folder)
     methods = methods_paragraph(analysis, about)
@@ -60,7 +60,7 @@ def write_analysis(
 
 
 def figures(analysis: Analysis, tables: Tables, options: FigureOptions) -> "Iterator[tuple[str, Figure]]":
-    """Yield a figure of each measure, one of the effect sizes, and one of the thresholds, by name."""
+    """Yield, by name, a figure of each measure, one of the effect sizes, and one of the thresholds."""
     from matplotlib.figure import Figure
 
     for task, measures in analysis.measures.items():
@@ -82,7 +82,7 @@ def figures(analysis: Analysis, tables: Tables, options: FigureOptions) -> "Iter
 
 
 def methods_paragraph(analysis: Analysis, about: Mapping[str, Any]) -> str:
-    """Return what a paper has to say of the experiment: numbers, conditions, tests, seeds and versions."""
+    """Return the methods paragraph of a paper: numbers, conditions, tests, seeds and versions."""
     counts, choice = analysis.counts, analysis.choice
     percent = f"{100.0 * choice.confidence:g} %"
     excluded = f"; {counts['excluded']} more were excluded" if counts["excluded"] else ""
@@ -133,9 +133,9 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _measure(axes: "Axes", analysis: Analysis, tables: Tables, task: str, measure: str, unit: str) -> None:
-    """Draw the means over participants with their intervals, and each participant's own."""
+    """Draw the means over participants with their intervals, and each participant's own mean."""
     factors = analysis.factors[task]
-    # the factor of most levels is the abscissa, numbers before words
+    # The abscissa is the factor with most levels, numeric ones first.
     across = max(factors, key=lambda factor: (_are_numbers(factor.levels), len(factor.levels)))
     others = [factor for factor in factors if factor is not across]
     cells = [row for row in analysis.cells if (row["task"], row["measure"]) == (task, measure)]
@@ -172,7 +172,7 @@ def _are_numbers(levels: Sequence[Any]) -> bool:
 def _people(
     tables: Tables, task: str, measure: str, across: Factor, others: Sequence[Factor], key: tuple[Any, ...]
 ) -> list[dict[Any, float]]:
-    """Return each participant's mean at each level of the abscissa, in one series."""
+    """Return each participant's mean at each level of the abscissa, for one series."""
     values: dict[str, dict[Any, list[float]]] = {}
     for row in tables.trials:
         counts = row["task"] == task and row["phase"] == "main" and row["status"] == "done" and not row["excluded"]
@@ -195,7 +195,7 @@ def _forest(axes: "Axes", terms: Sequence[tuple[str, str, Any]]) -> None:
 
 
 def _psychometric(analysis: Analysis, options: FigureOptions) -> "Figure":
-    """Draw the answers and the fitted function of each track, up to twelve of them."""
+    """Draw the answers and the fitted function of up to twelve tracks."""
     from matplotlib.figure import Figure
 
     tracks = analysis.thresholds[:_MOST_TRACKS]

@@ -1,4 +1,4 @@
-"""What participants are asked: consent, NASA-TLX without weights, rating scales and choices, as data of the bus."""
+"""Questions to participants, as data of the bus: consent, unweighted NASA-TLX, rating scales and choices."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ CONSENT = choice("consent", "Do you agree to take part?", ("yes", "no"))
 
 
 def worded(question: Question, text: str, low: str = "", high: str = "", options: tuple[str, ...] = ()) -> Question:
-    """Return a question in other words; what is empty stays as it is."""
+    """Return a question in other words; empty arguments leave the original text."""
     own: dict[str, Any] = {"text": text, "low": low, "high": high, "options": options}
     return msgspec.structs.replace(question, **{key: value for key, value in own.items() if value})
 
@@ -36,5 +36,5 @@ NASA_TLX = (
     _load("effort", "How hard did you have to work to reach your level of performance?"),
     _load("frustration", "How insecure, discouraged, irritated, stressed and annoyed were you?"),
 )
-# What an experiment's file may name.
+# Questionnaires that an experiment's file can name.
 INSTRUMENTS: dict[str, tuple[Question, ...]] = {"nasa_tlx": NASA_TLX, "consent": (CONSENT,)}

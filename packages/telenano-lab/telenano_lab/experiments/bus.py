@@ -18,22 +18,22 @@ from telenano_lab.experiments.messages import MOST_QUESTIONS, ExperimentAnswer, 
 from telenano_lab.experiments.nodes import EXPERIMENT
 from telenano_lab.experiments.types import Trial
 
-# A cue is sent again after this time, to pages that came meanwhile.
+# A cue is repeated after this time, for pages that open later.
 _REPEAT_S = 0.5
 _POLL_MS = 50
 _NO_COURSE = Course(np.empty(0), np.empty(0), "none")
 
 
 class Answer(NamedTuple):
-    """What a person at a page answered.
+    """An answer of a person at a page.
 
     Args:
         id: The identifier of the answer.
-        cue: The identifier of the cue that was shown.
+        cue: The identifier of the displayed cue.
         role: Either participant or experimenter.
-        values: The answer by name of the question; `action` and `reason` of an experimenter.
-        given_ns: When it was given, on the clock of the bus [ns].
-        shown_s: How long the cue had been shown by then [s].
+        values: The answers by name of the question; `action` and `reason` of an experimenter.
+        given_ns: Time of the answer, on the clock of the bus [ns].
+        shown_s: Time for which the cue had been displayed [s].
     """
 
     id: str
@@ -45,14 +45,14 @@ class Answer(NamedTuple):
 
 
 class ExperimentBus:
-    """The endpoint of an experiment on a rig; one at a time has it."""
+    """The endpoint of an experiment on a rig, which only one experiment can have at a time."""
 
     def __init__(self, site_file: Path) -> None:
         """Bind the endpoint of the experiment.
 
         Raises:
-            ConfigError: The site file has no such endpoint; the message gives the line that is missing.
-            EndpointError: Another experiment runs on this rig.
+            ConfigError: The site file has no such endpoint; the message gives the missing line.
+            EndpointError: Another experiment is running on this rig.
         """
         book = AddressBook.load(site_file)
         if EXPERIMENT not in book.nodes:
@@ -64,7 +64,7 @@ class ExperimentBus:
             self._subscribers = participant.subscribers(book.sources(EXPERIMENT, ["experiment/answer"]))
             self._network = participant.network
             self._open = opened.pop_all()
-        # Random, so that answers to the cues of an experiment that was ended are not taken for those of the next.
+        # Random, so that answers to the cues of an earlier experiment cannot match those of this one.
         self._sender = os.urandom(6).hex()
         self._issued = 0
         self._cue: dict[str, Any] | None = None
@@ -93,19 +93,19 @@ class ExperimentBus:
         questions: Sequence[Question] = (),
         band: float = 0.0,
     ) -> str:
-        """Tell the participant's page what to show from now on, and return the identifier of the cue.
+        """Publish what the participant's page shows from now on, and return the identifier of the cue.
 
         Args:
-            stage: What the session is at, see `ExperimentCue`.
+            stage: Stage of the session, see `ExperimentCue`.
             title: The heading.
-            text: What to do, in words; it must not tell of the condition.
-            remaining_s: After what time the stage ends by itself [s]; None where an answer ends it.
-            done: How many trials of the session are over.
-            total: How many there are.
+            text: The instruction, which must not reveal the condition.
+            remaining_s: Time after which the stage ends by itself [s]; None if an answer ends it.
+            done: Number of finished trials of the session.
+            total: Number of trials of the session.
             practice: Whether this is practice.
-            labels: Own words of the page by their use; None: English.
-            course: The target that is shown.
-            questions: What is asked, all at once.
+            labels: Own words of the page by their use; None for English.
+            course: The target to display.
+            questions: The questions, all answered at once.
             band: Half the width of the band about the target, in its unit.
         """
         self._issued += 1
@@ -140,15 +140,15 @@ class ExperimentBus:
         text: str = "",
         picture_delay_s: float = 0.0,
     ) -> None:
-        """Tell recorder and experimenter of a trial and its condition.
+        """Publish a trial and its condition, for recorder and experimenter.
 
         Args:
             trial: The trial.
-            state: What it is at, see `ExperimentTrial`.
+            state: Its state, see `ExperimentTrial`.
             attempt: The number of the attempt, from 0.
-            trials: How many trials the session has.
+            trials: Number of trials of the session.
             text: The state in words.
-            picture_delay_s: By how much the picture on the participant's page is delayed [s].
+            picture_delay_s: Delay of the picture on the participant's page [s].
         """
         self._publisher.publish(
             "experiment/trial",
@@ -168,9 +168,9 @@ class ExperimentBus:
         )
 
     def answers(self) -> list[Answer]:
-        """Return what was answered since the last call, each answer once, and repeat the cue where that is due.
+        """Return the answers since the last call, each once, and repeat the cue if that is due.
 
-        Of the answers of a participant to the same question of a cue, the first one counts.
+        If a participant answers the same questions of a cue more than once, the first answer counts.
         """
         self._network.process_events()
         new = [answer for message in self._received() if (answer := self._new(message)) is not None]
@@ -185,12 +185,13 @@ class ExperimentBus:
 
         Args:
             cue: The identifier of the cue.
-            timeout_s: The longest wait [s]; None for no end.
-            idle: Called twenty times a second with all other answers, such as an experimenter's; one that returns true
-                ends the wait.
+            timeout_s: The longest wait [s]; None for no limit.
+            idle: Called twenty times a second with all other answers, such as an experimenter's; a true return value
+                ends
+                the wait.
 
         Returns:
-            The answer; None where the time was over, or `idle` has ended the wait.
+            The answer; None after the timeout or if `idle` ended the wait.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         while end_s is None or time.monotonic() < end_s:
@@ -220,7 +221,7 @@ class ExperimentBus:
         return Answer(message.id, message.cue, message.role, message.values, message.given_ns, message.shown_s)
 
     def _tell(self) -> None:
-        """Publish the cue as it stands: with the time that is left, and the answers that were taken."""
+        """Publish the current cue with the time that is left and the ids of the answers taken."""
         if self._cue is None:
             return
         self._reported_s = time.monotonic()

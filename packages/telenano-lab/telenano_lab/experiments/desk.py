@@ -1,4 +1,4 @@
-"""What an experiment tells and asks: nobody at all, the recorder and the experimenter, or a person at the page."""
+"""Communication of an experiment: with nobody, with recorder and experimenter, or with a person at the page."""
 
 import random
 from collections.abc import Mapping, Sequence
@@ -18,18 +18,18 @@ _NOW = ("stop", "exclude", "skip", "disturbed")
 
 
 class AbortedError(Exception):
-    """A trial that ended before its time because the experimenter said so; the text is the reason."""
+    """A trial that the experimenter ended early; the text is the reason."""
 
 
 class Place(NamedTuple):
-    """Where a participant is in the session: trials that are over, and all of them."""
+    """Progress of a participant in the session: numbers of finished trials and of all trials."""
 
     done: int = 0
     total: int = 0
 
 
 class Desk:
-    """Tells and asks nobody. `action` is what an experimenter wants of the session, empty for nothing."""
+    """A desk that tells and asks nobody. `action` is the experimenter's request to the session, or empty."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -37,34 +37,34 @@ class Desk:
         self.place = Place()
 
     def attach(self, site_file: Path) -> None:
-        """Take part in a rig that has come up."""
+        """Connect to a rig that has come up."""
 
     def detach(self) -> None:
-        """Take leave of a rig that is about to end."""
+        """Disconnect from a rig that is about to end."""
 
     def consent(self, participant: str) -> bool:
-        """Return whether a participant agrees to take part; one who has agreed before is not asked."""
+        """Return whether a participant agrees to take part; the caller skips those who have agreed before."""
         return False
 
     def instruct(self, trial: Trial) -> None:
-        """Have the participant read what the task of a trial is."""
+        """Show the participant the instruction of a trial's task and wait until it is read."""
 
     def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
-        """Count down to a trial, and show it; `first` for the first one of its intervals."""
+        """Count down to a trial and show it; `first` is True for the first of its intervals."""
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
-        """Return what was answered since the last call, each with name, value and given_ns; AbortedError ends all."""
+        """Return new answers, each with name, value and given_ns; raise AbortedError to end the trial."""
         return ()
 
     def over(self, trial: Trial, attempt: int, outcome: TrialOutcome) -> None:
-        """Tell what came of a trial."""
+        """Report the outcome of a trial."""
 
     def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
-        """Return the answers to what a task asks after a trial, each with name, value and time_s."""
+        """Ask a task's questions after a trial; return the answers, each with name, value and time_s."""
         return ()
 
     def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
-        """Return the answers to an instrument by item; None without an answer. A simulated participant rates."""
+        """Return the answers to a questionnaire by item, None if there are none; here a simulated participant rates."""
         hand, draw = (
             SimulatedParticipant(self.plan.experiment.operator.profile, trial.seed),
             random.Random(f"{name} {trial.seed}"),
@@ -77,7 +77,7 @@ class Desk:
         }
 
     def rest(self, duration_s: float) -> bool:
-        """Rest for a time [s]; return whether anybody did."""
+        """Rest for a time [s]; return whether a person did."""
         return False
 
     def pause(self) -> None:
@@ -88,7 +88,7 @@ class Desk:
 
 
 class BusDesk(Desk):
-    """Tells recorder and experimenter of each trial; a simulated participant is asked nothing."""
+    """Tells recorder and experimenter of each trial; a simulated participant is not asked."""
 
     bus: ExperimentBus | None = None
     site_file: Path | None = None
@@ -120,7 +120,7 @@ class BusDesk(Desk):
             self.bus.trial(trial, state=state, attempt=attempt, trials=total, text=text[:1000], picture_delay_s=delay_s)
 
     def _taken(self, answers: Sequence[Answer]) -> list[Mapping[str, Any]]:
-        """Return what a participant answered; what the experimenter wants is noted."""
+        """Return the participant's answers, and note the experimenter's requests."""
         for answer in answers:
             if answer.role == "experimenter" and isinstance(wanted := answer.values.get("action"), str):
                 self.action = "" if wanted == "resume" else wanted
@@ -134,12 +134,12 @@ class BusDesk(Desk):
 
 
 class PersonDesk(BusDesk):
-    """Leads a person at the page through a session, in the words of the experiment."""
+    """Guides a person at the page through a session, in the words of the experiment."""
 
     def __init__(self, plan: Plan) -> None:
         super().__init__(plan)
         self.words = plan.experiment.words
-        # by the name of a question, what each answer that is shown means to the task
+        # For each question, maps the displayed options to the task's own.
         self._meanings: dict[str, dict[Any, str]] = {}
 
     def consent(self, participant: str) -> bool:
@@ -194,7 +194,7 @@ class PersonDesk(BusDesk):
         self._wait("pause", self.words.pause, "", answered=False)
 
     def finish(self) -> None:
-        # Without a place: a bar that is not full would say that something is left.
+        # Progress is not sent: a bar that is not full would suggest that something is left.
         self._bus().cue("end", self.words.end, self.words.end_text, labels=self.words.labels)
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
@@ -213,7 +213,7 @@ class PersonDesk(BusDesk):
         return words.title or task.title, text
 
     def _asked(self, trial: Trial, questions: tuple[Question, ...]) -> tuple[Question, ...]:
-        """Return questions of a task in the words of the experiment, and note what their answers mean."""
+        """Return a task's questions in the words of the experiment, and remember how to translate the answers."""
         asked = tuple(self.words.of(trial.task, question) for question in questions)
         for shown, question in zip(asked, questions, strict=True):
             self._meanings[question.name] = dict(zip(shown.options, question.options, strict=False))

@@ -1,8 +1,8 @@
-"""What disturbed a trial, distinguished from what its condition did, by the link's own truth.
+"""Find what disturbed a trial, as opposed to effects of its condition, from the ground truth of the link.
 
-A process that stood still, an emergency stop, a node that was started again: the trial does not count. A device that
-held because nothing came is another matter: where the link kept back, dropped or delayed what it had received, that is
-what the condition is about, and an outcome. `link/fates` has the truth of every message, so nothing has to be guessed.
+A stalled process, an emergency stop or a restarted node invalidates a trial. A device that held because it received
+nothing is different: if the link held back, dropped or delayed messages that it had received, this is the condition
+under study, and an outcome. `link/fates` has the true fate of every message, so nothing has to be guessed.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,12 +14,12 @@ import numpy.typing as npt
 from telenano.wire import TOPICS
 
 Times = npt.NDArray[np.float64]
-# A node reports twice a second; one that sent nothing for this time was not there.
+# A node reports twice a second; one that sent nothing for this time counts as absent.
 _SILENT_S = 3.0
-# A device holds when nothing came for its deadline, and reports it within a period or two.
+# A device holds if nothing arrives within its deadline, and reports the hold within a period or two.
 _SHARE = 0.5
 _LOOK_BACK_S = 0.2
-# A hold for one of these reasons means that nothing came in time; others, such as too much force, are outcomes.
+# A hold for one of these reasons means that nothing arrived in time; others, such as too much force, are outcomes.
 STALE = ("command_deadline", "hold_expired", "no command within the deadline")
 LOST = ("device_lost", "the device is lost")
 
@@ -32,7 +32,7 @@ class Passage(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """A device that ceased to follow: when [s], which, and why."""
+    """A device that ceased to follow commands: time [s], node and reason."""
 
     time_s: float
     node: str
@@ -40,20 +40,20 @@ class Hold(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a recording tells of a trial; times [s] since its beginning.
+    """The facts of a recorded trial; times [s] since its beginning.
 
     Args:
-        duration_s: How long it was meant to last.
-        hand_s: The times of the hand's samples, and how long each step was, shape (n, 2).
-        tip_s: The same of the instrument.
-        forward: The way from the hand to the tip.
-        backward: The way back.
+        duration_s: Planned duration.
+        hand_s: The times of the hand's samples and the duration of each step, shape (n, 2).
+        tip_s: The same for the instrument.
+        forward: The direction from the hand to the tip.
+        backward: The opposite direction.
         holds: Devices that ceased to follow.
-        estops: When a device was in emergency stop first, by node.
-        restarted: Nodes that were started again, or reported nothing.
-        faults: What nodes called an error.
-        missing: What the recording lacks, in sentences.
-        quiet_s: The longest time for which the dead band may keep signals back.
+        estops: Time of each node's first emergency stop.
+        restarted: Nodes that were restarted or fell silent.
+        faults: Errors that nodes reported.
+        missing: Gaps of the recording, in sentences.
+        quiet_s: The longest time for which the dead band may suppress signals.
     """
 
     duration_s: float
@@ -70,11 +70,11 @@ class Evidence(NamedTuple):
 
 
 def disturbances(evidence: Evidence, stall_s: float) -> list[str]:
-    """Return what disturbed a trial, in sentences; empty where only the condition acted.
+    """Return the disturbances of a trial, in sentences; empty if only the condition acted.
 
     Args:
-        evidence: What the recording tells.
-        stall_s: The longest standstill of a process that does not count.
+        evidence: The facts of the trial.
+        stall_s: The longest stall of a process that is tolerated [s].
     """
     stalls = [
         *_stalls("the hand's device", evidence.hand_s, stall_s),
@@ -84,7 +84,7 @@ def disturbances(evidence: Evidence, stall_s: float) -> list[str]:
     return [
         *(f"{node} was in emergency stop at {time_s:.2f} s" for node, time_s in evidence.estops),
         *stalls,
-        # A hold after a stall is its consequence, and needs no sentence of its own.
+        # A hold after a stall is its consequence and needs no sentence of its own.
         *(() if stalls else _unexplained(evidence)),
         *(f"{hold.node} lost its device at {hold.time_s:.2f} s" for hold in _during(evidence, LOST)),
         *(f"{node} was started again or fell silent" for node in evidence.restarted),
@@ -94,7 +94,7 @@ def disturbances(evidence: Evidence, stall_s: float) -> list[str]:
 
 
 def longest_gap(times_s: Times, begin_s: float, end_s: float) -> tuple[float, float]:
-    """Return the longest time without an entry within an interval [s], and when it began; the ends count as entries."""
+    """Return the longest gap between entries within an interval [s] and its beginning; the ends count as entries."""
     inside = times_s[(times_s > begin_s) & (times_s < end_s)]
     edges = np.concatenate(([begin_s], inside, [end_s]))
     gaps = np.diff(edges)
@@ -113,7 +113,7 @@ def _stalls(what: str, steps_s: Times, stall_s: float) -> Iterable[str]:
 
 
 def _silences(evidence: Evidence, stall_s: float) -> Iterable[str]:
-    """Yield gaps in what reached the link, which are no work of the link."""
+    """Yield gaps in the messages that reached the link, which the link itself cannot cause."""
     allowed_s = stall_s + evidence.quiet_s
     gap_s, begin_s = longest_gap(evidence.forward.arrived_s, 0.0, evidence.duration_s)
     if gap_s > allowed_s:
@@ -124,7 +124,7 @@ def _silences(evidence: Evidence, stall_s: float) -> Iterable[str]:
 
 
 def _during(evidence: Evidence, words: Sequence[str]) -> list[Hold]:
-    """Return the holds of a trial whose reason has one of some words."""
+    """Return the holds within a trial whose reason contains one of the words."""
     return [
         hold
         for hold in evidence.holds
@@ -133,7 +133,7 @@ def _during(evidence: Evidence, words: Sequence[str]) -> list[Hold]:
 
 
 def _unexplained(evidence: Evidence) -> Iterable[str]:
-    """Yield holds for want of commands although the link had delivered."""
+    """Yield holds for lack of commands although the link had delivered."""
     least_s = _SHARE * min(TOPICS[topic].deadline_s or 0.0 for topic in ("afm/command", "haptic/command"))
     for hold in _during(evidence, STALE):
         begin_s = hold.time_s - least_s / _SHARE - _LOOK_BACK_S

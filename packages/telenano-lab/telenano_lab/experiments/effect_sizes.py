@@ -1,4 +1,4 @@
-"""What a test comes to: corrected p values, differences and effect sizes with their intervals."""
+"""Statistics of tests: corrected p values, differences and effect sizes with their intervals."""
 
 import math
 import warnings
@@ -11,10 +11,10 @@ from telenano.analysis import half_width
 
 CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]
-# no statistic of a real experiment has its centre this far off
+# Bound of the search for noncentrality parameters, beyond any real experiment.
 _FARTHEST = 2.0**24
 
-# difference, its ends, degrees of freedom, p, Hedges' g and its ends
+# Difference, ends of its interval, degrees of freedom, p, Hedges' g, ends of its interval.
 Compared = tuple[float, float, float, float, float, float, float, float]
 
 
@@ -31,7 +31,7 @@ def corrected(ps: Sequence[float], correction: str) -> list[float]:
 
 
 def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, float, float]:
-    """Return the mean of participants' values with its interval by Student's t; the ends are nan of one value."""
+    """Return the mean of participants' values with its interval by Student's t; the ends are NaN for a single value."""
     mean, count = float(np.mean(values)), len(values)
     if count < 2:
         return mean, math.nan, math.nan
@@ -40,12 +40,12 @@ def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, floa
 
 
 def compared(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> Compared | None:
-    """Compare two levels over participants; None where there are too few of them, or all are alike.
+    """Compare two levels over participants; None if there are fewer than two of them or the deviation is 0.
 
     Args:
-        left: The means of participants at the one level.
-        right: Those at the other.
-        paired: The differences of participants who have both; None where the factor differs between them.
+        left: The means of participants at one level.
+        right: Those at the other level.
+        paired: The differences of participants who have both; None if the factor varies between participants.
         confidence: The confidence of the intervals.
     """
     from scipy import stats
@@ -55,17 +55,17 @@ def compared(left: Matrix, right: Matrix, paired: Matrix | None, confidence: flo
     if paired is not None:
         deviation, size, difference = float(paired.std(ddof=1)), float(len(paired)), float(paired.mean())
     else:
-        # g has the pooled deviation
+        # Hedges' g uses the pooled deviation.
         rest = len(left) - 1, len(right) - 1
         deviation = math.sqrt(float(left.var(ddof=1) * rest[0] + right.var(ddof=1) * rest[1]) / sum(rest))
         size, difference = len(left) * len(right) / (len(left) + len(right)), float(left.mean() - right.mean())
     if deviation <= 0.0:
         return None
-    # Student's test of differences, or Welch's, of which one side may be the same in all
+    # Student's paired test, or Welch's; one side may be constant, which SciPy warns about.
     with warnings.catch_warnings(action="ignore"):
         test = stats.ttest_ind(left, right, equal_var=False) if paired is None else stats.ttest_1samp(paired, 0.0)
     df, ends = float(test.df), test.confidence_interval(confidence)
-    # L. V. Hedges, J. Educ. Stat. 6 (1981) 107: the deviation of few values is too small on average
+    # L. V. Hedges, J. Educ. Stat. 6 (1981) 107: the deviation of few values is too small on average.
     small = 1.0 - 3.0 / (4.0 * df - 1.0)
     t = difference / deviation * math.sqrt(size)
     low, high = _noncentral(lambda centre: float(stats.nct.cdf(t, df, centre)), -math.inf, t, confidence)
@@ -88,19 +88,19 @@ def partial_eta2(f: float, df1: float, df2: float, confidence: float = 0.95) -> 
 def _noncentral(
     chance_below: Callable[[float], float], floor: float, start: float, confidence: float
 ) -> tuple[float, float]:
-    """Return the centres of which the statistic is the upper and the lower quantile: the ends of an interval.
+    """Return the noncentrality parameters for which the statistic is the upper and the lower quantile.
 
     Args:
-        chance_below: Returns the chance of a lesser statistic; it falls as the centre, its argument, grows.
-        floor: The least centre there is.
-        start: Where the search begins.
+        chance_below: Returns the probability of a lesser statistic; it falls as its argument, the parameter, grows.
+        floor: The least possible parameter.
+        start: Start of the search.
         confidence: The confidence of the interval.
     """
     from scipy.optimize import brentq
 
     def chance(centre: float) -> float:
         below = chance_below(centre)
-        # far from the statistic the library's series does not end; there the chance is 1 or 0
+        # Far from the statistic SciPy's series does not converge; there the probability is 1 or 0.
         return (1.0 if centre < start else 0.0) if math.isnan(below) else below
 
     def centre_of(quantile: float) -> float:

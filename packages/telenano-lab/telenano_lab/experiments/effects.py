@@ -1,11 +1,11 @@
 """Tests and effect sizes of one measure: the repeated-measures F of every effect, with its own error term.
 
-The values are the means of each participant in each condition, and every effect, main or interaction, is tested
-against how much participants differ in that effect (`repeated_measures`). A numeric factor is a slope: its effect is
-one contrast, and so is its part of an interaction. Other factors, and those made categories, are all differences of
-their levels, with the correction of Huynh and Feldt for sphericity.
+The values are the means of each participant in each condition. Every effect, main or interaction, is tested against its
+own variation over participants (`repeated_measures`). A numeric factor is a slope: its effect is one contrast, and so
+is its part of an interaction. Other factors, and numeric ones treated as categories, are all differences of their
+levels, with the correction of Huynh and Feldt for sphericity.
 
-A participant without a value in some condition is in no test, because what is missing would be taken for an effect.
+A participant without a value in some condition is left out of the tests, because the gap would act like an effect.
 """
 
 import itertools
@@ -19,9 +19,9 @@ from telenano_lab.experiments.effect_sizes import compared, corrected, partial_e
 from telenano_lab.experiments.repeated_measures import Matrix, RepeatedF, average, contrasts, product, repeated_f
 
 MODEL = "repeated-measures F of participants' means, each effect with its own error term, Huynh–Feldt"
-# fewer people, beyond one for each group, than a test needs
+# Least number of participants of a test, beyond one for each further group.
 LEAST_PEOPLE = 3
-# F ratios beyond it come of rounding alone
+# F ratios beyond this arise from rounding alone.
 _NO_SCATTER = 1e20
 
 
@@ -31,10 +31,10 @@ class Factor(NamedTuple):
     Args:
         name: Its name in the experiment's file.
         column: Its column in the table.
-        unit: Its unit, empty where it has none.
+        unit: Its unit, or an empty string.
         levels: Its levels, in ascending order.
         is_numeric: Whether its effect is a slope.
-        is_within: Whether each participant has more than one of its levels.
+        is_within: Whether some participant has more than one of its levels.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Factor(NamedTuple):
 class Term(NamedTuple):
     """A factor or an interaction, tested as a whole, with partial η² and its interval.
 
-    The degrees of freedom are those before the correction for sphericity, which multiplies both by `epsilon`.
+    The degrees of freedom are uncorrected; the correction for sphericity multiplies both by `epsilon`.
     """
 
     term: str
@@ -64,7 +64,7 @@ class Term(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """The change of the measure for each unit of a numeric factor, with its interval."""
+    """The change of the measure per unit of a numeric factor, with its interval."""
 
     factor: str
     slope: float
@@ -77,7 +77,7 @@ class Slope(NamedTuple):
 class Pair(NamedTuple):
     """The difference of two levels over participants' means, and Hedges' g with its interval.
 
-    `at` is the level of another factor that the comparison is within, empty for one over all of them.
+    `at` is the level of another factor at which they are compared, empty for a comparison over all of them.
     """
 
     factor: str
@@ -96,14 +96,14 @@ class Pair(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """What the tests of one measure say, and how they were made.
+    """The results of the tests of one measure, and their model.
 
     Args:
         model: The model in words.
-        remarks: Who and what was left out.
+        remarks: Sentences on what was left out.
         terms: Factors and interactions.
         slopes: Numeric factors.
-        pairs: Levels against one another.
+        pairs: Comparisons of levels.
     """
 
     model: str
@@ -124,27 +124,27 @@ def effects(
     """Test the effects of factors on a measure.
 
     Args:
-        frame: A pandas DataFrame with a row a trial: `participant`, the measure, the columns of the factors.
+        frame: A pandas DataFrame with a row per trial: `participant`, the measure, the columns of the factors.
         measure: The column of the measure; booleans are 0 and 1.
-        factors: The factors; one at a single level of which the measure has values is left out, with a remark.
+        factors: The factors; one with values of the measure at a single level is left out, with a remark.
         correction: The correction of the comparisons of levels, one of CORRECTIONS.
         confidence: The confidence of all intervals.
-        within: The factor within whose levels those of the others are compared; empty compares over all of them.
+        within: The factor at whose levels the other factors are compared; empty to compare over all of them.
 
     Returns:
-        The effects; where nothing can be fitted, the remarks alone, which say why.
+        The effects; if nothing can be fitted, only remarks that give the reason.
     """
     data = frame[["participant", measure, *(factor.column for factor in factors)]].dropna()
     remarks: list[str] = []
     try:
         return _tested(data, measure, _with_values(data, factors, remarks), correction, confidence, within, remarks)
     except (ArithmeticError, ValueError) as error:
-        # numpy and scipy raise these of data from which nothing follows
+        # NumPy and SciPy raise these errors for degenerate data.
         return Effects("none", (*remarks, f"the values cannot be fitted ({error}): nothing is tested"))
 
 
 def _with_values(data: Any, factors: Sequence[Factor], remarks: list[str]) -> list[Factor]:
-    """Return the factors as they are in the rows that have a value of the measure."""
+    """Return the factors reduced to the rows that have a value of the measure."""
     rows = []
     for factor in factors:
         there = set(data[factor.column].tolist())
@@ -190,7 +190,7 @@ class _Cells(NamedTuple):
 
 
 def _cells(data: Any, measure: str, factors: Sequence[Factor], remarks: list[str]) -> _Cells | None:
-    """Return the cells of participants who have every condition; None, with a remark, where they are too few."""
+    """Return the cells of participants who have every condition; None, with a remark, if they are too few."""
     within = [factor for factor in factors if factor.is_within]
     between = [factor for factor in factors if not factor.is_within]
     means = _means(data, measure, within)
@@ -272,7 +272,7 @@ def _test(cells: _Cells, factors: Sequence[Factor], chosen: Sequence[Factor]) ->
 
 
 def _slope(factor: Factor, effect: RepeatedF, conditions: int, p: float, confidence: float) -> Slope:
-    """Return the slope that a contrast of unit length over the levels comes to, for each unit of the factor."""
+    """Convert the estimate of a contrast of unit length over the levels into a slope per unit of the factor."""
     from scipy import stats
 
     levels = np.asarray(factor.levels, dtype=float)
@@ -283,9 +283,9 @@ def _slope(factor: Factor, effect: RepeatedF, conditions: int, p: float, confide
 
 
 def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float, within: str) -> tuple[Pair, ...]:
-    """Compare the levels of each factor, where `within` is one of them those of the others at each of its levels.
+    """Compare the levels of each factor; if `within` is one of them, those of the others at each of its levels.
 
-    A participant counts who has a value in every condition that is compared, and each condition as much as the next.
+    Only participants with a value in every compared condition count, and each condition has the same weight.
     """
     held = next((factor for factor in factors if factor.name == within), None)
     if held is not None:
@@ -320,7 +320,7 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
 
 
 def as_rows(effects: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:
-    """Return the terms, slopes or pairs of several measures as rows, each with task and measure."""
+    """Return the terms, slopes or pairs of several measures as rows with task and measure."""
     return [
         {"task": task, "measure": measure, **row._asdict()}
         for (task, measure), effect in effects.items()

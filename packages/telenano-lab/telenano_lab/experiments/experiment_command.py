@@ -261,7 +261,7 @@ def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
 
 
 def _balance_rows(plan: "Plan") -> list[dict[str, Any]]:
-    """Return a row for each condition: its counts, or least and most of them where there are many."""
+    """Return a row per condition with its counts, or with their range if there are many conditions."""
     balance, rows = plan.balance(), []
     for number, row in enumerate(plan.within_block):
         name = ", ".join(f"{key} = {level}" for key, level in row.items()) or "all"
@@ -309,7 +309,7 @@ def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | N
 
 @contextlib.contextmanager
 def _marks(port: Path | None, baud: int, apparatus: ApparatusName, plan: "Plan") -> Iterator["Marks | None"]:
-    """Open the port of the marks before anything starts, and let it go after the block."""
+    """Open the port of the marks before the rig starts, and close it after the block."""
     if port is None:
         yield None
         return
@@ -324,7 +324,7 @@ def _marks(port: Path | None, baud: int, apparatus: ApparatusName, plan: "Plan")
 
 
 def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *, as_json: bool) -> None:
-    """Run what is left of the experiment in a folder, and print how far it is."""
+    """Run the remaining trials of the experiment in a folder, and print its progress."""
     from telenano_lab.experiments.journal import NAME, Journal
     from telenano_lab.experiments.people import People
     from telenano_lab.experiments.runner import Runner, remaining
@@ -354,7 +354,7 @@ def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *,
 
 
 def _participants(plan: "Plan", names: list[str] | None, left: list[str]) -> list[str]:
-    """Return the participants of a run: those given; else all that are left, of people the first one."""
+    """Return the participants of a run: those given, else all with trials left; of persons only the first."""
     for name in names or ():
         if name not in plan.experiment.pseudonyms:
             pseudonyms = ", ".join(plan.experiment.pseudonyms)
@@ -364,7 +364,7 @@ def _participants(plan: "Plan", names: list[str] | None, left: list[str]) -> lis
 
 @contextlib.contextmanager
 def _apparatus(plan: "Plan", folder: Path, show: Any, marks: "Marks | None") -> Iterator[tuple["Apparatus", "Desk"]]:
-    """Yield what the trials run on, and who is shown and asked; a rig ends with the block."""
+    """Yield the apparatus of the trials and the desk for communication; a rig ends with the block."""
     from telenano_lab.experiments.apparatus.lockstep import Lockstep
     from telenano_lab.experiments.desk import BusDesk, Desk, PersonDesk
 

@@ -1,7 +1,7 @@
-"""A task of your own for experiments: parameters, instruction, target, settings, declared measures, a pure judge.
+"""Interface for tasks of other packages: parameters, instruction, target, settings, measures, and a pure judge.
 
-A task judges tables that have the names of the bus (`TrialData`): it cannot tell a recording from lockstep. The force
-of a task is the force on the tip [N]; the hand feels it by the scale of the law.
+A task judges tables with the columns of the bus (`TrialData`), so it cannot tell a recording from lockstep. The force
+of a task is the force on the tip [N]; the hand feels it scaled by the law.
 """
 
 import math
@@ -23,14 +23,14 @@ Quantity = Literal["none", "force", "position", "place"]
 
 
 class TrialData(NamedTuple):
-    """What a task judges, the same from a recording as from lockstep; the tables have the columns of the bus.
+    """The data that a task judges, equal for recording and lockstep; the tables have the columns of the bus.
 
     Args:
         afm: The messages of afm/state.
         haptic: The messages of haptic/state.
         status: The messages of law/status, with the energies at the ports.
-        answers: What the participant answered: name, value and time_s, the time since the trial began [s].
-        particles: Where the first particle of a simulation really is: time_s, x_m, y_m; None without particles.
+        answers: The participant's answers: name, value and time_s, the time since the trial began [s].
+        particles: True place of the first particle of a simulation: time_s, x_m, y_m; None without particles.
     """
 
     afm: ColumnTable
@@ -41,7 +41,7 @@ class TrialData(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """A declared outcome: its name in the table, its unit in SI or empty, and what it is."""
+    """A declared outcome: its name in the table, its SI unit or an empty string, and its description."""
 
     name: str
     unit: str
@@ -54,7 +54,7 @@ class Course(NamedTuple):
     Args:
         times_s: The times of the corners since the trial began [s], increasing, shape (n,).
         values: The target [N] or [m], shape (n,); x and y of a place, shape (n, 2).
-        quantity: What is to follow it: the force on the tip, the base along the axis, or the tip across the sample.
+        quantity: The quantity that is to follow it: force on the tip, base along the axis, or lateral place of the tip.
     """
 
     times_s: Series
@@ -67,19 +67,19 @@ class Course(NamedTuple):
         return {"none": "", "force": "N", "position": "m", "place": "m"}[self.quantity]
 
     def at(self, times_s: Series) -> Series:
-        """Return the target at some times, the end values held outside; for a target of one dimension."""
+        """Return a one-dimensional target at some times [s]; outside its corners the end values hold."""
         return np.interp(times_s, self.times_s, self.values)
 
 
 class Interval(NamedTuple):
-    """A part of a trial that runs under settings of its own: how long [s], and what it sets by dotted key."""
+    """A part of a trial with its own settings: its duration [s], and values by dotted key."""
 
     duration_s: float
     settings: Mapping[str, Any]
 
 
 class Parameters(BaseModel):
-    """Parameters of a task: unknown keys are refused."""
+    """Base class of the parameters of a task; it refuses unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -89,7 +89,7 @@ class Task(Protocol):
 
     @property
     def name(self) -> str:
-        """The name in an experiment's file."""
+        """The name of the task in an experiment's file."""
 
     @property
     def title(self) -> str:
@@ -101,38 +101,38 @@ class Task(Protocol):
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        """What it measures, each declared with its unit."""
+        """The outcomes of the task, each declared with its unit."""
 
     def duration_s(self, p: Any) -> float:
-        """Return how long a trial takes [s]."""
+        """Return the duration of a trial [s]."""
 
     def instruction(self, p: Any) -> str:
-        """Return what the participant reads; it tells nothing of the condition."""
+        """Return the text for the participant, which must not reveal the condition."""
 
     def target(self, p: Any, seed: int) -> Course | None:
-        """Return the target that is shown, and that a simulated participant is given; None without one."""
+        """Return the target for the display and for a simulated participant; None without one."""
 
     def band(self, p: Any) -> float:
-        """Return half the width of the band about the target that counts as on it, in its unit; 0 without."""
+        """Return half the width of the band about the target that counts as on target, in its unit; 0 for none."""
 
     def settings(self, p: Any, seed: int) -> Mapping[str, Any]:
-        """Return the keys of a scenario that the task itself needs."""
+        """Return the scenario settings that the task itself needs, by key."""
 
     def intervals(self, p: Any, seed: int) -> tuple[Interval, ...]:
-        """Return the parts of a trial, in their order; most tasks have one."""
+        """Return the intervals of a trial, in their order; most tasks have one."""
 
     def questions(self, p: Any) -> tuple[Question, ...]:
-        """Return what is asked after the trial."""
+        """Return the questions after the trial."""
 
     def questions_during(self, p: Any) -> tuple[Question, ...]:
-        """Return what may be answered while a trial runs: a button each."""
+        """Return the questions that can be answered during a trial, each by a button."""
 
     def judge(self, data: TrialData, p: Any, seed: int) -> Judged:
-        """Return the value of each measure; None for one that the data do not give."""
+        """Return the value of each measure; None for one that the data do not determine."""
 
 
 class Plain:
-    """What most tasks have in common: one interval, no question, no target, no settings."""
+    """Defaults that suit most tasks: one interval, no question, no target, no settings."""
 
     def target(self, p: Any, seed: int) -> Course | None:
         return None
@@ -154,7 +154,7 @@ class Plain:
 
 
 class Tip(NamedTuple):
-    """The course of the instrument in a trial, as arrays of one length: times [s], force on the tip [N], base [m]."""
+    """The course of the instrument in a trial, as arrays of equal length: times [s], force on the tip [N], base [m]."""
 
     time_s: Series
     force_n: Series
@@ -164,29 +164,29 @@ class Tip(NamedTuple):
 def scale(
     name: str, text: str, low: str, high: str, least: float = 1.0, most: float = 7.0, step: float = 1.0
 ) -> Question:
-    """Return a rating scale; the default is one of seven points.
+    """Return a rating scale; the default has seven points.
 
     Args:
         name: The name of the value in the answer and in the table.
         text: The question in words.
-        low: What the lower end means.
-        high: What the upper end means.
+        low: Label of the lower end.
+        high: Label of the upper end.
         least: The lowest value.
         most: The highest value.
-        step: The distance of the values.
+        step: The distance of neighbouring values.
     """
     bounds = {"least": least, "most": most, "step": step}
     return made(Question, {"name": name, "text": text, "low": low, "high": high, **bounds, "options": ()})
 
 
 def choice(name: str, text: str, options: Sequence[str]) -> Question:
-    """Return a question with some options, of which one is chosen; the answer is the option in words."""
+    """Return a question with a choice of one option; the answer is the text of the option."""
     scale_of_none = {"low": "", "high": "", "least": 0.0, "most": 0.0, "step": 0.0}
     return made(Question, {"name": name, "text": text, **scale_of_none, "options": tuple(options)})
 
 
 def tip_of(data: TrialData) -> Tip:
-    """Return the instrument's course; the base is counted towards the sample."""
+    """Return the course of the instrument; the base is positive towards the sample."""
     afm = data.afm
     return Tip(afm["time_s"], afm["tip_force_n.2"], -afm["base_position_m.2"])
 
@@ -215,12 +215,12 @@ def common_of(data: TrialData) -> Judged:
 
 
 def held_from(time_s: Series, inside: npt.NDArray[np.bool_], hold_s: float) -> float | None:
-    """Return from when on a condition holds for at least a time without a break [s]; None where it never does.
+    """Return the time from which a condition holds without a break for at least hold_s [s]; None if it never does.
 
     Args:
         time_s: The times of the samples [s], shape (n,).
-        inside: Whether the condition holds at each, shape (n,).
-        hold_s: How long it has to hold [s].
+        inside: Whether the condition holds at each sample, shape (n,).
+        hold_s: Least duration [s].
     """
     edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

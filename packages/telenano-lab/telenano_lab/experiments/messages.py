@@ -1,4 +1,4 @@
-"""The messages of an experiment: what a participant sees, what is answered, and the trial with its condition.
+"""The messages of an experiment: cues for the participant, answers, and the trial with its condition.
 
 Their topics are entry points of this package (`telenano.topics`). A recording of them opens and plays without it.
 """
@@ -96,7 +96,7 @@ class ExperimentTrial(Message):
     picture_delay_s: Annotated[DurationS, about("Delay of the picture on a participant's page [s]")]
 
 
-# A participant's page is sent the first alone; the second is what it answers.
+# A participant's page receives only the cue, and sends the answer.
 CUE = Topic("experiment/cue", ExperimentCue, ("experiment",), "lossless", None, None, None)
 ANSWER = Topic("experiment/answer", ExperimentAnswer, ("view",), "lossless", None, None, None)
 TRIAL = Topic("experiment/trial", ExperimentTrial, ("experiment",), "lossless", None, None, None)

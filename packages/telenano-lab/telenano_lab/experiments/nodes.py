@@ -1,4 +1,4 @@
-"""The nodes of a rig that an experiment speaks to, by their names in the table of nodes."""
+"""Names of the nodes of a rig that an experiment communicates with."""
 
 EXPERIMENT = "experiment@master"
 HAND = "haptic_node@master"

@@ -1,4 +1,4 @@
-"""The experimenter's panel on the page of a rig, the page of a participant, and the answers of both."""
+"""The panels of an experiment: the experimenter's on the page of a rig, the participant's page, and their answers."""
 
 import asyncio
 import time
@@ -9,27 +9,27 @@ from telenano.wire import RefusedError
 from telenano_lab.experiments.messages import ANSWER
 from telenano_lab.experiments.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS, ParticipantPicture
 
-# An answer is sent again after this time, until the experiment has taken it [s].
+# An answer is repeated at this interval until the experiment has taken it [s].
 _ANSWER_EVERY_S = 0.2
 # An answer is given up after this time [s].
 _ANSWER_DEADLINE_S = 5.0
-# The experiment is looked at this often [s].
+# Polling interval of the experiment's cue [s].
 _LOOK_S = 1.0 / 30.0
 _LONGEST_SHOWN_S = 1e6
-# The names of answered questions begin with this in a request, beside cue and shown_s.
+# Prefix of answered questions in a request, which also has cue and shown_s.
 _ANSWER_PREFIX = "answer."
 
 
 class AnswerDesk:
-    """Publishes an answer until the experiment says in a cue that it has taken it."""
+    """Publishes an answer until a cue of the experiment confirms it."""
 
     def __init__(self) -> None:
         self._answering: set[str] = set()
 
     async def ask(self, asked: Asked) -> str:
-        """Send an answer; RefusedError where no experiment takes it.
+        """Send an answer; RefusedError if no experiment takes it.
 
-        A page has one under way, because each is sent many times, and a participant answers the cue that stands.
+        A page can have only one answer under way, because each is repeated; a participant must answer the current cue.
         """
         if asked.page in self._answering:
             raise RefusedError("the answer before this one has not been taken yet: wait for it")

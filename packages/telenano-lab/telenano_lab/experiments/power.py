@@ -1,11 +1,11 @@
-"""How many people and trials an effect needs, from the F that the analysis tests it with.
+"""Power analysis: the number of people and trials that an effect needs, for the F test of the analysis.
 
-The unit of everything is the standard deviation of one person's trials in one condition. An effect is the difference of
-the extreme levels of a factor, or of such differences in an interaction. People differ in it by a normal number of
-their own. The score of a person (`repeated_measures`) then has a variance from the trials and one from the person, and
-the F ratio has the noncentral distribution. Of three and more levels that are no slope all but the extreme ones are
-midway, the least that such a difference can come to, and people differ alike in all contrasts (J. Cohen, Statistical
-Power Analysis for the Behavioral Sciences, 2nd ed. (1988), section 8.2).
+The unit of all effects is the standard deviation of one person's trials in one condition. An effect is the difference
+of the extreme levels of a factor, or of such differences in an interaction. People's own effects differ by a normally
+distributed number. The score of a person (`repeated_measures`) then has a variance from the trials and one from the
+person, and the F ratio has the noncentral distribution. For three or more levels without a slope, all levels but the
+extreme ones are assumed midway, which gives the least effect for that difference, and people vary equally in all
+contrasts (J. Cohen, Statistical Power Analysis for the Behavioral Sciences, 2nd ed. (1988), section 8.2).
 """
 
 import itertools
@@ -18,13 +18,13 @@ from telenano_lab.experiments.effects import LEAST_PEOPLE
 from telenano_lab.experiments.psychophysics.exact import total
 from telenano_lab.experiments.repeated_measures import Matrix, average, contrasts, product
 
-# more people than anybody asks
+# Greatest number of people that is tried.
 MOST_PEOPLE = 1000
 _ALPHA = 0.05
 
 
 class Levels(NamedTuple):
-    """A factor within participants: its name, its levels, and whether its effect is a slope on them."""
+    """A factor within participants: its name, its levels, and whether its effect is a slope over them."""
 
     name: str
     levels: tuple[float, ...]
@@ -32,7 +32,7 @@ class Levels(NamedTuple):
 
 
 class ExpectedEffect(NamedTuple):
-    """An effect that is expected.
+    """An effect whose power is computed.
 
     Args:
         term: The factor or interaction.
@@ -45,11 +45,11 @@ class ExpectedEffect(NamedTuple):
     pattern: Matrix
 
     def power(self, people: int, trials: int, effect: float, spread: float) -> float:
-        """Return the chance that the test finds the effect at p < 0.05; 0 of fewer people than it needs.
+        """Return the probability that the test finds the effect at p < 0.05; 0 for fewer people than the test needs.
 
         Args:
-            people: How many people take part.
-            trials: How many trials each has in each condition.
+            people: The number of participants.
+            trials: The number of trials of each participant in each condition.
             effect: The size of the effect.
             spread: The standard deviation of people's own effects.
         """
@@ -64,7 +64,7 @@ class ExpectedEffect(NamedTuple):
         return float(stats.ncf.sf(stats.f.isf(_ALPHA, df1, df2), df1, df2, centre))
 
     def people(self, power: float, trials: int, effect: float, spread: float) -> int | None:
-        """Return the least number of people with that power; None where it is more than MOST_PEOPLE."""
+        """Return the least number of people with that power; None if it exceeds MOST_PEOPLE."""
         low, high = LEAST_PEOPLE - 1, MOST_PEOPLE + 1
         while high - low > 1:
             middle = (low + high) // 2
@@ -87,7 +87,7 @@ def expected(factors: Sequence[Levels]) -> Iterator[ExpectedEffect]:
 
 
 def _between_extremes(factor: Levels) -> Matrix:
-    """Return the means of the levels for a difference of 1 between the extremes, with a mean of 0."""
+    """Return the means of the levels for a difference of 1 between the extremes and a mean of 0."""
     if not factor.is_numeric:
         return np.array([-0.5, *[0.0] * (len(factor.levels) - 2), 0.5])
     numbers = np.asarray(factor.levels)

@@ -1,8 +1,8 @@
-"""What others are given of an experiment: plan, tables, checksums and versions, and nothing that is personal.
+"""Export an experiment for others: plan, tables, checksums and versions, without personal data.
 
-Pseudonyms stay, since tables and recordings need them; who they are is in the laboratory's own list alone. Left out are
-handedness and consent of each participant, reasons of exclusions and remarks of the experimenter, answers in free
-words, and the times of day, in whose place the time since the participant's first trial is given.
+Pseudonyms stay, because tables and recordings need them; only the laboratory's own list tells who they are. Handedness
+and consent of individual participants, reasons of exclusions, remarks of the experimenter and answers in free text are
+dropped; times of day are replaced by the time since the participant's first trial.
 """
 
 import json
@@ -22,7 +22,7 @@ from telenano_lab.experiments.plan import Plan
 from telenano_lab.experiments.runner import versions
 from telenano_lab.experiments.table import Tables, tidy, write_tables
 
-# An answer of a choice or a rating; whatever is longer may be a sentence about somebody.
+# Longest answer of a choice or a rating; a longer text may be a sentence about a person.
 _LONGEST_ANSWER = 40
 _WITHHELD = "withheld"
 _KEPT = ("trial", "asked", "excluded", "included")
@@ -42,20 +42,20 @@ Times of day are left out: `started_utc` is the time since the participant's fir
 
 
 def publish(plan: Plan, folder: Path, out: Path, *, with_recordings: bool = False) -> dict[str, Any]:
-    """Make a folder, or an archive where the name ends in .zip, of what may be given to others.
+    """Write a folder, or an archive if the name ends in .zip, for publication.
 
     Args:
         plan: The experiment.
         folder: Its folder.
-        out: What to make.
-        with_recordings: Whether the recordings are copied too.
+        out: The folder or archive to write.
+        with_recordings: Whether to copy the recordings too.
 
     Returns:
-        What was made: files, trials, participants, and recordings.
+        The path, and the numbers of trials, participants and recordings.
 
     Raises:
-        ConfigError: `out` exists, or nothing was recorded yet.
-        RigError: The experiment runs.
+        ConfigError: `out` exists, or there are no trials yet.
+        RigError: The experiment is running.
     """
     if out.exists():
         raise ConfigError(f"{out}: exists already; give another name")
@@ -85,7 +85,7 @@ def publish(plan: Plan, folder: Path, out: Path, *, with_recordings: bool = Fals
 
 
 def public(records: Iterable[Record]) -> list[Record]:
-    """Return the records that tables are made from, without what is personal."""
+    """Return the records that tables are made from, without personal data."""
     kept = [dict(record) for record in records if record["record"] in _KEPT]
     first: dict[str, str] = {}
     for record in kept:
@@ -122,7 +122,7 @@ def _fill(
     files: list[Path],
     with_recordings: bool,
 ) -> None:
-    """Write what is published into a folder."""
+    """Write the published files into a folder."""
     out.mkdir(parents=True, exist_ok=True)
     for name in ("experiment.yaml", "scenario.yaml"):
         if (folder / name).is_file():
@@ -146,7 +146,7 @@ def _fill(
 
 
 def _people(people: People, tables: Tables) -> Mapping[str, Any]:
-    """Return counts alone: handedness or exclusion of one participant may tell who that is."""
+    """Return counts only: the handedness or exclusion of a single participant might identify them."""
     present = {row["participant"] for row in tables.trials}
     mine = [person for name, person in people.known.items() if name in present]
     return {

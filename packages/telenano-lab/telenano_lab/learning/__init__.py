@@ -1,4 +1,4 @@
-"""The environments to learn in: to import this registers them with Gymnasium.
+"""Environments for reinforcement learning; importing this package registers them with Gymnasium.
 
 import gymnasium
 import telenano_lab.learning

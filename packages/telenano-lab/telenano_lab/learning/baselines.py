@@ -1,4 +1,4 @@
-"""Scripted agents for `telenano/Push-v0`, which know what is observed and nothing else, and what share succeeds."""
+"""Scripted agents for `telenano/Push-v0`, which use the observations alone, and the evaluation of their success."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,32 +13,32 @@ from telenano_lab.learning import engine
 from telenano_lab.learning.push_env import PushVectorEnv
 
 Action = tuple[float, float, float]
-# A policy takes the observation of an episode, the place that is believed, and the goal.
+# A policy maps the observation of an episode, the believed place and the goal to an action.
 Policy = Callable[[Sequence[float], Sequence[float], Sequence[float]], Action]
 
-# how far the tip goes in a step at full speed, in d
+# Distance that the tip moves in a step at full speed, in d.
 _STEP = engine.SPEED_M_PER_S * engine.CONTROL_S / engine.D_M
-# Lengths are in particle diameters, and forces in the usual friction.
+# Lengths are in units of d, and forces in units of the usual friction.
 _HIGH = engine.HIGH_M / engine.D_M
 _LOW = engine.LOW_M / engine.D_M
 # A larger force is a contact with a particle.
 _TOUCHED = 0.15
-# The tip goes behind the particle by this.
+# The tip moves behind the particle by this distance.
 _BEHIND = 1.3
-# A particle this near to its goal is there.
+# A particle this near to its goal has arrived.
 _NEAR = 0.02
-# a particle further aside than this is passed before it comes to its goal
+# A particle further aside than this would be passed before it reaches its goal.
 _MOST_ASIDE = math.radians(70.0)
 _STANDS: Action = (0.0, 0.0, -1.0)
 
 
 def steered_push(observation: Sequence[float], believed: Sequence[float], goal: Sequence[float]) -> Action:
-    """Go behind the particle, down, and push it so that it turns towards the goal."""
+    """Move behind the particle, lower the tip, and push the particle so that it turns towards the goal."""
     return _pushed(observation, believed, goal, steers=True)
 
 
 def straight_push(observation: Sequence[float], believed: Sequence[float], goal: Sequence[float]) -> Action:
-    """Go behind the particle, down, and push along the line to the goal."""
+    """Move behind the particle, lower the tip, and push along the line to the goal."""
     return _pushed(observation, believed, goal, steers=False)
 
 
@@ -59,7 +59,7 @@ def _pushed(observation: Sequence[float], believed: Sequence[float], goal: Seque
             speed = min(0.5 * left / _STEP, 1.0)
             return speed * heading[0], speed * heading[1], -1.0
     if 0.5 < ahead < 1.6 and abs(aside) < 0.25:
-        # behind it: down, and on
+        # Behind the particle: lower the tip and move on.
         speed = 1.0 if z < _LOW + 0.05 else 0.0
         length = math.sqrt(from_x * from_x + from_y * from_y)
         return speed * from_x / length, speed * from_y / length, -1.0
@@ -67,7 +67,7 @@ def _pushed(observation: Sequence[float], believed: Sequence[float], goal: Seque
 
 
 def _over(x: float, y: float, z: float, to_x: float, to_y: float) -> Action:
-    """Go to a place with the tip retracted."""
+    """Move to a place with the tip retracted."""
     if z < 0.95 * _HIGH:
         return 0.0, 0.0, 1.0
     way_x, way_y = to_x - x, to_y - y
@@ -88,10 +88,10 @@ class RandomPolicy:
 
 
 class Evaluation(NamedTuple):
-    """What became of the episodes: their number, those that succeeded with their interval of 95 %, and the rest.
+    """The results of episodes: their number, the successes with their interval of 95 %, and further figures.
 
-    time_s: median simulated time of those that succeeded [s], None for none; losses: per episode; error_m: median of
-    how far particles really are from their goals at the end [m].
+    time_s: median simulated time of the successes [s], None without any; losses: mean per episode; error_m: median true
+    distance of the particles from their goals at the end [m].
     """
 
     episodes: int
@@ -104,7 +104,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(policy: Policy, seeds: Sequence[int], **options: Any) -> Evaluation:
-    """Return what becomes of one episode for each seed; options are those of `PushEnv`."""
+    """Return the results of a policy in one episode per seed; options are those of `PushEnv`."""
     env = PushVectorEnv(len(seeds), **options)
     seen, _ = env.reset(seed=list(seeds))
     count, open_ = len(seeds), np.ones(len(seeds), np.bool_)

@@ -1,9 +1,9 @@
-"""Episodes in which a tip pushes a particle, many at once: what decides each is drawn before it begins.
+"""Episodes in which a tip pushes a particle, many at once; all random values of an episode are drawn before it begins.
 
-A row is an episode. Its physics is `push_step` a millisecond, its control a step of 20 ms. An agent gets what an
-instrument has: the place of the tip, its deflection and lateral force with noise, and where the particle is believed to
-be. That is where an image saw it, with an error, until the tip feels it: then it lies in the direction of the force
-that the tip exerts, d away. Where the particle really is decides nothing that an agent observes.
+A row is an episode. Its physics is one `push_step` per millisecond, its control a step of 20 ms. An agent observes what
+an instrument measures: the place of the tip, its deflection and lateral force with noise, and the believed place of the
+particle. That place comes from an image, with an error, until the tip feels the particle: then it lies in the direction
+of the force that the tip exerts, d away. The true place of the particle does not enter the observations.
 """
 
 import math
@@ -28,46 +28,46 @@ from telenano_lab.assembly import (
 
 Array = npt.NDArray[np.float64]
 
-# The step of the simulation.
+# Time step of the simulation.
 PHYSICS_S = 1e-3
 # The period at which an agent acts.
 CONTROL_S = 20e-3
-# An action of 1 moves the tip across at this speed.
+# An action of 1 moves the tip laterally at this speed.
 SPEED_M_PER_S = 2e-6
 TIP_RADIUS_M = 10e-9
-# The tip pushes at this height.
+# Height of the tip in a push.
 LOW_M = 5e-9
 # The tip is lifted and lowered at this speed.
 _LIFT_M_PER_S = 20e-6
-# The stiffness of the cantilever for deflection, and the one across.
+# Normal and lateral stiffness of the cantilever.
 _K_N_PER_M = 1.0
 _K_LATERAL_N_PER_M = 100.0
 _REST_S = 10e-3
-# A particle has arrived within this share of its diameter of its goal.
+# A particle has arrived within this share of its diameter from its goal.
 ARRIVED_SHARE = 0.1
-# It counts while the tip goes no faster than this share of its speed.
+# The tip counts as at rest up to this share of its greatest speed.
 AT_REST = 0.05
 # A lateral force above this share of the usual friction is a contact.
 _CONTACT_SHARE = 0.15
 
 KIND = KINDS["latex_250"]
 _USUAL_CONE = math.radians(15.0)
-# the units of an agent: d of the usual particle and tip, and the usual kinetic friction
+# Units of an agent: d of the usual particle and tip, and the usual kinetic friction.
 D_M = touch_distance_m(tip_shape(TIP_RADIUS_M, _USUAL_CONE), KIND.radius_m, LOW_M)
 F_N = hold_of(KIND, 0.5, "slide", TIP_RADIUS_M, _USUAL_CONE, 0.0).kinetic_n
 HIGH_M = 2.0 * 1.05 * KIND.radius_m + 100e-9
 TOLERANCE_M = ARRIVED_SHARE * 2.0 * KIND.radius_m
 
-# columns of `given`, what was drawn for an episode: goal [m], drift of the sample [m/s], what is known of radius and
-# cone [m, rad], noise of the lateral force [N] and of the deflection [m]
+# Columns of `given`, the values drawn for an episode: goal [m], drift of the sample [m/s], known radius and cone [m,
+# rad], noise of the lateral force [N] and of the deflection [m].
 GOAL_X, GOAL_Y, DRIFT_X, DRIFT_Y, KNOWN_M, KNOWN_SIN, KNOWN_COS, KNOWN_TAN, FORCE_NOISE, HEIGHT_NOISE = range(10)
 _GIVEN = 10
-# columns of `state`: the tip [m], time [s], contact, felt force [N] and deflection [m], believed place and its standard
-# error [m], losses, the largest force [N], whether the tip stands, and the true distance from the goal [m]
+# Columns of `state`: the tip [m], time [s], contact, felt force [N] and deflection [m], believed place and its standard
+# error [m], losses, largest force [N], whether the tip stands, and the true distance from the goal [m].
 TIP_X, TIP_Y, TIP_Z, TIME, CONTACT, FELT_X, FELT_Y, BENT = range(8)
 BELIEVED_X, BELIEVED_Y, ERROR, LOSSES, PEAK, STANDS, TRUE_ERROR = range(8, 15)
 _STATE = 15
-# what an agent observes: this many values of the observation, the goal that is achieved, and the one that is desired
+# An agent observes this many values, the achieved goal, and the desired one.
 OBSERVED = 10
 AGENT_VALUES = 14
 _NOISES = 3
@@ -120,17 +120,17 @@ def advance(
     taken: npt.NDArray[np.int64],
     action: Array,
 ) -> None:
-    """Take a control step in each row, and write what became of it into `state` and `moving`.
+    """Take a control step in each row, and write the results into `state` and `moving`.
 
     Args:
-        drawn: Shape (n, 10), what was drawn.
-        state: Shape (n, 15), written.
-        fixed: Shape (n, 1, 4), what does not change of each particle.
-        moving: Shape (n, 1, 3), what does; written.
-        model: Shape (n, 9), tip and spring.
-        noise: Shape (n, steps, 3), of unit variance: of the lateral force in x and y, and of the deflection.
-        taken: Shape (n,), how many steps an episode had before.
-        action: Shape (n, 3): speed in x and y, and lift, each -1 to 1.
+        drawn: Values drawn for the episodes, shape (n, 10).
+        state: State of the episodes, shape (n, 15), written.
+        fixed: Constants of the particles, shape (n, 1, 4).
+        moving: State of the particles, shape (n, 1, 3), written.
+        model: Tip and spring, shape (n, 9).
+        noise: Standard normal numbers, shape (n, steps, 3): for the lateral force in x and y, and for the deflection.
+        taken: Number of earlier steps of each episode, shape (n,).
+        action: Speed in x and y, and lift, each -1 to 1, shape (n, 3).
     """
     ticks = round(CONTROL_S / PHYSICS_S)
     for i in range(drawn.shape[0]):
@@ -182,10 +182,10 @@ def _believe(g: Array, s: Array, high: bool) -> None:
 
 @always_compiled
 def tell(drawn: Array, state: Array, moving: Array, observations: npt.NDArray[np.float32], truth: bool) -> None:
-    """Write what an agent observes into `observations`, shape (n, 14), in units of d and of the usual friction.
+    """Write the observations of the agent, shape (n, 14), in units of d and of the usual friction.
 
-    With `truth` it observes the true place of the particle in the place of the believed one. The true distance from the
-    goal goes into `state`, for who judges.
+    With `truth` the true place of the particle replaces the believed one. The true distance from the goal goes into
+    `state`, for the evaluation.
     """
     for i in range(drawn.shape[0]):
         g, s, row = drawn[i], state[i], observations[i]
@@ -203,12 +203,12 @@ def tell(drawn: Array, state: Array, moving: Array, observations: npt.NDArray[np
 
 
 class Episodes:
-    """Rows of episodes that run side by side, each from a generator of its own.
+    """Rows of episodes that run side by side, each with a random generator of its own.
 
     Args:
         count: The number of rows.
         longest_s: The longest episode, in simulated time [s].
-        truth: Whether an agent observes where the particle really is.
+        truth: Whether an agent observes the true place of the particle.
     """
 
     def __init__(self, count: int, longest_s: float, *, truth: bool = False) -> None:
@@ -220,7 +220,7 @@ class Episodes:
         self.taken = np.zeros(count, np.int64)
 
     def begin(self, row: int, random: np.random.Generator) -> None:
-        """Draw an episode and begin it."""
+        """Draw an episode for a row and begin it."""
         parts = (self.given, self.state, self.fixed, self.moving, self.model, self.noise)
         for part, values in zip(parts, drawn(random, self.steps), strict=True):
             part[row] = values
@@ -232,6 +232,6 @@ class Episodes:
         self.taken += 1
 
     def observations(self) -> npt.NDArray[np.float32]:
-        """Return what an agent observes, a row for each episode, shape (n, 14)."""
+        """Return the observations of the agent, a row for each episode, shape (n, 14)."""
         tell(self.given, self.state, self.moving, self._observations, self._truth)
         return self._observations.copy()

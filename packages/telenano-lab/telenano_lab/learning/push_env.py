@@ -1,4 +1,4 @@
-"""`telenano/Push-v0`: push a particle to a goal; one environment, and many that run as one.
+"""`telenano/Push-v0`: push a particle to a goal; a single environment, and a vector of them.
 
 Lengths are in units of d, the distance at which tip and particle touch, and forces in units of the kinetic friction.
 """
@@ -20,9 +20,9 @@ from telenano_lab.learning import engine as e
 Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[np.float32]]
 
-# an hour at full speed is 2e4 d
+# Bound of the observations; an hour at full speed is only 2e4 d.
 _LARGEST = 1e6
-# the key of what was achieved a step before
+# Key of the goal that was achieved a step before.
 _BEFORE = "achieved_before"
 _ARRIVED = e.TOLERANCE_M / e.D_M
 
@@ -37,7 +37,7 @@ _SPACE: spaces.Space[Any] = spaces.Dict(
 
 
 class _Pushing:
-    """What one environment and many have in common."""
+    """The common part of the single and the vector environment."""
 
     def __init__(self, count: int, obs: str, reward: str, longest_s: float) -> None:
         for name, value, choices in (("obs", obs, ("felt", "state")), ("reward", reward, ("progress", "sparse"))):
@@ -49,9 +49,10 @@ class _Pushing:
         self.episodes = e.Episodes(count, longest_s, truth=obs == "state")
 
     def rewards(self, achieved: Any, desired: Any, before: Any) -> Any:
-        """Return the reward of goals that were achieved, of the shape of all axes but the last.
+        """Return the reward of achieved goals, with the shape of all axes but the last.
 
-        0 within the tolerance, and otherwise -1, with the progress since `before` in d unless it is sparse.
+        It is 0 within the tolerance, and otherwise -1, plus the progress since `before` in d unless the reward is
+        sparse.
         """
         now = _distance(achieved, desired)
         more = 0.0 if self.is_sparse or before is None else _distance(before, desired) - now
@@ -61,16 +62,16 @@ class _Pushing:
 
 
 def _named(observations: npt.NDArray[np.float32]) -> Observation:
-    """Return what an agent observes by the names of its parts, of one episode or of all."""
+    """Return the observations of one episode, or of all, as a dict of their parts."""
     goals = e.OBSERVED + 2
     parts = observations[..., : e.OBSERVED], observations[..., e.OBSERVED : goals], observations[..., goals:]
     return {"observation": parts[0], "achieved_goal": parts[1], "desired_goal": parts[2]}
 
 
 def _distance(a: Any, b: Any) -> Any:
-    """Return the distance of two places, or of each two of a row of them."""
+    """Return the distance of two places, or of each pair in two rows of places."""
     if np.ndim(a) == 1:
-        # a step of one environment is as short as that
+        # Python floats are faster than NumPy for a single environment.
         (x, y), (p, q) = a.tolist(), b.tolist()
         return math.sqrt((x - p) * (x - p) + (y - q) * (y - q))
     way = np.asarray(a, np.float64) - np.asarray(b, np.float64)
@@ -78,7 +79,7 @@ def _distance(a: Any, b: Any) -> Any:
 
 
 def _before(info: Any) -> Any:
-    """Return the goals that were achieved a step before, from a dict, or a row of dicts as hindsight replay has it."""
+    """Return the goals achieved a step before, from a dict, or from a sequence of dicts as hindsight replay passes."""
     if isinstance(info, Mapping):
         return info.get(_BEFORE)
     if isinstance(info, Sequence | np.ndarray) and len(info) and all(_BEFORE in one for one in info):
@@ -87,16 +88,18 @@ def _before(info: Any) -> Any:
 
 
 class PushEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
-    """A particle to be pushed to a goal by a tip that is felt.
+    """A tip with force feedback pushes a particle to a goal.
 
-    The action is the speed of the tip in x and y, of 2 um/s, and its lift (above 0 it is retracted); a step takes
-    20 ms. An episode ends where the particle is believed to be within a tenth of its diameter of the goal while the tip
-    stands; whether it really is there says info["is_success"], which no reward and no observation depends on.
+    The action is the velocity of the tip in x and y, in units of 2 um/s, and its lift (above 0 it is retracted); a step
+    takes 20 ms. An episode ends when the believed place of the particle is within a tenth of its diameter of the goal
+    while
+    the tip stands. Whether the particle really is there, is info["is_success"], on which no reward and no observation
+    depends.
 
     Args:
-        obs: felt, what an instrument knows; or state, with the true place of the particle, to debug with.
-        reward: progress, -1 a step and the progress in units of d, 0 within the tolerance; or sparse, -1 or 0.
-        longest_s: After this simulated time an episode is truncated [s].
+        obs: felt, the knowledge of an instrument; or state, with the true place of the particle, for debugging.
+        reward: progress, -1 per step plus the progress in units of d, 0 within the tolerance; or sparse, -1 or 0.
+        longest_s: Simulated time after which an episode is truncated [s].
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -140,23 +143,23 @@ class PushEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return now, reward, done, bool(episodes.taken[0] >= episodes.steps), info
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Return the reward of goals [d], of shape (..., 2); info has `achieved_before` where progress is rewarded."""
+        """Return the reward of goals [d], shape (..., 2); for a progress reward info must have `achieved_before`."""
         return self._pushing.rewards(achieved_goal, desired_goal, _before(info))
 
     def _observed(self) -> Observation:
         observations = self._pushing.episodes.observations()[0]
-        # what is handed out may be changed by who gets it
+        # The caller may modify the returned arrays.
         self._last = _named(observations.copy())
         return _named(observations)
 
 
 class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[Any]]):
-    """Many environments as one compiled step; row i is a `PushEnv` whose seed is i more.
+    """Many environments as one compiled step; row i equals a `PushEnv` whose seed is greater by i.
 
-    An episode that has ended begins again with the next step, whose action it does not heed.
+    An ended episode begins again with the next step, which ignores its action.
 
     Args:
-        num_envs: How many.
+        num_envs: Number of environments.
         obs: As for `PushEnv`.
         reward: As for `PushEnv`.
         longest_s: As for `PushEnv`.
@@ -181,7 +184,7 @@ class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin all episodes; a seed is that of the first row, or a row has one each."""
+        """Begin all episodes; an integer seed is that of the first row, a sequence has one for each."""
         if seed is not None:
             seeds = [seed + row for row in range(self.num_envs)] if isinstance(seed, int) else list(seed)
             self._random = [seeding.np_random(one)[0] for one in seeds]
@@ -195,7 +198,7 @@ class PushVectorEnv(VectorEnv[Observation, npt.NDArray[np.float32], npt.NDArray[
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         pushing, episodes, fresh = self._pushing, self._pushing.episodes, self._ended
         before = _named(episodes.observations())["achieved_goal"]
-        # a row that has ended is begun again after the step of the others
+        # An ended row begins again after the step of the others.
         episodes.taken[fresh] = 0
         episodes.step(np.ascontiguousarray(actions, np.float64))
         for row in np.flatnonzero(fresh).tolist():

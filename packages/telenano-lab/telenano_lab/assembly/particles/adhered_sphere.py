@@ -1,10 +1,10 @@
-"""What holds a sphere on a substrate: JKR contact, sliding friction of its area, rolling resistance.
+"""The hold of a sphere on a substrate: JKR contact, sliding friction of its area, rolling resistance.
 
 The contact under the load P has the radius a with a^3 = (R / K) (P + 3 pi w R + sqrt(6 pi w R P + (3 pi w R)^2)), K =
 4 E* / 3 (K. L. Johnson, K. Kendall, A. D. Roberts, Proc. R. Soc. A 324 (1971) 301). Its sliding friction is tau pi a^2,
-of which the share rho is left in motion. A sphere that rolls needs the moment 6 pi w R xi (C. Dominik, A. G. G. M.
-Tielens, Phil. Mag. A 72 (1995) 783): pushed at its side it rolls where the friction in the contact with the tip and
-that moment over R are less than what sliding needs.
+of which the share rho remains in motion. Rolling needs the moment 6 pi w R xi (C. Dominik, A. G. G. M. Tielens, Phil.
+Mag. A 72 (1995) 783): a sphere pushed at its side rolls if the friction in the contact with the tip plus that moment
+over R is less than the sliding friction.
 """
 
 import math
@@ -17,7 +17,7 @@ Motion = Literal["slide", "roll", "auto"]
 
 
 class Material(NamedTuple):
-    """Young's modulus [Pa] and Poisson ratio."""
+    """Young's modulus [Pa] and Poisson ratio of a material."""
 
     modulus_pa: float
     poisson: float
@@ -33,7 +33,7 @@ SILICON = Material(165e9, 0.22)
 class Kind(NamedTuple):
     """A kind of particle: radius [m], reduced modulus with its substrate [Pa], work of adhesion [J/m^2].
 
-    shear_pa, strength of the interface [Pa]; rolling_m, critical rolling distance xi [m]; material of the particle.
+    shear_pa: strength of the interface [Pa]; rolling_m: critical rolling distance xi [m]; material: of the particle.
     """
 
     radius_m: float
@@ -52,7 +52,7 @@ def kind_of(
 
 
 # The shear strength of latex is the middle of a measured range (9 to 15 MPa, B. Suemer and M. Sitti, J. Adhes. Sci.
-# Technol. 22 (2008) 481); those of gold and silica, and each work of adhesion, are assumptions to teach with.
+# Technol. 22 (2008) 481); those of gold and silica, and all works of adhesion, are assumptions for teaching.
 KINDS = {
     "latex_250": kind_of(250e-9, POLYSTYRENE, GLASS, 0.05, 12e6, 2.1e-9),
     "latex_1010": kind_of(1010e-9, POLYSTYRENE, GLASS, 0.05, 12e6, 8.6e-9),
@@ -62,7 +62,7 @@ KINDS = {
 
 
 class Hold(NamedTuple):
-    """What holds a particle: force that moves it from rest, force that moves it on, pull-off force 3 pi w R / 2 [N]."""
+    """The hold of a particle [N]: force that moves it from rest, force that keeps it moving, pull-off 3 pi w R / 2."""
 
     static_n: float
     kinetic_n: float
@@ -70,7 +70,7 @@ class Hold(NamedTuple):
 
 
 def contact_radius_m(radius_m: float, reduced_pa: float, adhesion_j_per_m2: float, load_n: float = 0.0) -> float:
-    """Return the radius a of the JKR contact [m] under a load [N]."""
+    """Return the radius a of a JKR contact [m] under a load [N]."""
     pull = 3.0 * math.pi * adhesion_j_per_m2 * radius_m
     loaded = load_n + pull + math.sqrt(max(2.0 * pull * load_n + pull * pull, 0.0))
     return math.cbrt(0.75 * radius_m / reduced_pa * loaded)
@@ -78,21 +78,21 @@ def contact_radius_m(radius_m: float, reduced_pa: float, adhesion_j_per_m2: floa
 
 @compiled
 def area_ratio(load_n: float, pull_off_n: float) -> float:
-    """Return the area of the contact under a load [N] over that without one; pull_off_n is 3 pi w R / 2 [N]."""
+    """Return the ratio of the contact's area under a load [N] to that without one; pull_off_n is 3 pi w R / 2 [N]."""
     share = load_n / (2.0 * pull_off_n)
     return float((0.5 * (share + 1.0 + math.sqrt(max(2.0 * share + 1.0, 0.0)))) ** (2.0 / 3.0))
 
 
 def rolling_n(kind: Kind, tip_radius_m: float, cone_rad: float, tip_friction: float) -> float:
-    """Return the lateral force at which a sphere rolls that a tip of silicon pushes at its side [N].
+    """Return the lateral force [N] at which a sphere rolls when a silicon tip pushes its side.
 
-    It is the moment over R, and the friction in the contact with the tip, whose load is the push itself.
+    It is the moment over R plus the friction in the contact with the tip, whose load is the push itself.
     """
     between = tip_radius_m * kind.radius_m / (tip_radius_m + kind.radius_m)
     reduced = reduced_modulus_pa(*kind.material, *SILICON)
     moment = 6.0 * math.pi * kind.adhesion_j_per_m2 * kind.rolling_m
     force = moment
-    # The load follows from the force: each pass leaves a fifth of the error.
+    # The load depends on the force: each iteration leaves a fifth of the error.
     for _ in range(60):
         load = force / math.cos(cone_rad)
         a = contact_radius_m(between, reduced, kind.adhesion_j_per_m2, load)
@@ -103,12 +103,12 @@ def rolling_n(kind: Kind, tip_radius_m: float, cone_rad: float, tip_friction: fl
 def hold_of(
     kind: Kind, kinetic_share: float, motion: Motion, tip_radius_m: float, cone_rad: float, tip_friction: float
 ) -> Hold:
-    """Return what holds a particle; the tip matters where the particle may roll.
+    """Return the hold of a particle; the tip matters only if the particle may roll.
 
     Args:
         kind: The particle on its substrate.
-        kinetic_share: Kinetic over static friction, rho.
-        motion: Whether it slides, rolls, or does what needs less force.
+        kinetic_share: Ratio of kinetic to static friction, rho.
+        motion: slide, roll, or auto for the one that needs less force.
         tip_radius_m: The radius of the apex of the tip [m].
         cone_rad: The half-angle of the tip [rad].
         tip_friction: The coefficient of friction in the contact with the tip.

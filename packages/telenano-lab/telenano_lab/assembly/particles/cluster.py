@@ -1,9 +1,9 @@
-"""How particles that touch each other give way: with the least dissipation.
+"""The motion of pushed particles that touch each other: the one with the least dissipation.
 
-The displacements D_i of a step are those with the least sum of F_i |D_i| among all with (D_j - D_i) . n_ij >= -gap for
-each pair, and e . D_i >= overlap for each particle that the tip pushes; the multipliers of these conditions are the
-forces. It is solved by projected Gauss-Seidel on squares whose weights F_i / |D_i| are renewed: the weighted problem
-has the same minimum where the weights have settled.
+The displacements D_i of a step minimize the sum of F_i |D_i| subject to (D_j - D_i) . n_ij >= -gap for each pair, and
+e . D_i >= overlap for each particle that the tip pushes; the multipliers of these conditions are the forces. The
+problem is solved by projected Gauss-Seidel on squares whose weights F_i / |D_i| are updated: once the weights have
+settled, the weighted problem has the same minimum.
 """
 
 import numpy as np
@@ -16,16 +16,16 @@ Array = npt.NDArray[np.float64]
 
 _REWEIGHTINGS = 30
 _SWEEPS = 20
-# The weight of a particle that stands is that of one that moves by this share of the step.
+# A particle at rest has the weight of one that moves by this share of the step.
 _STANDS = 1e-4
 
 
 @compiled
 def give_way(force_n: Array, pairs: Array, pushes: Array, displacement_m: Array, reaction_n: Array) -> None:
-    """Write the displacements [m] and the forces of the tip [N] that go with the least dissipation.
+    """Write the displacements [m] of least dissipation and the corresponding forces of the tip [N].
 
     Args:
-        force_n: Shape (n,), what each needs to move [N]; infinite for one that is fixed.
+        force_n: Force that moves each particle [N], shape (n,); infinite for a fixed one.
         pairs: Shape (p, 5): numbers i and j, the normal from i to j, the gap between them [m].
         pushes: Shape (t, 4) or wider: number of a particle that the tip pushes, direction, overlap with the tip [m].
         displacement_m: Shape (n, 2), written.

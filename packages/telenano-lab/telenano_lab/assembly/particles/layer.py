@@ -1,9 +1,9 @@
-"""Particles on a surface: a part around the tip over that surface.
+"""A layer of particles on a surface, as a part of the instrument that wraps the part which models tip and surface.
 
-The parts within know nothing of particles. Where these hold the tip up, the layer raises the surface under it. Where
-the tip pushes them beside the surface, their force upwards is that of a base which is further away by F / k, because
-the spring is linear; the layer adds it to what is measured. Friction of the tip on the surface is that of the part
-within. A tip that is driven leaves particles where they are: in tapping it passes no lateral force on.
+The wrapped part knows nothing of particles. Where particles hold the tip up, the layer raises the surface under it.
+Where the tip pushes them from the side, their upward force F acts like a base that is further away by F / k, because
+the spring is linear; the layer adds it to the reading. The wrapped part models the friction of the tip on the surface.
+A vibrating tip (tapping) passes no lateral force on and leaves particles where they are.
 """
 
 import math
@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Particles(NamedTuple):
-    """Where the particles of a simulation really are: places (n, 2) [m], radii (n,) [m], and which move, (n,)."""
+    """The true particles of a simulation: places (n, 2) [m], radii (n,) [m], and which of them move, (n,)."""
 
     places_m: Array
     radii_m: Array
@@ -40,10 +40,10 @@ class Particles(NamedTuple):
 
 
 class ParticleLayerParams(NamedTuple):
-    """The part within; the surface as the tip sees it; tip, spring and particles (`push.push_step`).
+    """The wrapped part; the surface as the tip sees it; tip, spring and particles (`push.push_step`).
 
-    is_plane: whether the surface is one at height 0; model: tip and spring (`push.packed`); rest_distance_m: L of the
-    cantilever [m]; volts_per_m: its read-out [V/m].
+    is_plane: whether the surface is flat at height 0; model: tip and spring (`push.packed`); rest_distance_m: L of the
+    cantilever [m]; volts_per_m: gain of its read-out [V/m].
     """
 
     within: Any
@@ -59,7 +59,10 @@ class ParticleLayerParams(NamedTuple):
 
 
 class ParticleLayerState(NamedTuple):
-    """Of the part within; the particles; place at the last step [m]; raised_m and lift_n: what they do to the tip."""
+    """State of the wrapped part; the particles; place at the last step [m]; their effect on the tip.
+
+    raised_m: height by which they raise the surface [m]; lift_n: their upward force on the tip [N].
+    """
 
     within: Any
     moving: Array
@@ -73,7 +76,7 @@ def particle_layer(settings: ParticlesConfig, within: Any, ground: Ground) -> Pa
     """Return the parameters of particles around a part over a surface.
 
     Raises:
-        ValueError: They find no room, overlap or lie outside of the sample.
+        ValueError: The particles find no room, overlap, or lie outside the sample.
     """
     fixed, start = settings.rows(ground.tip_radius_m, *ground.sides_m)
     tip = tip_shape(ground.tip_radius_m, math.radians(settings.cone_deg))
@@ -108,7 +111,7 @@ def _step(
     params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs, dt: float
 ) -> tuple[ParticleLayerState, AfmSample]:
     k = params.spring.normal_n_per_m
-    # Particles lie on a plane at the height 0: a surface that is higher under the tip keeps it away from them.
+    # Particles lie on the plane of height 0: a higher surface under the tip keeps it away from them.
     ground = _ground(params, inputs.x_m, inputs.y_m)
     free = params.rest_distance_m - inputs.base_m
     held_up = max(free, ground)
@@ -125,10 +128,10 @@ def _step(
         inputs.amplitude_m > 0.0,
         dt,
     )
-    # Over a particle that it does not touch yet, a tip feels what attracts it.
+    # Over a particle that it does not touch yet, the tip feels its attraction.
     apex = contact.apex_m if contact.touched == 0 or contact.apex_m > held_up else 0.0
     raised = max(apex - ground, 0.0)
-    # A tip that particles hold up has their force from the surface that is raised under it.
+    # If particles hold the tip up, their force comes from the raised surface.
     lift = 0.0 if raised > 0.0 else contact.lift_n
     within, sample = part_step(params.within, state.within, inputs_over(inputs, raised, lift / k), dt)
     after = ParticleLayerState(within, moving, inputs.x_m, inputs.y_m, raised, lift)

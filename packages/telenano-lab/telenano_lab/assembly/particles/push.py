@@ -1,13 +1,13 @@
-"""The tip among particles: it rides over one that holds, and pushes one that yields.
+"""The tip among particles: it rides over a particle that holds, and pushes one that yields.
 
-The contact is quasi-static and rigid-plastic, because the weight of a sphere of 250 nm is 6e-8 of its friction. The
-tip, whose lateral stiffness is k_lat, hangs on a cantilever k whose apex would be at z_b without a force. A particle at
-rest is pressed with F = k_lat (d(z) - r), r the distance to the axis of the stage, and it carries F tan(theta - phi)
-upwards: the apex stays where the substrate holds it up as long as the load suffices, and climbs the flank from there
-on. Where F exceeds what holds the particle it yields: F is then the kinetic friction, and the centre goes along the
-line to the axis until it is d(z) - F / k_lat away. A straight push from phi_0 is then lost after d ln cot(phi_0 / 2).
+The contact is quasi-static and rigid-plastic, because the weight of a sphere of 250 nm is 6e-8 of its friction. The tip
+has the lateral stiffness k_lat; it hangs on a cantilever k whose apex would be at z_b without a force. A particle at
+rest is pressed with F = k_lat (d(z) - r), where r is the distance to the axis of the stage, and it carries
+F tan(theta - phi) upwards: the apex stays on the substrate as long as the load suffices, and then climbs the flank. If
+F exceeds the hold of the particle it yields: F is then the kinetic friction, and the centre moves along the line to the
+axis until it is d(z) - F / k_lat away. A straight push from phi_0 therefore loses it after d ln cot(phi_0 / 2).
 
-A tick is divided into steps of 0.02 d at most, which have that way within 0.5 %.
+A tick is divided into steps of at most 0.02 d, which give that distance within 0.5 %.
 """
 
 import math
@@ -32,30 +32,33 @@ from telenano_lab.assembly.particles.tip_shape import (
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
-# The columns of `fixed`, with a row for each particle, are radius [m], static and kinetic hold, pull-off force [N].
+# Columns of `fixed`, one row per particle: radius [m], static and kinetic hold, pull-off force [N].
 RADIUS, STATIC, KINETIC, PULL_OFF = range(4)
-# The columns of `moving`, with a row for each particle, are its place [m] and for how long it has rested [s].
+# Columns of `moving`, one row per particle: place [m] and time of rest [s].
 X, Y, RESTED = range(3)
 
-# The first columns of a push are those of `give_way`: number in the cluster, direction, overlap [m]. The others are the
-# particle, its distance [m], height of the apex [m] and force [N] if it held, and the height at which it is pushed [m].
+# Columns of a push. The first are those of `give_way`: number in the cluster, direction, overlap [m]. The others are
+# the particle, its distance [m], height of the apex [m] and force [N] if it held, and the height at which it is pushed
+# [m].
 MEMBER, ALONG_X, ALONG_Y, OVERLAP, PARTICLE, DISTANCE, HELD_APEX, HELD_FORCE, APEX = range(9)
 _COLUMNS = 9
 
 LARGEST_STEP = 0.02
-# Particles further apart than this number of overlaps do not meet in a step.
+# Particles further apart than this number of overlaps cannot meet in a step.
 _REACH_OF_STEP = 4.0
 _BISECTIONS = 60
-# A tip right over a centre pushes nowhere.
+# A tip within this distance of a centre pushes in no direction.
 _TOUCHES_M = 1e-13
 
 
 class Contact(NamedTuple):
-    """What the tip meets in a tick.
+    """The contact of the tip at the end of a tick.
 
-    apex_m: height at which particles hold it up [m], 0 where none does; lift_n: their force upwards [N] on a tip that
-    they do not hold up alone; push_x_n, push_y_n: their force on the tip [N]; touched: how many it touches; moved: how
-    many have moved.
+    apex_m: height at which particles hold it up [m], 0 if none does; lift_n: their upward force [N] on a tip that they
+    do
+    not hold up alone; push_x_n, push_y_n: their lateral force on the tip [N]; touched: number of touched particles;
+    moved:
+    number of moved ones.
     """
 
     apex_m: float
@@ -68,7 +71,7 @@ class Contact(NamedTuple):
 
 @compiled
 def height_m(tip: TipShape, fixed: Array, moving: Array, x_m: float, y_m: float) -> float:
-    """Return the height at which particles hold up an apex at a place [m], 0 where none does."""
+    """Return the height at which particles hold up an apex at a place [m], 0 if none does."""
     highest = 0.0
     for i in range(moving.shape[0]):
         r = distance_m(moving[i, X] - x_m, moving[i, Y] - y_m)
@@ -80,22 +83,22 @@ def height_m(tip: TipShape, fixed: Array, moving: Array, x_m: float, y_m: float)
 def _pressed(
     tip: TipShape, spring: Spring, radius_m: float, r: float, held_up_m: float, free_m: float
 ) -> tuple[float, float]:
-    """Return height of the apex [m] and lateral force [N] against a particle that holds, r [m] from the axis.
+    """Return the height of the apex [m] and the lateral force [N] against a particle that holds.
 
     Args:
         tip: The shape of the tip.
         spring: The stiffness of the tip.
         radius_m: The radius of the particle [m].
-        r: The distance between centre and stage [m].
-        held_up_m: Where the apex is without the particle [m].
-        free_m: Where the apex would be without any force [m].
+        r: The distance between the particle's centre and the axis of the stage [m].
+        held_up_m: Height of the apex without the particle [m].
+        free_m: Height of the apex without any force [m].
     """
     k, lateral, mu = spring.normal_n_per_m, spring.lateral_n_per_m, spring.friction
     force = lateral * (touch_distance_m(tip, radius_m, held_up_m) - r)
     slope = climb(tip, radius_m, held_up_m, mu)
     if k * (held_up_m - free_m) >= force * slope:
         return held_up_m, force
-    # On the cone the slope is constant, and the balance of the forces linear in z.
+    # On the cone the slope is constant, so the balance of forces is linear in z.
     joined = join_height_m(tip, radius_m)
     if held_up_m < joined:
         most = lateral * (touch_distance_m(tip, radius_m, 0.0) - r)
@@ -119,7 +122,7 @@ def _pressed(
 def _yielding_m(
     tip: TipShape, spring: Spring, radius_m: float, force_n: float, held_up_m: float, free_m: float, most_m: float
 ) -> float:
-    """Return the height of an apex [m] that pushes with a lateral force [N], at most what it had against a hold."""
+    """Return the height of an apex [m] that pushes with a lateral force [N], at most most_m, that against a hold."""
     k, mu = spring.normal_n_per_m, spring.friction
     slope = climb(tip, radius_m, held_up_m, mu)
     if k * (held_up_m - free_m) >= force_n * slope:
@@ -141,14 +144,14 @@ def _yielding_m(
 
 @compiled
 def _hold_n(spring: Spring, fixed: Array, moving: Array, i: int, load_n: float) -> float:
-    """Return the lateral force [N] at which a particle moves that carries a load [N]."""
+    """Return the lateral force [N] at which a particle under a load [N] starts to move."""
     hold = fixed[i, STATIC] if moving[i, RESTED] >= spring.rest_s else fixed[i, KINETIC]
     return hold * area_ratio(load_n, fixed[i, PULL_OFF]) if spring.loaded_area else float(hold)
 
 
 @compiled
 def _kinetic_n(spring: Spring, fixed: Array, i: int, slope: float) -> float:
-    """Return the kinetic friction [N] of a particle on which a push of 1 puts the load `slope`."""
+    """Return the kinetic friction [N] of a particle if a push of 1 N loads it by `slope` newtons."""
     force = fixed[i, KINETIC]
     if not spring.loaded_area:
         return float(force)
@@ -159,14 +162,14 @@ def _kinetic_n(spring: Spring, fixed: Array, i: int, slope: float) -> float:
 
 @compiled
 def _gap_m(fixed: Array, moving: Array, i: int, j: int) -> float:
-    """Return the gap between two spheres on a plane [m], along the plane."""
+    """Return the horizontal gap between two spheres that lie on a plane [m]."""
     between = distance_m(moving[j, X] - moving[i, X], moving[j, Y] - moving[i, Y])
     return between - 2.0 * math.sqrt(fixed[i, RADIUS] * fixed[j, RADIUS])
 
 
 @compiled
 def _cluster(fixed: Array, moving: Array, pushes: Array) -> Array:
-    """Return the numbers of the particles that are pushed, in their order, and of those that these may push."""
+    """Return the numbers of the pushed particles, in order, followed by those that they may push in turn."""
     n, count, looked, way_m = moving.shape[0], pushes.shape[0], 0, 0.0
     members, is_looked_at = np.empty(n), np.zeros(n)
     for c in range(count):
@@ -188,7 +191,10 @@ def _cluster(fixed: Array, moving: Array, pushes: Array) -> Array:
 def _gives_way(
     spring: Spring, fixed: Array, moving: Array, members: Array, pushes: Array, kinetic: bool
 ) -> tuple[Array, Array]:
-    """Return the displacements of the members of a cluster [m], shape (n, 2), and the forces of the tip [N]."""
+    """Return the displacements of the members of a cluster [m], shape (n, 2), and the forces of the tip [N].
+
+    kinetic: whether all members resist with kinetic friction, rather than with their hold.
+    """
     count_found, count = members.shape[0], pushes.shape[0]
     force, reaction, displacement = np.empty(count_found), np.zeros(count), np.zeros((count_found, 2))
     pairs = np.empty((count_found * (count_found - 1) // 2, 5))
@@ -214,7 +220,7 @@ def _gives_way(
 def _push_with(
     tip: TipShape, spring: Spring, fixed: Array, row: Array, force_n: float, held_up_m: float, free_m: float
 ) -> None:
-    """Write into a row of pushes the height of an apex that pushes with a force [N], and its overlap."""
+    """Write the apex height and the overlap of a push with force_n [N] into its row."""
     radius = fixed[int(row[PARTICLE]), RADIUS]
     z = _yielding_m(tip, spring, radius, force_n, held_up_m, free_m, row[HELD_APEX])
     row[APEX] = z
@@ -231,7 +237,7 @@ def _touched(
     place: tuple[float, float],
     heights: tuple[float, float],
 ) -> tuple[Array, int, Contact]:
-    """Return the pushes against particles that yield, their number, and the contact with those that hold."""
+    """Return the pushes against yielding particles, their number, and the contact with those that hold."""
     held_up, free = heights
     pushes = np.empty((near.shape[0], _COLUMNS))
     p, touched = 0, 0
@@ -268,7 +274,7 @@ def _small_step(
     place: tuple[float, float],
     heights: tuple[float, float],
 ) -> Contact:
-    """Bring the stage to a place [m] and move what yields, in `moving`; return what the tip meets there."""
+    """Bring the stage to a place [m], move the yielding particles in `moving`, and return the contact there."""
     every, p, holding = _touched(tip, spring, fixed, moving, near, place, heights)
     if p == 0:
         return holding
@@ -283,7 +289,7 @@ def _small_step(
         )
         displacement[0, 0], displacement[0, 1] = row[OVERLAP] * row[ALONG_X], row[OVERLAP] * row[ALONG_Y]
     else:
-        # A cluster yields where its hold is less than what the tip has against particles that stand.
+        # A cluster yields if its hold is less than the tip's force against particles at rest.
         resists = _gives_way(spring, fixed, moving, members, pushes, False)[1]
         for c in range(p):
             yields = yields and pushes[c, HELD_FORCE] > resists[c]
@@ -319,16 +325,16 @@ def push_step(
     heights: tuple[float, float],
     dt: float,
 ) -> tuple[Array, Contact]:
-    """Return the particles after the stage has gone a way in dt [s], and what the tip meets at its end.
+    """Return the particles after the stage has moved for dt, and the contact of the tip at the end.
 
     Args:
         tip: The shape of the tip.
-        spring: The stiffness of the tip, and what counts in the contact.
-        fixed: Shape (n, 4), what does not change of each particle.
-        moving: Shape (n, 3), what does; it is not changed, and the same where nothing has moved or come to rest.
-        way: Where the stage begins and ends, x0, y0, x1, y1 [m].
-        heights: Where the substrate or the spring keeps the apex without particles [m], and where it would be without
-            any force [m].
+        spring: The stiffness of the tip, and options of the contact.
+        fixed: Constants of each particle, shape (n, 4).
+        moving: State of each particle, shape (n, 3); not modified, and returned as it is if no particle is near or
+            moving.
+        way: Start and end of the stage, x0, y0, x1, y1 [m].
+        heights: Height of the apex on substrate or spring without particles [m], and its height without any force [m].
         dt: The time of the step [s].
     """
     n = moving.shape[0]
@@ -361,7 +367,7 @@ def push_step(
 
 
 def packed(tip: TipShape, spring: Spring) -> Array:
-    """Return tip and spring as one array, as `tick` takes them: to hand over their fields takes longer than a step."""
+    """Return tip and spring as one array for `tick`: passing their fields would take longer than a step."""
     return np.array((*tip, *spring), np.float64)
 
 
@@ -379,24 +385,24 @@ def tick(
     driven: bool,
     dt: float,
 ) -> tuple[Array, Contact]:
-    """Return what `push_step` does; where the tip touches nothing, apex_m is the height at which it would.
+    """Return the result of `push_step`; where the tip touches nothing, apex_m is the height at which it would touch.
 
     Args:
         model: Tip and spring (`packed`).
-        fixed: Shape (n, 4), what does not change of each particle.
-        moving: Shape (n, 3), what does; it is not changed.
-        x0_m: Where the stage begins [m].
-        y0_m: Where the stage begins [m].
-        x1_m: Where it ends [m].
-        y1_m: Where it ends [m].
-        held_up_m: Where the substrate or the spring keeps the apex without particles [m].
-        free_m: Where it would be without any force [m].
+        fixed: Constants of each particle, shape (n, 4).
+        moving: State of each particle, shape (n, 3); not modified.
+        x0_m: Start of the stage, x [m].
+        y0_m: Start of the stage, y [m].
+        x1_m: End of the stage, x [m].
+        y1_m: End of the stage, y [m].
+        held_up_m: Height of the apex on substrate or spring without particles [m].
+        free_m: Height of the apex without any force [m].
         driven: Whether the tip vibrates, and so passes no lateral force on.
         dt: The time of the step [s].
     """
     tip = TipShape(model[0], model[1], model[2], model[3])
     spring = Spring(model[4], model[5], model[6], model[7] != 0.0, model[8])
-    # A tip that vibrates above all of them is one that touches none.
+    # A vibrating tip is treated as one above all particles, which touches none.
     heights = (math.inf, math.inf) if driven else (held_up_m, free_m)
     way = (x1_m, y1_m, x1_m, y1_m) if driven else (x0_m, y0_m, x1_m, y1_m)
     after, met = push_step(tip, spring, fixed, moving, way, heights, dt)

@@ -1,4 +1,4 @@
-"""Which particles lie on a sample, and what holds them: the section `sample.particles`."""
+"""Settings of the particles on a sample and of their hold: the section `sample.particles`."""
 
 import math
 from typing import Annotated, Literal, Self
@@ -13,7 +13,7 @@ from telenano_lab.assembly.particles.adhered_sphere import KINDS, Kind, Motion, 
 MOST_PARTICLES = 50
 # A retracted tip is this far above the highest particle.
 CLEAR_M = 100e-9
-# Places that are drawn are this many radii from each other and from the edge, so that a tip gets between them.
+# Random places keep this many radii from each other and from the edge, so that a tip fits between them.
 _ROOM_RADII = 4.0
 _ATTEMPTS = 2000
 
@@ -55,7 +55,7 @@ class ParticlesConfig(Settings):
 
     @property
     def kind(self) -> Kind:
-        """The preset with what was given in its place."""
+        """Return the preset, with the given values replaced."""
         usual = KINDS[self.preset]
         return usual._replace(
             radius_m=self.radius_m or usual.radius_m,
@@ -65,19 +65,19 @@ class ParticlesConfig(Settings):
 
     @property
     def highest_m(self) -> float:
-        """Height of the top of the particles [m]."""
+        """Return the height of the top of the particles [m]."""
         return 2.0 * self.kind.radius_m
 
     @property
     def clear_m(self) -> float:
-        """Height that a retracted tip has to have [m]."""
+        """Return the height that a retracted tip must have [m]."""
         return self.highest_m + CLEAR_M
 
     def placed(self, width_m: float, depth_m: float) -> Array:
         """Return the places on a sample with these sides, shape (n, 2) [m].
 
         Raises:
-            ValueError: Particles overlap, lie outside of the sample, or find no room; the message names them.
+            ValueError: Particles overlap, lie outside the sample, or find no room; the message names them.
         """
         radius_m = self.kind.radius_m
         if self.places is None:
@@ -91,7 +91,7 @@ class ParticlesConfig(Settings):
                 )
             for j in range(i):
                 between_m = math.hypot(x_m - places[j, 0], y_m - places[j, 1])
-                # Particles that touch may be given with rounded coordinates.
+                # Touching particles may be given with rounded coordinates.
                 if between_m < 2.0 * radius_m * (1.0 - 1e-6):
                     raise ValueError(
                         f"particles.places: numbers {j} and {i} overlap: their centres are {between_m:g} m apart and"
@@ -119,10 +119,10 @@ class ParticlesConfig(Settings):
         return np.array(places, np.float64).reshape(-1, 2)
 
     def rows(self, tip_radius_m: float, width_m: float, depth_m: float) -> tuple[Array, Array]:
-        """Return what does not change of each particle, and what does (`push.push_step`), shapes (n, 4) and (n, 3)."""
+        """Return the arrays `fixed`, shape (n, 4), and `moving`, shape (n, 3), of `push.push_step`."""
         kind, places = self.kind, self.placed(width_m, depth_m)
         cone = math.radians(self.cone_deg)
         hold = hold_of(kind, self.kinetic_share, self.motion, tip_radius_m, cone, self.tip_friction)
         fixed = np.tile(np.array([kind.radius_m, *hold]), (len(places), 1))
-        # They have lain there for long.
+        # All particles have rested long enough for static friction.
         return fixed, np.column_stack([places, np.full(len(places), self.rest_s)])

@@ -1,13 +1,13 @@
-"""Where a round tip on a cone touches a sphere that lies on a plane.
+"""The contact of a round tip on a cone with a sphere that lies on a plane.
 
-A tip ends in a sphere of radius R_t, which a cone of half-angle alpha continues. A sphere of radius R lies on the plane
-at height 0. Where they touch, the normal of the contact is tilted by theta over the horizontal,
+A tip ends in a sphere of radius R_t, continued by a cone of half-angle alpha. A sphere of radius R lies on the plane at
+height 0. At the point of contact, the normal is tilted by theta above the horizontal,
 
     theta = max(alpha, asin((z + R_t - R) / (R_t + R))),
 
 with z the height of the apex of the tip. The horizontal distance between the axis of the tip and the centre of the
 sphere is then d(z) = (R_t + R) cos theta on the cap, and d(z) = (R_t + R) / cos alpha + (R - R_t - z) tan alpha on the
-cone. Both follow from two circles, and from a circle and a straight line, that touch.
+cone. Both follow from the tangency of two circles, and of a circle and a straight line.
 """
 
 import math
@@ -26,10 +26,11 @@ class TipShape(NamedTuple):
 
 
 class Spring(NamedTuple):
-    """Stiffness along the plumb line and across it [N/m], friction in the contact with the tip, whether load counts.
+    """Normal and lateral stiffness [N/m], coefficient of friction in the contact of tip and particle, and options.
 
-    loaded_area: the load that the tip puts on a particle adds to the area that holds it. rest_s: after this time [s] a
-    particle holds as at first.
+    loaded_area: whether the load of the tip on a particle increases the area that holds it. rest_s: time of rest [s]
+    after
+    which a particle has its static hold again.
     """
 
     normal_n_per_m: float
@@ -43,7 +44,7 @@ def tip_shape(radius_m: float, cone_rad: float) -> TipShape:
     """Return the shape of a tip.
 
     Raises:
-        ValueError: The radius [m] is not positive, or the half-angle [rad] does not lie between 0 and a right angle.
+        ValueError: The radius [m] is not positive, or the half-angle [rad] is not between 0 and a right angle.
     """
     if not (math.isfinite(radius_m) and radius_m > 0.0):
         raise ValueError(f"tip radius = {radius_m} m must be finite and > 0 m")
@@ -54,13 +55,13 @@ def tip_shape(radius_m: float, cone_rad: float) -> TipShape:
 
 @compiled
 def distance_m(x_m: float, y_m: float) -> float:
-    """Return the length of a way [m]; `math.hypot` of Python and of C round differently."""
+    """Return the length of a vector [m]; `math.hypot` of Python and of C round differently."""
     return math.sqrt(x_m * x_m + y_m * y_m)
 
 
 @compiled
 def join_height_m(tip: TipShape, radius_m: float) -> float:
-    """Return the height z* of the apex [m] at which the contact goes over from the cone to the cap."""
+    """Return the height z* of the apex [m] at which the contact passes from the cone to the cap."""
     return radius_m - tip.radius_m + (tip.radius_m + radius_m) * tip.sin_cone
 
 
@@ -76,7 +77,7 @@ def tilt(tip: TipShape, radius_m: float, apex_m: float) -> tuple[float, float]:
 
 @compiled
 def touch_distance_m(tip: TipShape, radius_m: float, apex_m: float) -> float:
-    """Return d(z) [m], 0 from the top of the sphere on."""
+    """Return the distance d(z) at which tip and sphere touch [m]; it is 0 from the top of the sphere on."""
     both = tip.radius_m + radius_m
     sine, cosine = tilt(tip, radius_m, apex_m)
     if sine > tip.sin_cone:
@@ -86,9 +87,9 @@ def touch_distance_m(tip: TipShape, radius_m: float, apex_m: float) -> float:
 
 @compiled
 def ride_height_m(tip: TipShape, radius_m: float, distance_m: float) -> float:
-    """Return the height [m] at which the sphere holds the apex up, the inverse of d(z): what an image shows of it.
+    """Return the height [m] at which the sphere holds the apex up, the inverse of d(z), which is its image.
 
-    It is 0 where the sphere is out of the way of a tip that stands on the plane.
+    It is 0 where the tip stands on the plane without touching the sphere.
     """
     both = tip.radius_m + radius_m
     if distance_m <= both * tip.cos_cone:
@@ -98,6 +99,6 @@ def ride_height_m(tip: TipShape, radius_m: float, distance_m: float) -> float:
 
 @compiled
 def climb(tip: TipShape, radius_m: float, apex_m: float, friction: float) -> float:
-    """Return tan(theta - phi): the force along the plumb line that goes with a lateral one of 1, tan phi = friction."""
+    """Return tan(theta - phi), the upward force per lateral force on the tip, with tan phi = friction."""
     sine, cosine = tilt(tip, radius_m, apex_m)
     return (sine - friction * cosine) / max(cosine + friction * sine, 1e-12)

@@ -1,4 +1,4 @@
-"""The experiments that come with this package, and the way from a name to their files."""
+"""The experiments that come with this package, and their lookup by name."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ FOLDER = Path(__file__).resolve().parent
 
 
 def find_experiment(name: str) -> Path:
-    """Return the file of an experiment that comes with the package or is given as a path; ConfigError lists names."""
+    """Return the file of an experiment, given the name of one in the package or a path; ConfigError lists the names."""
     own = FOLDER / f"{name}.yaml"
     if "/" not in name and own.is_file():
         return own

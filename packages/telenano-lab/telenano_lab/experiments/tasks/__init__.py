@@ -1,4 +1,4 @@
-"""The tasks that an experiment may name: those of the project, and those of installed packages (`telenano.tasks`)."""
+"""The tasks that an experiment can name: those of the project, and those of installed packages (`telenano.tasks`)."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ _METHODS = (
 
 
 def checked(name: str, value: Any) -> Task:
-    """Return the task that an entry of a package is; TypeError or ValueError says what is wrong with it."""
+    """Return the task of a package's entry point; TypeError or ValueError names its fault."""
     absent = [method for method in _METHODS if not callable(getattr(value, method, None))]
     if absent:
         raise TypeError(f"a task has {', '.join(absent)} as well: begin with telenano_lab.experiments.extend.Plain")

@@ -18,7 +18,7 @@ from telenano_lab.experiments.extend import (
 )
 from telenano_lab.experiments.messages import Question
 
-# The name of the answer that is given during the trial, by a button of the page.
+# Name of the answer that a button gives during the trial.
 CONTACT = "contact"
 
 

@@ -1,4 +1,4 @@
-"""Which of two samples is stiffer: a choice between two intervals (2AFC), felt one after the other."""
+"""Task: tell which of two samples, felt one after the other, is stiffer (two-interval forced choice, 2AFC)."""
 
 import random
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class DiscriminateStiffness(Parameters):
 
 
 def comparison_is_first(seed: int) -> bool:
-    """Return whether the stiffer one comes first in a trial of that seed."""
+    """Return whether the stiffer sample comes first in a trial with this seed."""
     return random.Random(f"2afc {seed}").random() < 0.5
 
 

@@ -1,4 +1,4 @@
-"""Follow a profile: the tip goes across a grating, and the hand keeps a force on it while it feels the ridges."""
+"""Task: follow a profile. The tip moves across a grating while the participant keeps a force on it."""
 
 import math
 from collections.abc import Mapping
@@ -79,7 +79,7 @@ class _Task(Plain):
                 "period_m": p.period_m,
                 "height_m": p.height_m,
             },
-            # The hand across feels nothing, because sticking to a ridge and leaping over it is another task.
+            # The lateral hand feels no force, because sticking to a ridge and leaping over it is another task.
             "controller.lateral": {"mode": "position", "position_scale": scale, "force_scale": 1e3, "pulse_n": 0.0},
             "haptic_node.lateral": {"path": ends, "reach_m": max(0.02, 1.1 * half)},
         }

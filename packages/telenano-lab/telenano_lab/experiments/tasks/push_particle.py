@@ -1,7 +1,7 @@
-"""Push a particle to a target: how near it comes to rest, how long that takes, and with which lateral force.
+"""Task: push a particle to a target; measures are its final distance, the time, and the lateral force.
 
-Where the particle really is, only a simulation knows (`afm/particles`). It is judged by that, and nobody who pushes is
-told. The table `particles` has its place over time, `x_m` and `y_m`.
+Only a simulation knows the true place of the particle (`afm/particles`), by which the trial is judged; no participant
+is told it. The table `particles` has this place over time, `x_m` and `y_m`.
 """
 
 import math
@@ -24,12 +24,12 @@ class PushParticle(Parameters):
     preset: str = Field("latex_250", description="Kind of particle, see afm_node.sample.particles.preset")
 
 
-# Where the particle begins [m]: the tip begins at 0, 0, beside it.
+# Start of the particle [m]; the tip starts beside it, at 0, 0.
 PLACE_M = (700e-9, 0.0)
 
 
 def goal_of(p: PushParticle, seed: int) -> tuple[float, float]:
-    """Return the target of a trial [m], in a direction from the particle that the seed decides."""
+    """Return the target of a trial [m], in a direction from the particle that depends on the seed."""
     bearing = random.Random(f"push {seed}").uniform(-math.pi, math.pi)
     return PLACE_M[0] + p.way_m * math.cos(bearing), PLACE_M[1] + p.way_m * math.sin(bearing)
 
@@ -66,10 +66,10 @@ class _Task(Plain):
         particles = {"preset": p.preset, "places": [list(PLACE_M)]}
         return {
             "afm_node.sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": particles},
-            # in dry air: a meniscus holds the tip of so soft a cantilever
+            # In dry air, because a meniscus would hold the tip of so soft a cantilever.
             "afm_node.cantilever.stiffness_n_per_m": 10.0,
             "afm_node.meniscus": False,
-            # a retracted tip is clear of the particle
+            # A retracted tip clears the particle.
             "afm_node.safety": {
                 "base_min_m": -1.2e-6,
                 "retract_position_m": -0.7e-6,

@@ -1,4 +1,4 @@
-"""Touch the sample and hold a force: how long it takes to settle in a band about it, and how well it is held."""
+"""Task: touch the sample and hold a force; measures are the settling time into a band about it, and its error."""
 
 import math
 

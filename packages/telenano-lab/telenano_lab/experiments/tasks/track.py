@@ -1,4 +1,4 @@
-"""Track a moving target in force or position: a sum of sines, the error, and the lag by cross-correlation."""
+"""Task: track a moving target in force or position, a sum of sines; measures are the error and the lag."""
 
 import math
 import random
@@ -21,7 +21,7 @@ from telenano_lab.experiments.extend import (
 )
 from telenano_lab.experiments.tasks.common import rms
 
-# Corners of the target this far apart describe its fastest sine, of 1 Hz, to 1 % of its amplitude.
+# Distance of the target's corners; at 1 Hz, its fastest sine, the error is 1 % of the amplitude.
 _CORNER_S = 0.05
 _GRID_S = 0.02
 _LONGEST_LAG_S = 2.0
@@ -46,9 +46,9 @@ class Track(Parameters):
 
 
 def sum_of_sines(p: Track, seed: int) -> Course:
-    """Return the target of a trial: sines of equal amplitude, whose phases the seed decides.
+    """Return the target of a trial: sines of equal amplitude with phases from the seed.
 
-    It begins at its middle, and is blended in over the first second.
+    It begins at its middle and is faded in over the first second.
     """
     draw = random.Random(f"track {seed}")
     phases = [draw.uniform(0.0, 2.0 * math.pi) for _ in p.frequencies_hz]
@@ -61,14 +61,16 @@ def sum_of_sines(p: Track, seed: int) -> Course:
 
 
 def lag_s(target: Series, followed: Series, period_s: float) -> float | None:
-    """Return by how much a course lags behind its target: the maximum of their cross-correlation [s].
+    """Return the lag of a course behind its target, the maximum of their normalised cross-correlation [s].
 
-    Each lag is judged over the part that both have, normalised, and the maximum is refined by a parabola.
+    Each lag is evaluated over the overlap of both, and the maximum is refined by a parabola. None is returned if either
+    is
+    constant.
 
     Args:
         target: The target, evenly sampled, shape (n,).
-        followed: What followed it, sampled alike, shape (n,).
-        period_s: The distance of the samples [s].
+        followed: The course that follows it, sampled alike, shape (n,).
+        period_s: The sampling period [s].
     """
     most = min(round(_LONGEST_LAG_S / period_s), len(target) // 2)
     correlations = [_correlation(target[: len(target) - k], followed[k:]) for k in range(most + 1)]
