@@ -1,4 +1,4 @@
-"""`telenano benchmark`: which law for which network, by fixed tasks, networks and hands; the same bits everywhere."""
+"""`telenano benchmark`: the law for each network, by fixed tasks, networks and hands; the same bits everywhere."""
 
 import tempfile
 from collections.abc import Sequence
@@ -157,7 +157,7 @@ def _run_all(
                 figures["frontier"] = frontier_figure(situations)
             images = write_images(folder, figures, command, options)
         write_study(folder, benchmark_page(plan, summary, rows, situations, images, command), summary)
-    # networks that stand for no kind of line are shown by themselves
+    # Networks that represent no kind of line are shown individually.
     head, table = (SITUATION_HEAD, situation_rows(situations)) if situations else (CHOICE_HEAD, choice_rows(rows))
     print_result(summary, head, table, out, as_json=as_json)
     if not as_json:
@@ -167,7 +167,7 @@ def _run_all(
 def _run_cell(
     wanted: dict[str, list[Any]], draw: int | None, draw_seed: int, workers: int | None, *, as_json: bool
 ) -> bool:
-    """Make kept runs again, print what was kept and what came, and return whether all of them are the same."""
+    """Repeat kept runs, print kept and new outcomes, and return whether all are equal."""
     from telenano_lab.experiments.benchmark.cell import CELL_HEAD, compared, named_runs
     from telenano_lab.experiments.benchmark.kept import kept
 
@@ -199,7 +199,7 @@ def _names(text: str) -> list[str]:
 
 
 def _command(law: str, choice: dict[str, str], *, quick: bool, settings: Sequence[str]) -> str:
-    """Return the command that makes this result, without where it is put."""
+    """Return the command that makes this result, without its output folder."""
     words = ["telenano benchmark", *(["--quick"] if quick else []), *([f"--law {law}"] if law != "all" else [])]
     words += [f"{option} {names}" for option, names in choice.items() if names]
     return " ".join([*words, *(f"--set {setting}" for setting in settings)])

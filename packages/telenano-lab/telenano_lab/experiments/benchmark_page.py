@@ -1,4 +1,4 @@
-"""The page of the benchmark: which law for which network, a figure, the measures, and what was run."""
+"""The page of the benchmark: the law for each network, a figure, the measures, and the runs."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -38,14 +38,14 @@ _TRACKING_TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _TRACKING = (0.01, 2.0)
 _SOFTEST = -0.15
 _STIFFEST = 1.25
-# energy below this is drawn in the deepest colour [mJ]
+# Lower end of the colour scale of energy [mJ].
 _LEAST_MJ = -2.0
-# beyond this share of the scale of colours the words on it are dark
+# Above this share of the colour scale the text is dark.
 _LIGHT = 0.45
 
 
 def choice_rows(rows: Sequence[Row[Case]]) -> list[tuple[Any, ...]]:
-    """Return the table that says which law for which network."""
+    """Return the table of the law to take for each network."""
     found = []
     for case, some in choices(rows).items():
         first, spread = some[0], some[0].measures["tracking_error"]
@@ -59,7 +59,7 @@ def choice_rows(rows: Sequence[Row[Case]]) -> list[tuple[Any, ...]]:
 
 
 def situation_rows(situations: Mapping[Situation, Sequence[Row[Situation]]]) -> list[tuple[Any, ...]]:
-    """Return the table of the laws that are recommended, with what each costs."""
+    """Return the table of recommended laws and their costs."""
     columns = ("tracking_error", "stiffness_ratio", "force_error", "parted_mm")
     table = []
     for situation, some in situations.items():
@@ -78,11 +78,13 @@ def _middle(spread: Spread | None) -> str | None:
 
 
 def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) -> "Figure":
-    """Return the frontier: stiffness felt against tracking error against energy, a panel a kind of line.
+    """Draw the frontier of the laws: felt stiffness against tracking error and energy, a panel per kind of line.
 
-    A law is a line from the first instrument (diamond) to the second (circle), or a point where there is one; its name
-    has the shares of the runs held. To the right follows worse, downwards is softer, and the colour is the least energy
-    at the ports.
+    A law is a line from the first instrument (diamond) to the second (circle), or a single point; its label has the
+    shares
+    of the runs held. Further right the tip follows worse, further down the sample feels softer, and the colour is the
+    least
+    energy at the ports.
     """
     from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 
@@ -108,7 +110,7 @@ def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) ->
 
 
 def _panels(count: int, width: float, height: float, **options: Any) -> "tuple[Figure, Any]":
-    """Return a figure and its panels, two in a row, each of a width and a height [inch]."""
+    """Return a figure and its panels, two in a row, each with a width and a height [inch]."""
     from matplotlib.figure import Figure
 
     across = min(2, count)
@@ -121,7 +123,7 @@ def _panels(count: int, width: float, height: float, **options: Any) -> "tuple[F
 
 
 def _draw_frontier(axes: Any, rows: Mapping[str, Sequence[Row[Situation]]]) -> Any:
-    """Draw the laws of one kind of line, by instrument, and return what has their scale of colours."""
+    """Draw the laws of one kind of line, by instrument; return the artist with the colour scale, or None."""
     by_law: dict[str, list[tuple[int, Row[Situation]]]] = {}
     for index, some in enumerate(rows.values()):
         for row in some:
@@ -172,7 +174,7 @@ def _write_names(axes: Any, names: Sequence[tuple[float, float, str]], nowhere: 
 
 
 class _Cost(NamedTuple):
-    """What a law costs: medians of tracking error and stiffness ratio, and the least energy of a run [mJ]."""
+    """The cost of a law: medians of tracking error and stiffness ratio, and the least energy of a run [mJ]."""
 
     tracking: float
     stiffness: float
@@ -180,7 +182,7 @@ class _Cost(NamedTuple):
 
 
 def _cost(row: Row[Situation]) -> _Cost | None:
-    """Return what a law costs; None where nothing that swung was held."""
+    """Return the cost of a law; None if no run with a swing was held."""
     tracking, stiffness, energy = (
         row.measures[name] for name in ("tracking_error", "stiffness_ratio", "least_energy_mj")
     )
@@ -216,7 +218,7 @@ def _median(row: Row[Case], measure: str) -> str:
 
 
 def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
-    """Return the figure: share of the runs that each law held over each network, and how near it followed.
+    """Draw the share of runs that each law held over each network, and its tracking error.
 
     A panel is an instrument and a hand.
     """
@@ -235,7 +237,7 @@ def benchmark_figure(rows: Sequence[Row[Case]]) -> "Figure":
 
 
 def _draw_shares(axes: Any, rows: Sequence[Row[Case]], networks: Sequence[str], laws: Sequence[str]) -> Any:
-    """Draw the shares of one instrument and hand, and return what has their scale of colours."""
+    """Draw the shares of one instrument and hand; return the image with the colour scale."""
     by_line = {(row.case.network, row.law): row for row in rows}
     shares = [[by_line[network, law].share for law in laws] for network in networks]
     image = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")

@@ -211,7 +211,7 @@ class ExperimentBus:
         return [message for message in messages if isinstance(message, ExperimentAnswer) and message.src == VIEW]
 
     def _new(self, message: ExperimentAnswer) -> Answer | None:
-        """Return an answer that is new: of a participant the first to a question counts, also where it came twice."""
+        """Return a new answer; None if it was received before, or repeats a question that the participant answered."""
         self._taken.append(message.id)
         is_own = message.role == "participant"
         key = (message.cue, *sorted(message.values)) if is_own else (message.id,)

@@ -25,7 +25,7 @@ LOST = ("device_lost", "the device is lost")
 
 
 class Passage(NamedTuple):
-    """One direction of the link: when messages reached it, and when those that were not lost left it [s], sorted."""
+    """One direction of the link: times at which messages reached it, and at which undropped ones left it [s]."""
 
     arrived_s: Times
     released_s: Times

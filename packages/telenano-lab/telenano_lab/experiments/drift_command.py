@@ -1,4 +1,4 @@
-"""`telenano study drift`: what each law makes of a drift in z, one that stands and one that wanders."""
+"""`telenano study drift`: the effect of a drift in z, constant or wandering, on each law."""
 
 from pathlib import Path
 from typing import Annotated

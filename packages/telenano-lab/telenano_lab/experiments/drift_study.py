@@ -1,7 +1,7 @@
-"""What the laws make of a drift in z: one that stands, and one that wanders with a time constant, as heat makes it.
+"""The effect of a drift in z on the laws: a constant drift, and one that wanders with a time constant, as from heat.
 
 Each run is the task `track` of the benchmark (press a spring of 20 N/m with 1 N, hold, follow 0.3 N at 0.5 Hz) on an
-instrument that is ideal but for its drift, so that what differs is the drift's.
+instrument that is ideal except for its drift, so that differences are due to the drift.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ class DriftRun(Run):
 
     @property
     def cell(self) -> Cell:
-        """What the loop is told, with the drift."""
+        """The cell of the loop, with the drift."""
         drifts = self.speed_m_per_s != 0.0 or self.wander_m_per_s > 0.0
         disturbances: tuple[tuple[str, Any], ...] = (
             ("drift.enabled", True),
@@ -46,10 +46,11 @@ class DriftRun(Run):
 
 
 class DriftRow(NamedTuple):
-    """A law under a drift: runs and how many were stable; felt stiffness over the true one; how far hand and tip part.
+    """A law under a drift: runs, stable runs, ratio of felt to true stiffness, and the parting of hand and tip.
 
-    felt, felt_least, felt_most: median, least and greatest of the stable runs, None without one. parted_mm: the median
-    of what hand and tip part by from the middle of the hold to the end; parted_most_mm: the greatest.
+    felt, felt_least, felt_most: median, least and greatest ratio of the stable runs, None without one. parted_mm:
+    median of
+    the absolute change of the distance of hand and tip from mid-hold to the end; parted_most_mm: the greatest.
     """
 
     law: str
@@ -68,7 +69,7 @@ class DriftRow(NamedTuple):
 def runs_of(
     laws: Sequence[str], network: str, speeds_pm_per_s: Sequence[float], times_s: Sequence[float], seeds: int
 ) -> list[DriftRun]:
-    """Return the runs: without drift, with one that stands, to and from the sample, and with one that wanders."""
+    """Return the runs: without drift, with a constant one to and from the sample, and with a wandering one."""
     made = []
     for law in laws:
         same: dict[str, Any] = {"task": TASK, "network": network, "law": law, "hand": "force"}

@@ -294,7 +294,7 @@ def _load(path: Path) -> "Plan":
 
 
 def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | None) -> None:
-    """Copy the file of an experiment, and a scenario of its own, to its folder: what was run stays what it was."""
+    """Copy an experiment's file, and a scenario of its own, to its folder; later changes do not affect the run."""
     document = read_yaml(source)
     changed: dict[str, Any] = {} if apparatus is None else {"apparatus": apparatus}
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The file of an experiment: every key with its type, its bounds and a sentence."""
+"""The file of an experiment: every key with its type, bounds and description."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from telenano_lab.experiments.extend import choice, scale
 from telenano_lab.experiments.messages import Question
 from telenano_lab.experiments.orders import OrderKind
 
-# Factors that stand for the delay of both directions: the delay of one way for a unit of the level [s].
+# Factors for the delay of both directions, with the one-way delay per unit of the level [s].
 DELAYS = {"round_trip_ms": 0.5e-3, "delay_ms": 1e-3}
 
 
@@ -23,7 +23,7 @@ def _levels_alone(value: object) -> object:
 
 
 def _levels(value: object) -> object:
-    """Return levels as a tuple of scalars, or as dotted keys by name; ValueError says what they have to be."""
+    """Return levels as a tuple of scalars, or as dotted keys by name; ValueError describes the allowed forms."""
     if value is None:
         return None
     if isinstance(value, list) and all(isinstance(level, bool | int | float | str) for level in value):
@@ -63,7 +63,7 @@ class Factor(Settings):
 
     @property
     def names(self) -> tuple[Scalar, ...]:
-        """The levels as a table shows them; none of an adaptive factor."""
+        """The levels as shown in a table; empty for an adaptive factor."""
         return tuple(self.levels or ())
 
 
@@ -96,7 +96,7 @@ class Criterion(Settings):
         return self
 
     def is_met(self, values: Sequence[float | bool | str | None]) -> bool:
-        """Return whether the practice trials so far meet it; one without a value does not."""
+        """Return whether the last practice trials meet the criterion; False if too few of them have a value."""
         last = [value for value in values[-self.last :] if isinstance(value, bool | int | float)]
         if len(last) < self.last:
             return False
@@ -175,7 +175,7 @@ class Item(Settings):
     options: tuple[str, ...] = Field(default=(), max_length=16, description="What can be chosen, in place of a scale")
 
     def question(self) -> Question:
-        """Return the question as it goes to the page."""
+        """Return the item as a question for the page."""
         if self.options:
             return choice(self.name, self.text, self.options)
         return scale(self.name, self.text, self.low, self.high, self.least, self.most, self.step)
@@ -233,18 +233,18 @@ class Words(Settings):
 
     @property
     def labels(self) -> dict[str, str]:
-        """The words of the page itself by their use; none in English as it is."""
+        """The words of the page itself by their use; empty for the English defaults."""
         default = Words()
         names = ("language", "begin", "end_rest", "submit", "practice", "trial")
         return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(default, name)}
 
     @property
     def consent_choice(self) -> Question:
-        """What is asked for consent; the first answer agrees."""
+        """The question for consent; the first answer agrees."""
         return worded(CONSENT, self.consent_question, options=(self.agree, self.disagree))
 
     def of(self, task: str, question: Question) -> Question:
-        """Return a question of a task in its words here."""
+        """Return a question of a task in the words of this experiment."""
         words = self.tasks.get(task, TaskWords()).questions.get(question.name)
         return question if words is None else worded(question, words.text, words.low, words.high, words.options)
 
@@ -324,13 +324,13 @@ class Experiment(Settings):
 
     @property
     def instruments(self) -> dict[str, tuple[Question, ...]]:
-        """The instruments that can be asked, by name."""
+        """The available questionnaires, by name."""
         own = {name: tuple(item.question() for item in items) for name, items in self.questionnaires.items()}
         return {**INSTRUMENTS, **own}
 
     @property
     def pseudonyms(self) -> tuple[str, ...]:
-        """The participants in the order in which the design counts them."""
+        """The participants, in the order of the design."""
         if isinstance(self.participants, tuple):
             return self.participants
         return tuple(f"{self.pseudonym}{number:02d}" for number in range(1, self.participants + 1))

@@ -1,4 +1,4 @@
-"""The tables of an experiment's folder, and what its file and journal say of how it was made."""
+"""The tables of an experiment's folder, and facts on its making from its file and journal."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ def tables_of(folder: Path) -> Tables:
 
 
 def describe(task: str) -> dict[str, tuple[str, str]]:
-    """Return unit and description of each measure of a task; nothing of one whose package is not installed."""
+    """Return unit and description of each measure of a task; empty if the task is not installed."""
     task_row = TASKS.get(task)
     return {measure.name: (measure.unit, measure.description) for measure in task_row.measures} if task_row else {}
 
@@ -44,7 +44,7 @@ def adaptive_factors(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def about_experiment(folder: Path) -> dict[str, Any]:
-    """Return what a paragraph on methods says of an experiment besides its numbers."""
+    """Return facts on an experiment for the methods paragraph."""
     experiment = _experiment(folder)
     records = read(folder / NAME)
     begun: dict[str, Any] = next((record for record in records if record["record"] == "begun"), {})

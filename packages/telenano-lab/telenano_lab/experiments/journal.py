@@ -1,17 +1,17 @@
-"""The journal of an experiment: JSON lines that are only ever appended, each by one write and forced to the disk.
+"""The journal of an experiment: append-only JSON lines, each written by one call and forced to the disk.
 
-What an experiment has done is the fold of its records and nothing else, so a run that was killed continues from them.
+The state of an experiment is the fold of its records and nothing else, so a run that was killed continues from them.
 The records, each with its kind in `record` and the time in `utc`:
 
 - `begun`: digest of the experiment's file, seed, versions, apparatus; once, and `resumed` at each later run;
-- `participant`: a participant's number and session begin; `session_over`: the planned trials of it are done;
+- `participant`: a participant's session with its number begins; `session_over`: its planned trials are done;
 - `trying`: an attempt at a trial begins (participant, index, attempt);
-- `trial`: what came of it: the fields of Trial and TrialOutcome, and the attempt;
-- `interrupted`: an attempt that began and of which a killed run recorded nothing more; it does not count;
-- `asked`: the answers to an instrument such as NASA-TLX (participant, block, trial or -1, instrument, items);
+- `trial`: the outcome of the attempt: the fields of Trial and TrialOutcome, and the attempt;
+- `interrupted`: an attempt whose outcome a killed run did not record; it does not count;
+- `asked`: the answers to a questionnaire such as NASA-TLX (participant, block, trial or -1, instrument, items);
 - `practice`: a practice with a criterion is over (participant, session, block, task, trials, met);
-- `break`: a rest and how long it took [s]; `excluded`, `included`: a participant does not count, or does again;
-- `stopped`: why a run ended before its plan did; `ended`: the plan is done; `published`: where results were copied to;
+- `break`: a rest and its duration [s]; `excluded`, `included`: a participant does not count, or counts again;
+- `stopped`: reason why a run ended before its plan did; `ended`: the plan is done; `published`: path of an export;
 - `erased`: the data of a participant are gone; the participant is not asked again.
 """
 
@@ -33,12 +33,12 @@ _BUSY = "another `telenano experiment` is at work on it; wait for it or end it"
 
 
 def now_utc() -> str:
-    """Return the time as ISO 8601 text, with milliseconds."""
+    """Return the current time as ISO 8601 text in UTC, with milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def read(path: Path) -> list[Record]:
-    """Return the records of a journal; one that was being written when its writer died is left out.
+    """Return the records of a journal, without a last one that is incomplete because its writer died.
 
     Raises:
         ConfigError: The file cannot be read, or a line before the last one is no record; the message names it.
@@ -47,12 +47,12 @@ def read(path: Path) -> list[Record]:
 
 
 def torn(path: Path) -> str:
-    """Return the beginning of a last record that is not whole; empty where there is none."""
+    """Return the beginning of an incomplete last record; empty if there is none."""
     return _parsed(path)[1].decode(errors="replace")[:80]
 
 
 def _parsed(path: Path) -> tuple[list[Record], bytes]:
-    """Return the records, and what of the last line is not whole."""
+    """Return the records, and the incomplete rest after the last newline."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -71,10 +71,10 @@ def _parsed(path: Path) -> tuple[list[Record], bytes]:
 
 
 class Journal:
-    """The journal of an experiment that is open for writing, for one runner at a time.
+    """The journal of an experiment, open for writing by one process at a time.
 
     Args:
-        path: The file; it is made where there is none.
+        path: The file; it is created if it does not exist.
 
     Raises:
         RigError: Another process has it open.
@@ -86,7 +86,7 @@ class Journal:
         with contextlib.ExitStack() as opened:
             try:
                 opened.enter_context(locked(path, 0.0, mode=0o666, busy=_BUSY))
-                # A journal is replaced by an erasure, so that the lock is a file of its own.
+                # An erasure replaces the journal, so the lock is a file of its own.
                 self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
                 opened.callback(lambda: os.close(self._descriptor))
                 self.records, rest = _parsed(path)
@@ -106,7 +106,7 @@ class Journal:
         self._opened.close()
 
     def write(self, record: str, **fields: Any) -> Record:
-        """Append a record, and return it when it is on the disk.
+        """Append a record, and return it once it is on the disk.
 
         Raises:
             RigError: It could not be written whole; the journal is then as it was before.
@@ -114,7 +114,7 @@ class Journal:
         entry: Record = {"record": record, "utc": now_utc(), **fields}
         line = (json.dumps(entry, allow_nan=False, default=_plain) + "\n").encode()
         try:
-            # What an earlier failure left behind goes first.
+            # First remove the remains of an earlier failure.
             os.ftruncate(self._descriptor, self._whole_bytes)
             written = os.write(self._descriptor, line)
             if written < len(line):
@@ -125,7 +125,7 @@ class Journal:
                 os.ftruncate(self._descriptor, self._whole_bytes)
             raise RigError(f"{self.path}: a record could not be written: {error.strerror}") from error
         self._whole_bytes += len(line)
-        # what is known in memory is what a later run will read
+        # The record in memory equals what a later run will read.
         self.records.append(json.loads(line))
         return self.records[-1]
 
@@ -134,7 +134,7 @@ class Journal:
         return (record for record in self.records if record["record"] in kinds)
 
     def replace(self, records: list[Record]) -> None:
-        """Write other records instead of all, for an erasure: whole, or not at all.
+        """Replace all records atomically, for an erasure.
 
         Raises:
             RigError: They cannot be written; the journal is then as it was before.
@@ -153,7 +153,7 @@ class Journal:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold of a value that is not one of its own: arrays, their scalars, mappings."""
+    """Return a value that JSON can hold, for arrays, NumPy scalars and mappings; TypeError for others."""
     if isinstance(value, Mapping):
         return dict(value)
     if hasattr(value, "tolist"):

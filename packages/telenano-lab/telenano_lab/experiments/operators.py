@@ -1,17 +1,17 @@
-"""Simulated participants: a hand for each task, in lockstep and on the rig alike, and the answers of an observer.
+"""Simulated participants: a hand for each task, in lockstep and on a rig alike, and the answers of an observer.
 
-What is known of them is what an experiment has to find:
+Their known properties are what an experiment must find:
 
-- touch_and_hold: the hand moves and waits (`telenano.hand.reacting`), and has learnt how long the link
-  takes to answer. With the default gain it is within the band after three moves, so that its completion time grows by
-  2 s for each second of the round trip, and by what the delay adds to the settling of the law. Under the law wave, over
-  a spring of 20 N/m, that is 2.5 s more: SLOPE_OF_WAVE, the same from 0 to 300 ms of round trip.
-- track: it follows the target a reaction time late, so its lag is that, the delay there, and that of law and arm.
-- detect_contact: it answers a reaction time after the force that it feels has changed by more than its threshold, so
-  the detection time grows by the delay back.
-- discriminate_stiffness: with probability lapse it guesses, else it chooses the stiffer one of ratio r with the
+- touch_and_hold: the hand moves and waits (`telenano.hand.reacting`), and has learnt the delay of the link's answer.
+  With the default gain it is within the band after three moves, so its completion time grows by 2 s for each second of
+  the round trip, plus the effect of the delay on the settling of the law. Under the law wave, over a spring of 20 N/m,
+  that is 2.5 s more: SLOPE_OF_WAVE, the same from 0 to 300 ms of round trip.
+- track: it follows the target a reaction time late, so its lag is that, plus the forward delay and that of law and arm.
+- detect_contact: it answers a reaction time after the felt force has changed by more than its threshold, so the
+  detection time grows by the backward delay.
+- discriminate_stiffness: with probability lapse it guesses, else it chooses the stiffer one, of ratio r, with the
   probability Phi(ln(r) / weber): 84 % are right at r = exp(weber), without lapses.
-- push_particle: it is the hand of `telenano study push`, which steers the stylus of the controller's mode rate.
+- push_particle: it is the hand of `telenano study push`, which steers the stylus in the controller's rate mode.
 """
 
 import math
@@ -29,20 +29,20 @@ from telenano_lab.experiments.tasks.detect_contact import CONTACT
 from telenano_lab.experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first
 from telenano_lab.experiments.types import Trial
 
-# Seconds of completion time of touch_and_hold for a second of the round trip: law wave, spring of 20 N/m, no scatter.
+# Completion time of touch_and_hold per round trip [s/s]: law wave, spring of 20 N/m, no scatter.
 SLOPE_OF_WAVE = 4.5
 Answers = tuple[Mapping[str, Any], ...]
-# A target goes to the hand as this number of corners at most: `set operator=` takes a text of 4096 characters.
+# Greatest number of corners of a target for the hand: `set operator=` accepts a text of 4096 characters.
 _CORNERS = 60
-# How a hand that steers the tip across presses it on the sample: times [s] and forces [N].
+# Normal force of a hand that steers the tip laterally: times [s] and forces [N].
 PRESSES = (0.2, 0.6), (0.0, 1.2)
-# How fast the hand goes towards the sample to detect it [m/s], and what it feels before: the mean of this time [s].
+# Speed of the hand towards the sample in detect_contact [m/s].
 _APPROACH_M_PER_S = 4e-3
-# The force is compared with its mean over this time.
+# The felt force is compared with its earlier mean over this time [s].
 _BEFORE_S = 0.5
-# That time ends this long before the force that is compared with it.
+# The averaging ends this long before the compared force [s].
 _GAP_S = 0.1
-# It judges nothing before its arm goes steadily [s].
+# Nothing is judged before the arm moves steadily [s].
 _STEADY_S = 1.5
 
 
@@ -63,13 +63,13 @@ class Profile(Parameters):
 
 
 class SimulatedParticipant:
-    """A simulated participant, who is a pure function of profile and seed."""
+    """A simulated participant, whose behaviour is a pure function of profile and seed."""
 
     def __init__(self, profile: Mapping[str, Any], seed: int) -> None:
-        """Check the profile; ConfigError names the key that is wrong.
+        """Check the profile; ConfigError names the wrong key.
 
         Args:
-            profile: What differs from the defaults of `Profile`.
+            profile: Values that differ from the defaults of `Profile`.
             seed: The seed of the participant, which is mixed with that of each trial.
         """
         self.profile = validate(Profile, dict(profile), "participant")
@@ -81,7 +81,7 @@ class SimulatedParticipant:
         Args:
             task: The task.
             p: Its parameters.
-            trial: The trial, whose seed decides the target and the noise of the hand.
+            trial: The trial, whose seed determines the target and the noise of the hand.
         """
         hand = self._hand(task, p, trial)
         return {f"haptic_node.operator.{key}": value for key, value in hand.items()}
@@ -92,7 +92,7 @@ class SimulatedParticipant:
         return course is not None and course.quantity == "place"
 
     def answer(self, task: Task, p: Any, trial: Trial, data: TrialData) -> Answers:
-        """Return the answers of a trial: to the questions of its task, and those that are given during it."""
+        """Return the answers of a trial: to the questions of its task, and those during it."""
         draw = self._draw(trial, "answer")
         end_s = task.duration_s(p)
         answers: list[Mapping[str, Any]] = []
@@ -109,12 +109,12 @@ class SimulatedParticipant:
         return tuple(answers)
 
     def rate(self, least: float, most: float, step: float, draw: random.Random) -> float:
-        """Return a rating on a scale: normal about the mean of the profile, with a scatter of a tenth of the scale."""
+        """Return a rating: normal about the mean of the profile, with a deviation of a tenth of the scale."""
         wanted = least + (most - least) * min(1.0, max(0.0, 0.01 * self.profile.rating + draw.gauss(0.0, 0.1)))
         return least + step * round((wanted - least) / step) if step > 0.0 else wanted
 
     def probability(self, ratio: float) -> float:
-        """Return the probability of a correct answer for a ratio of stiffness: the known psychometric function."""
+        """Return the probability of a correct answer at a stiffness ratio: the known psychometric function."""
         lapse = self.profile.lapse
         return 0.5 * lapse + (1.0 - lapse) * NormalDist().cdf(math.log(ratio) / self.profile.weber)
 
@@ -149,7 +149,7 @@ class SimulatedParticipant:
                 {"time_s": task.duration_s(p), "position_m": _APPROACH_M_PER_S * task.duration_s(p)},
             ]
             return {"kind": "impedance", "arm": who.arm, "path": path}
-        # it presses as one does who wants to know how hard something is
+        # It presses like a person who explores a stiffness.
         return self._reacting(10e-9, trial)
 
     def _reacting(self, force_n: float, trial: Trial) -> dict[str, Any]:
@@ -181,14 +181,14 @@ class SimulatedParticipant:
 
 
 def round_trip_s(settings: Mapping[str, Any]) -> float:
-    """Return what the link of a trial delays there and back [s], 0 where its settings do not say."""
+    """Return the round-trip delay of a trial's link [s], 0 if its settings have none."""
     section = {key.removeprefix("delay_node."): each for key, each in settings.items() if key.startswith("delay_node.")}
     link = validate(LinkSettings, nested(section, "settings"), "settings", "delay_node")
     return link.forward.delay_s + link.backward.delay_s
 
 
 def _late(course: Course, reaction_s: float) -> list[tuple[float, float]]:
-    """Return a target a reaction time later, by as many corners as there may be: times [s] and values."""
+    """Return a target delayed by the reaction time, with a limited number of corners: times [s] and values."""
     times = course.times_s
     if len(times) > _CORNERS:
         times = np.linspace(times[0], times[-1], _CORNERS)

@@ -1,7 +1,7 @@
 """The order of conditions: as written, shuffled, by a Latin square balanced for carry-over, or by all permutations.
 
-A *sequence* is the order in which one participant meets the conditions once. Its number counts over the participants
-and their repetitions, so that every design continues where the participant before ended it.
+A *sequence* is the order in which one participant meets each condition once. Its number runs over the participants and
+their repetitions, so that a design continues where the previous participant ended it.
 """
 
 import itertools
@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple, get_args
 
 OrderKind = Literal["factorial", "shuffle", "latin_square", "counterbalanced"]
 ORDERS: tuple[OrderKind, ...] = get_args(OrderKind)
-# A design of all permutations of more conditions than this needs more participants than anybody has.
+# Greatest number of conditions whose permutations a realistic number of participants can cover.
 MOST_PERMUTED = 5
 
 
@@ -29,27 +29,27 @@ def williams(size: int) -> list[tuple[int, ...]]:
     Returns:
         The sequences, each of the numbers 0 to size - 1.
     """
-    # 0, 1, n-1, 2, n-2, ...: the differences of neighbours are all different
+    # 0, 1, n-1, 2, n-2, ...: all differences of neighbours are distinct.
     first = [0] + [(step + 1) // 2 if step % 2 else size - step // 2 for step in range(1, size)]
     square = [tuple((place + shift) % size for place in first) for shift in range(size)]
     return square + [row[::-1] for row in square] if size % 2 and size > 1 else square
 
 
 def sequences_of_design(kind: OrderKind, size: int) -> int:
-    """Return after how many sequences a design is complete; 1 where each sequence is complete by itself."""
+    """Return the number of sequences that complete a design; 1 if each sequence is complete by itself."""
     if kind == "latin_square":
         return len(williams(size))
     return math.factorial(size) if kind == "counterbalanced" else 1
 
 
 def sequence(kind: OrderKind, size: int, number: int, seed: str) -> tuple[int, ...]:
-    """Return the order in which conditions come in a sequence.
+    """Return the order of conditions in a sequence.
 
     Args:
         kind: The design.
         size: The number of conditions.
         number: The number of the sequence, from 0.
-        seed: What the shuffle depends on, besides the number.
+        seed: Seed of the shuffle, combined with the number.
 
     Returns:
         The conditions, as numbers from 0.
@@ -66,7 +66,7 @@ def sequence(kind: OrderKind, size: int, number: int, seed: str) -> tuple[int, .
 
 
 class Balance(NamedTuple):
-    """How often each condition came at each place, and how often right after each other one; shapes (n, n).
+    """Counts of each condition at each place, and of each condition right after each other one; shapes (n, n).
 
     `followed[a][b]` counts b right after a within a sequence.
     """

@@ -1,9 +1,9 @@
-"""What a participant of an experiment is sent: what is on the lists here, and nothing else that is on the bus.
+"""Filter for the page of a participant: only the data listed here are sent to it, and nothing else on the bus.
 
-A participant must not know the condition of a trial, and a person who opens the tools of a browser reads all that it
-was sent. So the server keeps a list of what may pass, and not of what may not: a topic, key or column that is new is
-not passed on. The picture, which is the tip and the image, can be late by a time of its own. It is held here, because a
-browser that receives a delay knows a part of the condition.
+A participant must not know the condition of a trial, and the developer tools of a browser show everything that it
+received. So the server lists what may pass rather than what may not: a new topic, key or column is not passed on. The
+picture, which is the tip and the image, can be delayed. It is delayed here, because a browser that is told a delay
+knows a part of the condition.
 """
 
 from collections import deque
@@ -17,7 +17,7 @@ from telenano_lab.experiments.messages import TRIAL as TRIAL_TOPIC
 
 CUE = CUE_TOPIC.name
 TRIAL = TRIAL_TOPIC.name
-# The keys of the messages that pages are sent. A cue has nothing of the condition; the trial is for experimenters.
+# Keys of messages for pages. A cue contains nothing of the condition; the trial is for experimenters.
 CUE_KEYS = (
     "id", "stage", "title", "text", "remaining_s", "done", "total", "practice", "labels",
     "quantity", "band", "times_s", "target", "questions", "answered",
@@ -36,16 +36,16 @@ TRIAL_KEYS = (
     "text",
     "picture_delay_s",
 )
-# What the hand needs is never late: the spring of the page acts on it.
+# Data for the hand are never delayed: the spring of the page acts on them.
 _HAND = {"hand": ("position", "force", "x", "y"), "command": ("tip_force",)}
 _PICTURE = {"tip": ("base", "deflection", "force", "force_x", "force_y", "x", "y", "separation")}
-# The page of a participant is sent this state of the instrument.
+# State of the instrument that the page of a participant receives.
 _AFM = "afm/state/slave"
-# Of that state it is sent these keys alone.
+# Keys of that state that it receives.
 _AFM_KEYS = ("in_contact", "meniscus")
-# Of a picture that is held back the oldest go: ten seconds at thirty a second.
+# Greatest number of delayed pictures, ten seconds at thirty a second; the oldest are dropped.
 _MOST_HELD = 300
-# A picture that is later than it can be held would never be shown.
+# Longest delay; a picture delayed further would be dropped before it is shown.
 _LONGEST_DELAY_S = 9.0
 _ACKNOWLEDGEMENTS = {True: "done", False: "not carried out: tell the experimenter"}
 
@@ -53,7 +53,7 @@ Changes = Mapping[str, Any]
 
 
 class ParticipantPicture:
-    """Makes of what all pages are sent what participants are sent, the picture late by `delay_s` [s]."""
+    """Converts the data for all pages into those for participants, with the picture delayed by `delay_s` [s]."""
 
     def __init__(self, streams: Sequence[Mapping[str, Any]]) -> None:
         """Begin with the streams that pages have: name, topic and columns of each."""
@@ -64,11 +64,11 @@ class ParticipantPicture:
         self._contact: dict[str, Any] = {}
 
     def take(self, changes: Changes, now_s: float) -> list[dict[str, Any]]:
-        """Return the changes that participants are sent now, each for a frame.
+        """Return the changes to send to participants now, each for a frame.
 
         Args:
-            changes: What changed for the pages of operators; empty where nothing did.
-            now_s: The time of this on a clock that never goes back [s].
+            changes: Changes for the pages of operators; empty if there are none.
+            now_s: Time on a monotonic clock [s].
         """
         state = changes.get("state", {})
         if TRIAL in state:
@@ -97,7 +97,7 @@ class ParticipantPicture:
         return taken
 
     def snapshot(self, snapshot: Changes, *, hand: bool) -> dict[str, Any]:
-        """Return what the page of a participant begins with, of what that of an operator begins with."""
+        """Return the initial data of a participant's page, from those of an operator's."""
         state = snapshot.get("state", {})
         return {
             "k": "snapshot",
@@ -119,12 +119,12 @@ class ParticipantPicture:
             "state": {CUE: state[CUE]} if CUE in state else {},
             "nodes": {},
             "events": [],
-            # an image of before the trial is no part of what is late
+            # An image from before the trial need not be delayed.
             "lines": snapshot.get("lines", []),
         }
 
     def acknowledgement(self, *, is_ok: bool) -> str:
-        """Return the answer to a request in words of its own: those of a node may name the law."""
+        """Return a neutral answer to a request: the answer of a node may name the law."""
         return _ACKNOWLEDGEMENTS[is_ok]
 
     def _streams(self, changes: Changes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
@@ -133,7 +133,7 @@ class ParticipantPicture:
 
 
 def _places(streams: Sequence[Mapping[str, Any]]) -> dict[str, list[int]]:
-    """Return by stream the places of the columns that pass."""
+    """Return the indices of the permitted columns, by stream."""
     places = {}
     for stream in streams:
         if wanted := (_HAND | _PICTURE).get(stream["name"]):
@@ -149,7 +149,7 @@ def _of_columns(stream: Mapping[str, Any], places: list[int]) -> dict[str, Any]:
 
 
 def _shown_at(picture: dict[str, Any], late_s: float) -> dict[str, Any]:
-    """Return a picture with the times at which it is shown: those of its samples would tell the delay."""
+    """Return a picture stamped with its display time: the times of its samples would reveal the delay."""
     streams = picture.get("streams", {})
     shown = {name: {**stream, "t0": stream["t0"] + late_s} for name, stream in streams.items()}
     return {**picture, "streams": shown} if shown else picture

@@ -1,7 +1,7 @@
-"""The participants of an experiment: pseudonyms and what the analysis may know of them. Names are kept nowhere.
+"""The participants of an experiment: their pseudonyms and the facts that the analysis may use. No names are stored.
 
-`people.json` has handedness, consent and exclusion of each pseudonym; which person it is, only the laboratory's own
-list says. `erase` removes everything of one participant.
+`people.json` has handedness, consent and exclusion of each pseudonym; only the laboratory's own list identifies the
+person. `erase` removes everything of one participant.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from telenano.wire import ConfigError, RigError
 from telenano_lab.experiments.journal import Journal, now_utc
 
 NAME = "people.json"
-# The folders of which each participant has one of his own, and those that are made again from the journal.
+# Folders with a subfolder per participant, and folders that are derived from the journal.
 OF_PARTICIPANTS = ("recordings", "rig")
 DERIVED = ("table", "analysis")
 _SHAPE = re.compile(r"[A-Za-z]{1,4}[-_]?\d{1,6}")
@@ -41,7 +41,7 @@ class _File(Settings):
 
 
 def checked_pseudonym(text: str) -> str:
-    """Return a pseudonym.
+    """Return the pseudonym itself.
 
     Raises:
         ConfigError: It could be a name: a pseudonym is up to four letters and a number.
@@ -69,10 +69,10 @@ class People:
             raise ConfigError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def change(self, pseudonym: str, **fields: Any) -> Person:
-        """Note something of a participant, who is added where there is not one of that pseudonym.
+        """Change facts of a participant, who is added if the pseudonym is new.
 
         Raises:
-            ConfigError: The pseudonym or a field is not one, or the file is damaged.
+            ConfigError: The pseudonym or a field is invalid, or the file is damaged.
             RigError: The file cannot be changed; it is as it was.
         """
         checked_pseudonym(pseudonym)
@@ -86,12 +86,12 @@ class People:
         return self.known[pseudonym]
 
     def forget(self, pseudonym: str) -> None:
-        """Remove a participant; RigError where the file cannot be changed."""
+        """Remove a participant; RigError if the file cannot be changed."""
         if self.path.exists():
             self._change(lambda known: {name: person for name, person in known.items() if name != pseudonym})
 
     def _change(self, step: Callable[[dict[str, Person]], dict[str, Person]]) -> None:
-        """Change the file, whose newest entries the step gets: another process may have noted something meanwhile."""
+        """Change the newest content of the file by `step`: another process may have changed it meanwhile."""
 
         def changed_bytes(before: bytes | None) -> bytes:
             self.known = step(self._parsed(before))
@@ -119,7 +119,7 @@ def digest_of(path: Path) -> str:
 
 
 class ErasureResult(NamedTuple):
-    """What an erasure removed: how many files and records, and how many copies had been published before."""
+    """The result of an erasure: numbers of removed files and records, and of earlier published copies."""
 
     files: int
     records: int
@@ -129,16 +129,15 @@ class ErasureResult(NamedTuple):
 def erase(folder: Path, pseudonym: str) -> ErasureResult:
     """Remove all data of a participant.
 
-    An erasure that was interrupted is done by doing it again. The journal keeps that there is nothing more to be done
-    for the pseudonym.
+    An interrupted erasure is completed by repeating it. The journal keeps a record that the pseudonym was erased.
 
     Args:
         folder: The folder of the experiment.
         pseudonym: The participant.
 
     Raises:
-        ConfigError: Nothing is known of the participant.
-        RigError: The experiment runs, or something of the participant is still there.
+        ConfigError: There are no data of the participant.
+        RigError: The experiment is running, or a file still names the participant.
     """
     checked_pseudonym(pseudonym)
     with Journal(folder / "journal.jsonl") as journal:
@@ -163,14 +162,14 @@ def erase(folder: Path, pseudonym: str) -> ErasureResult:
 
 
 def _folders(parent: Path, pseudonym: str) -> Iterator[Path]:
-    """Yield the folder of a participant, and those of the rigs that ran for it."""
+    """Yield the folder of a participant, and those of the participant's rigs."""
     for path in sorted(parent.glob(f"{pseudonym}*")):
         if path.name == pseudonym or path.name.startswith(f"{pseudonym}-"):
             yield path
 
 
 def _left(folder: Path, pseudonym: str) -> list[str]:
-    """Return the text files beside plan and journal that still name a participant."""
+    """Return the text files, other than plan and journal, that still name a participant."""
     files = []
     for path in sorted(folder.rglob("*")):
         is_text = path.suffix in (".json", ".jsonl", ".csv", ".md", ".txt", ".log", ".yaml")

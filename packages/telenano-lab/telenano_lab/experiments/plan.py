@@ -28,12 +28,12 @@ from telenano_lab.experiments.psychophysics.methods import checked, most_trials
 from telenano_lab.experiments.tasks import INSTALLED, TASKS
 from telenano_lab.experiments.types import Trial
 
-# Factors that stand for a key.
+# Short names of factors, and the keys that they set.
 SHORT_NAMES = {"law": "controller.law", "network": "delay_node.profile"}
 _OF_TASK = "task."
-# The delay of what a participant's page shows, apart from that of the force [s]; it is no key of a scenario.
+# Delay of the participant's picture, apart from that of the force [s]; it is no key of a scenario.
 PICTURE_DELAY = "picture.delay_s"
-# What a rig that runs takes by `set`, by section; everything else needs it to be started again.
+# Keys that a running rig accepts by `set`, by section; all others need a restart.
 _RUNNING: Mapping[str, tuple[str, ...]] = {
     "controller": ("",),
     "delay_node": ("",),
@@ -71,12 +71,12 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of the content, 16 hex digits: two files of equal content are one experiment."""
+        """Digest of the content, 16 hex digits: two files of equal content are the same experiment."""
         return hashlib.sha256(self.experiment.model_dump_json().encode()).hexdigest()[:16]
 
     @cached_property
     def scenario(self) -> dict[str, Any]:
-        """The scenario that every trial begins from, with absolute file names."""
+        """The base scenario of every trial, with absolute file names."""
         name = self.experiment.scenario
         beside = self.path.parent / name
         path = beside if beside.is_file() else find_scenario(name)
@@ -94,23 +94,23 @@ class Plan:
 
     @property
     def adaptive(self) -> str:
-        """The name of the adaptive factor; empty where there is none."""
+        """The name of the adaptive factor; empty if there is none."""
         return next((name for name, factor in self.experiment.factors.items() if factor.adaptive is not None), "")
 
     @property
     def method(self) -> dict[str, Any]:
-        """The settings of the adaptive method; empty where there is none."""
+        """The settings of the adaptive method; empty if there is none."""
         return dict(self.experiment.factors[self.adaptive].adaptive or {}) if self.adaptive else {}
 
     @cached_property
     def block_factors(self) -> tuple[str, ...]:
-        """The factors that are held for a block: those that the file says, and those that need the rig to start."""
+        """The factors that are constant within a block: those that the file names, and those that need a restart."""
         held = set(self.experiment.blocks.factors) | set(self.restarting)
         return tuple(name for name in self.experiment.factors if name in held)
 
     @cached_property
     def restarting(self) -> tuple[str, ...]:
-        """The factors with a key that a running rig does not take."""
+        """The factors with a key that a running rig does not accept."""
         return tuple(
             name
             for name, factor in self.experiment.factors.items()
@@ -124,7 +124,7 @@ class Plan:
         return tuple(name for name in self.experiment.factors if name not in others)
 
     def keys(self, name: str, level: Scalar) -> dict[str, Any]:
-        """Return the dotted keys that a level of a factor means; none of a parameter of the task."""
+        """Return the dotted keys that a level of a factor sets; none for a parameter of the task."""
         factor = self.experiment.factors[name]
         if isinstance(factor.levels, dict):
             return dict(factor.levels[str(level)])
@@ -144,7 +144,7 @@ class Plan:
         return {key.removeprefix(_OF_TASK): condition[n] for n, key in keys.items() if key.startswith(_OF_TASK)}
 
     def settings(self, condition: Mapping[str, Scalar]) -> dict[str, Any]:
-        """Return the dotted keys that hold in a condition."""
+        """Return the dotted keys and values of a condition."""
         values = dict(flatten(nested(self.experiment.settings, f"{self.path}: settings")))
         for name, level in condition.items():
             values |= self.keys(name, level)
@@ -157,19 +157,19 @@ class Plan:
 
     @cached_property
     def block_conditions(self) -> list[tuple[str, Condition]]:
-        """The blocks of a session, as the file has them: the task and the levels that are held."""
+        """The blocks of a session in the order of the file: the task and the levels that are constant."""
         held = self.conditions(self.block_factors)
         return [(task.name, condition) for task in self.experiment.tasks for condition in held]
 
     @cached_property
     def within_block(self) -> list[Condition]:
-        """The conditions within a block, as the file has them."""
+        """The conditions within a block, in the order of the file."""
         return self.conditions(self.trial_factors)
 
     def number(self, trial: Trial) -> int:
-        """Return the number of the condition of a trial, from 1: by blocks as the file has them, then within them.
+        """Return the number of a trial's condition, from 1: by blocks in the order of the file, then within them.
 
-        What an adaptive method chooses has no part in it.
+        The level that an adaptive method chooses does not matter.
         """
         held = {name: trial.condition[name] for name in self.block_factors}
         within = {name: trial.condition[name] for name in self.trial_factors}
@@ -178,11 +178,11 @@ class Plan:
 
     @property
     def rounds(self) -> int:
-        """How often each condition comes in a block, at most so often where a method decides."""
+        """The number of repetitions of each condition in a block; with an adaptive method, the greatest number."""
         return most_trials(self.method) if self.adaptive else self.experiment.repetitions
 
     def sequences(self, number: int, session: int) -> list[tuple[int, ...]]:
-        """Return the order of conditions in each repetition of a block, of the participant of that number."""
+        """Return the order of conditions in each repetition of a block, for the participant with that number."""
         first = (number * self.experiment.sessions + session - 1) * self.rounds
         return [
             self._sequence(self.experiment.order, self.within_block, first + r, "within") for r in range(self.rounds)
@@ -256,7 +256,7 @@ class Plan:
         document = merge(self.scenario, nested(keys, origin))
         hand = document.get("haptic_node", {})
         if self.experiment.operator.kind == "person" and hand.get("driver", "simulated").startswith("simulated"):
-            # The hand of a simulated device is the person at the page.
+            # A person at the page is the hand of a simulated device.
             interactive = {"kind": "interactive"}
             given = hand.get("operator", {})
             operator = given if given.get("kind") == "interactive" else interactive
@@ -275,7 +275,7 @@ class Plan:
 
     @property
     def complete_after(self) -> int:
-        """After how many participants the order of conditions is balanced as far as its design goes."""
+        """The number of participants after which the order of conditions is balanced as far as its design goes."""
         sequences = sequences_of_design(self.experiment.order, len(self.within_block))
         each = self.rounds * self.experiment.sessions
         return sequences // math.gcd(sequences, each)
@@ -296,11 +296,11 @@ def _number(text: str) -> int:
 
 
 def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
-    """Read and check the file of an experiment, with every condition that it asks for.
+    """Read and check the file of an experiment, with all of its conditions.
 
     Args:
         path: The file.
-        tasks: The tasks that there are, by name; those of the project and of packages unless given.
+        tasks: The available tasks by name; None for those of the project and of packages.
 
     Raises:
         ConfigError: Something is wrong; the message names file and key, and what would be right.
@@ -321,7 +321,7 @@ def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
 
 
 def _check_words(plan: Plan) -> None:
-    """Raise ConfigError for words of a question that a task does not ask, or that has another number of answers."""
+    """Raise ConfigError for words of a question that a task does not ask, or with a wrong number of options."""
     for number, entry in enumerate(plan.experiment.tasks):
         task, words = plan.tasks[entry.name], plan.experiment.words.tasks.get(entry.name)
         if words is None:
@@ -371,7 +371,7 @@ def _check_design(plan: Plan) -> None:
 
 
 def _check_condition(plan: Plan, task: str, condition: Condition) -> None:
-    """Check the scenario that a condition makes; the error names the levels with which it was wrong."""
+    """Check the scenario of a condition; an error names the levels that cause it."""
     entry = next(entry for entry in plan.experiment.tasks if entry.name == task)
     levels = ", ".join(f"{name} = {level}" for name, level in condition.items())
     origin = f"{plan.path}" + (f" ({levels})" if levels else "")
@@ -385,7 +385,7 @@ def _check_condition(plan: Plan, task: str, condition: Condition) -> None:
 def checked_document(
     plan: Plan, task: str, parameters: Mapping[str, Any], settings: Mapping[str, Any], seed: int, origin: str
 ) -> dict[str, Any]:
-    """Return the scenario of a trial: that of the file, the task's own keys, and over them those of the condition.
+    """Return the scenario of a trial: that of the file, overridden by the task's keys, and these by the condition's.
 
     Raises:
         ConfigError: A node would refuse its section; the message names the origin and the key.
@@ -398,5 +398,5 @@ def checked_document(
 
 
 def parameters_of(task: Task, values: Mapping[str, Any]) -> Any:
-    """Return the parameters of a task as its own model, from plain values that were checked."""
+    """Return checked plain values as the task's own parameter model."""
     return task.parameters.model_validate_json(json.dumps(dict(values)))

@@ -1,4 +1,4 @@
-"""`telenano experiment plan`: how many people and trials an effect needs, before anybody is asked."""
+"""`telenano experiment plan`: the number of people and trials that an effect needs."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from telenano_lab.experiments.plan import Plan
     from telenano_lab.experiments.power import Levels
 
-# how many trials a condition are tried beside those of the plan
+# Numbers of trials per condition that are shown beside that of the plan.
 _TRIALS = (1, 2, 5, 10, 20)
 
 
@@ -63,7 +63,7 @@ def plan(
             len(plan_loaded.experiment.pseudonyms),
             plan_loaded.experiment.repetitions * plan_loaded.experiment.sessions,
         )
-        # a threshold is one value for each condition, however many trials it is made of
+        # A threshold is one value per condition, however many trials it takes.
         counts = (1,) if plan_loaded.adaptive else tuple(sorted({own, *_TRIALS}))
         differ = 0.5 * effect if spread is None else spread
         rows: list[dict[str, Any]] = [

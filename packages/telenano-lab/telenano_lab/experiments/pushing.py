@@ -1,8 +1,8 @@
-"""The hand of a simulated participant who steers the tip across the sample, in lockstep and on the rig alike.
+"""The hand of a simulated participant who steers the tip across the sample, both in lockstep and on a rig.
 
-It is the scripted hand of `telenano study push` (`telenano_lab.assembly.push_hand`), which sees and feels what has come
-back over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity
-of the tip.
+It is the scripted hand of `telenano study push` (`telenano_lab.assembly.push_hand`), which perceives what comes back
+over the link. It moves the stylus as a person does in the controller's rate mode, in which the displacement of the
+stylus is the velocity of the tip.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,21 +17,21 @@ from telenano_lab.experiments.extend import Course
 from telenano_lab.experiments.operators import Profile
 from telenano_lab.studies.loops.push_study import SPEED_M_PER_S
 
-# The hand begins to steer this long after the start, when the tip has touched the sample.
+# Delay until the hand begins to steer, when the tip has touched the sample.
 _TOUCHED_S = 1.0
-# The hand leaves a particle where it is nearer to the goal than this share of the tolerance.
+# The hand leaves a particle that is nearer to the goal than this share of the tolerance.
 _LEAVES = 0.5
 
 
 def steering_of(
     document: Mapping[str, Any], goal: Course, tolerance_m: float, who: Profile, seed: int
 ) -> Callable[[float], Hand]:
-    """Return what makes the hand of a trial, from the period [s].
+    """Return a function that makes the hand of a trial from the period [s].
 
     Args:
         document: The checked scenario, whose sample has a particle.
-        goal: Where the particle is to be.
-        tolerance_m: The radius of the circle there [m].
+        goal: Target place of the particle.
+        tolerance_m: Radius of the target circle [m].
         who: The simulated participant.
         seed: The seed of its errors.
     """
@@ -40,7 +40,7 @@ def steering_of(
     lateral = loaded.section("haptic_node", HapticConfig).lateral_in_force
     link = loaded.section("delay_node", LinkSettings)
     trip_s = link.forward.delay_s + link.backward.delay_s
-    # the arm brings the stylus to a place as a spring brings a damper there
+    # Time constant of the arm, a spring that moves a damper.
     arm_s = (lateral.damping_n_s_per_m + loaded.section("controller", ControllerConfig).lateral.damping_n_s_per_m) / (
         lateral.stiffness_n_per_m
     )

@@ -1,4 +1,4 @@
-"""A trial as its recording has it: the tables that its task judges, and the evidence of what disturbed it."""
+"""A recorded trial: the tables that its task judges, and the evidence of disturbances."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -18,7 +18,7 @@ _PARTICLES = "afm/particles"
 _WANTED = (*_TABLES, "link/fates", "session/event", "node/health", _PARTICLES)
 _SAMPLES = {"forward": "teleop/forward", "backward": "teleop/backward"}
 _MASTER = "controller@master"
-# a second before the trial, and as much after it, for what led to it and what reports it
+# Margin before and after the trial, for the causes and the reports of events [ns].
 _MARGIN_NS = 1_000_000_000
 
 
@@ -51,17 +51,17 @@ class RecordedTrial:
         self._messages = messages_of
 
     def data(self, most_s: float, answers: Iterable[Mapping[str, Any]] = ()) -> TrialData:
-        """Return the tables of the trial, from its beginning to its end, or for the longest time that counts [s]."""
+        """Return the tables of the trial from its beginning to its end, but at most for most_s [s]."""
         until_s = min(most_s, self.duration_s)
         afm, haptic, status = (self._table(topic, until_s) for topic in _TABLES)
         return TrialData(afm, haptic, status, tuple(answers), self._particles(until_s))
 
     def evidence(self, duration_s: float, quiet_s: float = 0.0) -> Evidence:
-        """Return what tells whether the trial was disturbed.
+        """Return the evidence of disturbances of the trial.
 
         Args:
-            duration_s: How long the trial was meant to last.
-            quiet_s: The longest time for which the dead band may keep signals back; 0 without one.
+            duration_s: Planned duration of the trial [s].
+            quiet_s: The longest time for which the dead band may suppress signals [s]; 0 without one.
         """
         events: list[tuple[float, str, Any]] = [
             (self._time_s(message), message.src, message.decode()) for message in self._of("session/event")
@@ -87,7 +87,7 @@ class RecordedTrial:
         )
 
     def _particles(self, until_s: float) -> ColumnTable | None:
-        """Return where the first particle really was, from the last report before the trial on; None without any."""
+        """Return the true places of the first particle, including reports just before the trial; None without any."""
         rows: list[tuple[float, float, float]] = []
         for message in self._of(_PARTICLES):
             report: Any = message.decode()
@@ -113,14 +113,14 @@ class RecordedTrial:
         return np.column_stack((times_s, steps_s.astype(np.float64)))
 
     def _inside(self, topic: str, name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[Any]]:
-        """Return the times of the messages within the trial [s], and a field of them."""
+        """Return the times [s] of the messages within the trial, and one of their fields."""
         rows = self._rows[topic]
         times_s = rows.times_s(self.start_ns)
         inside = (times_s >= 0.0) & (times_s <= self.duration_s)
         return times_s[inside], rows.column(name)[inside] if times_s.size else np.empty(0)
 
     def _missing(self) -> list[str]:
-        """Return what of the states of the devices the recording lacks, by their numbers."""
+        """Return sentences on missing states of the devices, by gaps in their sequence numbers."""
         missing = []
         for topic in ("haptic/state", "afm/state"):
             _, numbers = self._inside(topic, "seq")
@@ -133,7 +133,7 @@ class RecordedTrial:
         arrived: list[int] = []
         released: list[int] = []
         for message in self._of("link/fates"):
-            # The link reports every message: to check them all again would take longer than the trial.
+            # The link reports every message; validating all reports would take longer than the trial.
             report = message.fields()
             if report["direction"] != way:
                 continue
@@ -189,7 +189,7 @@ class _Rows:
         self.times_ns = timeline.times_ns(self.src, stamps)
 
     def times_s(self, start_ns: int) -> npt.NDArray[np.float64]:
-        """Return the times of sending since a time [s], shape (n,)."""
+        """Return the sending times relative to start_ns [s], shape (n,)."""
         return 1e-9 * (self.times_ns - start_ns)
 
     def column(self, name: str) -> npt.NDArray[Any]:
@@ -198,7 +198,7 @@ class _Rows:
 
 
 def _seconds(stamps_ns: list[int], start_ns: int) -> npt.NDArray[np.float64]:
-    """Return stamps as sorted times since another [s]."""
+    """Return time stamps as sorted times relative to start_ns [s]."""
     return np.array([1e-9 * (stamp_ns - start_ns) for stamp_ns in sorted(stamps_ns)], dtype=np.float64)
 
 
@@ -214,7 +214,7 @@ def _column(plain: list[Any]) -> npt.NDArray[Any]:
 
 
 def _last_run(path: Path, hand: _Rows) -> tuple[int, int]:
-    """Return when the operator's force profile last began and ended [ns]."""
+    """Return begin and end of the last run of the operator's force profile [ns]."""
     session_s = hand.column("session_s") if hand.columns else np.empty(0)
     runs = session_s >= 0.0
     before = np.concatenate(([-1.0], session_s[:-1]))

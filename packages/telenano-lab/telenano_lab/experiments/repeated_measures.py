@@ -1,14 +1,14 @@
-"""The repeated-measures F in closed form: each effect is tested against how much people differ in it.
+"""The repeated-measures F in closed form: each effect is tested against its variation between people.
 
-The values of a participant are one number for each condition, the mean of the trials there. An effect within
-participants is a few orthonormal contrasts of these numbers, so each participant has a score of their own for it, and
-the error of the test is the scatter of the scores between participants: effect x participant. The covariance of the
-scores gives the correction for sphericity; one contrast alone needs none. Factors between participants are contrasts of
-the means of groups, and the error is then the scatter within them. (B. J. Winer, D. R. Brown and K. M. Michels,
-Statistical Principles in Experimental Design, 3rd ed. (1991), chapters 4 and 7.)
+The values of a participant are one number per condition, the mean of the trials there. An effect within participants is
+a set of orthonormal contrasts of these numbers, so each participant has a score for it, and the error of the test is
+the scatter of the scores between participants: effect x participant. The covariance of the scores gives the correction
+for sphericity; a single contrast needs none. Factors between participants are contrasts of the means of groups, and the
+error is then the scatter within the groups. (B. J. Winer, D. R. Brown and K. M. Michels, Statistical Principles in
+Experimental Design, 3rd ed. (1991), chapters 4 and 7.)
 
-Everything but the tails of the F distribution is sums and products in a fixed order, which have the same bits on every
-processor; leading axes are experiments of the same design, which are computed at once.
+Except for the tails of the F distribution, all results are sums and products in a fixed order, which have the same bits
+on every processor. Leading axes are experiments of the same design, which are computed at once.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,12 @@ Matrix = npt.NDArray[np.float64]
 
 
 class RepeatedF(NamedTuple):
-    """The F tests of one effect, each array with an element an experiment.
+    """The F tests of one effect; each array has an element per experiment.
 
     Args:
-        f: The F ratio; nan or infinite where people do not differ in the effect at all.
-        df1: Degrees of freedom of the effect, not corrected.
-        df2: Degrees of freedom of the error, not corrected.
+        f: The F ratio; nan or infinite if people do not differ in the effect at all.
+        df1: Degrees of freedom of the effect, uncorrected.
+        df2: Degrees of freedom of the error, uncorrected.
         epsilon: The correction of Huynh and Feldt for sphericity, a factor of both.
         estimate: The estimated contrasts, of shape (…, contrasts of groups, contrasts of conditions).
         variance: The variance of each of them, of the same shape.
@@ -53,8 +53,8 @@ def contrasts(levels: Sequence[float] | int) -> Matrix:
     """Return orthonormal contrasts of the levels of a factor, a row each.
 
     Args:
-        levels: The number of levels, which gives all contrasts (those of Helmert); or numbers, which give one, the
-            slope on them.
+        levels: The number of levels, for all contrasts (those of Helmert); or numbers, for a single contrast, the slope
+            over them.
     """
     if not isinstance(levels, int):
         numbers = np.asarray(levels, dtype=float)
@@ -68,12 +68,12 @@ def contrasts(levels: Sequence[float] | int) -> Matrix:
 
 
 def average(levels: int) -> Matrix:
-    """Return the normalised mean over levels: the row of a factor that is not in an effect."""
+    """Return the normalised mean over levels: the row of a factor that is not part of an effect."""
     return np.full((1, levels), 1.0 / np.sqrt(float(levels)))
 
 
 def product(parts: Sequence[Matrix]) -> Matrix:
-    """Return every row of one part times every row of the next, the levels of the last changing fastest."""
+    """Return the products of every row of each part with every row of the next; the last part varies fastest."""
     result = np.ones((1, 1))
     for part in parts:
         whole = result[:, None, :, None] * part[None, :, None, :]
@@ -87,8 +87,8 @@ def repeated_f(cells: Matrix, within: Matrix, groups: Sequence[int] = (), betwee
     Args:
         cells: The values, of shape (…, participants, conditions).
         within: The contrasts of the effect, of shape (contrasts, conditions): orthonormal rows.
-        groups: The group of each participant, counted from 0; each has two or more. Empty is one group.
-        between: The contrasts of the groups' means, of shape (contrasts, groups); None is their mean.
+        groups: The group of each participant, from 0, with two or more in each; empty for a single group.
+        between: The contrasts of the groups' means, of shape (contrasts, groups); None for their mean.
     """
     scores = total(cells[..., None, :] * within)
     label = np.asarray(groups or [0] * cells.shape[-2])
@@ -115,8 +115,8 @@ def repeated_f(cells: Matrix, within: Matrix, groups: Sequence[int] = (), betwee
 def _epsilon(greenhouse: Matrix, contrasts: int, error_df: int) -> Matrix:
     """Return the ε of H. Huynh and L. S. Feldt (J. Educ. Stat. 1 (1976) 69) from that of Greenhouse and Geisser.
 
-    With the correction of B. Lecoutre (J. Educ. Stat. 16 (1991) 371) for groups. That of Greenhouse and Geisser alone
-    finds too little: of twelve conditions and six people 1 to 3 % in place of 5 %.
+    It includes the correction of B. Lecoutre (J. Educ. Stat. 16 (1991) 371) for groups. The ε of Greenhouse and Geisser
+    alone is too conservative: with twelve conditions and six people it rejects in 1 to 3 % instead of 5 %.
     """
     if contrasts == 1:
         return np.ones_like(greenhouse)
@@ -132,7 +132,7 @@ def _mean(values: Matrix) -> Matrix:
 
 
 def _whitened(estimate: Matrix, weights: Matrix) -> list[Matrix]:
-    """Return the rows of estimates divided by the Cholesky factor of their covariance, so that they are independent."""
+    """Divide the rows of estimates by the Cholesky factor of their covariance, so that they are independent."""
     size = len(weights)
     factor = np.zeros((size, size))
     rows: list[Matrix] = []

@@ -1,7 +1,7 @@
-"""Runs the trials of an experiment over an apparatus, and writes what came of each to the journal.
+"""Run the trials of an experiment on an apparatus, and write each outcome to the journal.
 
-What is still to be done follows from the plan and the journal alone, so a run that was interrupted anywhere continues
-with the trial that it was at. An attempt counts when its outcome is in the journal; no trial is lost or done twice.
+The remaining work follows from the plan and the journal alone, so a run that was interrupted anywhere continues with
+its current trial. An attempt counts once its outcome is in the journal; no trial is lost or done twice.
 """
 
 import platform
@@ -24,19 +24,19 @@ _PACKAGES = ("telenano", "numpy", "numba", "scipy")
 
 
 class RunEnd(NamedTuple):
-    """Why a run ended: of the plan, empty; or in words, before its plan did."""
+    """The reason why a run ended before its plan was done; empty if it was done."""
 
     reason: str
 
 
 class Progress(NamedTuple):
-    """What became of one participant's trials.
+    """The progress of one participant.
 
     Args:
         outcomes: The records of the attempts at each trial, by index.
-        sessions: The numbers of the sessions that are over.
+        sessions: The numbers of the finished sessions.
         erased: Whether the participant's data were erased.
-        excluded: Why the participant does not continue; empty otherwise.
+        excluded: Reason why the participant does not continue; empty otherwise.
     """
 
     outcomes: Mapping[int, list[Record]]
@@ -50,7 +50,7 @@ class Progress(NamedTuple):
 
 
 def progress_of(records: Iterable[Record], participant: str) -> Progress:
-    """Fold the records of a journal to what became of a participant's trials."""
+    """Fold the records of a journal into the progress of a participant."""
     outcomes: dict[int, list[Record]] = {}
     sessions: set[int] = set()
     erased, excluded = False, ""
@@ -70,7 +70,7 @@ def progress_of(records: Iterable[Record], participant: str) -> Progress:
 
 
 def still_open(plan: Plan, trials: Sequence[Trial], progress: Progress) -> list[Trial]:
-    """Return the trials that are not over: without those of a practice whose criterion is met."""
+    """Return the unfinished trials, without those of a practice whose criterion is met."""
     met: dict[int, bool] = {}
     for trial in trials:
         if trial.phase == "practice" and trial.block not in met:
@@ -79,25 +79,25 @@ def still_open(plan: Plan, trials: Sequence[Trial], progress: Progress) -> list[
 
 
 def practised_enough(plan: Plan, trial: Trial, trials: Sequence[Trial], progress: Progress) -> bool:
-    """Return whether the practice that a trial belongs to meets the criterion of its task; False without one."""
+    """Return whether the practice of a trial meets the criterion of its task; False without a criterion."""
     criterion = plan.experiment.practice.until.get(trial.task)
     if criterion is None:
         return False
     mine = [one.index for one in trials if one.block == trial.block and one.session == trial.session]
     done = [record for index in mine for record in progress.outcomes.get(index, ()) if record["status"] == "done"]
-    # A disturbed trial is done again at the end of the block, after trials with a higher index.
+    # A disturbed trial is repeated at the end of the block, after trials with a higher index.
     done.sort(key=lambda record: (record["utc"], record["attempt"]))
     return criterion.is_met([record["measures"].get(criterion.measure) for record in done])
 
 
 class Tracks:
-    """The tracks of the adaptive method of one participant: one for each combination of the other factors."""
+    """The adaptive tracks of one participant, one for each combination of the other factors."""
 
     def __init__(self, plan: Plan, participant: str) -> None:
         self._plan, self._participant = plan, participant
 
     def method(self, trial: Trial, progress: Progress) -> Method:
-        """Return the method as it is before a trial, from the answers in the journal."""
+        """Return the state of the method before a trial, from the answers in the journal."""
         plan = self._plan
         cell = self._cell(trial.task, trial.condition)
         answers = []
@@ -124,9 +124,9 @@ class Runner:
         plan: The experiment.
         journal: The journal, open.
         people: The participants.
-        apparatus: What trials run on.
-        desk: Tells and asks participant and experimenter.
-        show: Called with a line about what happens.
+        apparatus: The apparatus of the trials.
+        desk: Communicates with participant and experimenter.
+        show: Called with a line about each event.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class Runner:
         self._instructed = ""
 
     def begin(self) -> None:
-        """Note in the journal that a run begins; ConfigError where the experiment is another one than it began as."""
+        """Record that a run begins; ConfigError if the experiment's file has changed since its first run."""
         begun = next(self.journal.of("begun"), None)
         if begun is not None and begun["digest"] != self.plan.digest:
             text = f"{self.plan.path} is another experiment than the one in {self.journal.path}"
@@ -170,7 +170,7 @@ class Runner:
             self._show(f"trial {trying['index']} of {trying['participant']} was interrupted and is done again")
 
     def run(self, participants: Sequence[str]) -> RunEnd:
-        """Run the sessions of participants, of a person one session.
+        """Run the sessions of the participants, of a person only the next one.
 
         Raises:
             ConfigError: A participant may not take part.
@@ -190,7 +190,7 @@ class Runner:
                 reason = ended = self._session(participant, session, mine)
                 if reason:
                     self.journal.write("stopped", participant=participant, reason=reason)
-                    # Who missed the criterion of a practice is no reason for the next one not to begin.
+                    # A participant who missed the criterion of a practice does not stop the next one.
                     if progress_of(self.journal.records, participant).excluded and self.desk.action != "exclude":
                         break
                     return RunEnd(reason)
@@ -201,7 +201,7 @@ class Runner:
         return RunEnd(ended)
 
     def _session(self, participant: str, session: int, trials: list[Trial]) -> str:
-        """Run a session, and return why it ended before its plan did; empty if it did not."""
+        """Run a session; return the reason why it ended before its plan did, or an empty string."""
         self.journal.write("participant", participant=participant, session=session)
         self._begun_s, self._disturbed, self._instructed = time.monotonic(), 0, ""
         last: Trial | None = None
@@ -234,7 +234,7 @@ class Runner:
         return ""
 
     def _practised(self, trials: Sequence[Trial], progress: Progress, following: Trial | None) -> str:
-        """Note once how each practice with a criterion ended; return why the session ends, empty where it continues."""
+        """Record the end of each practice with a criterion; return a reason if the session ends, else ""."""
         practice = self.plan.experiment.practice
         noted = {(r["participant"], r["session"], r["block"]) for r in self.journal.of("practice")}
         for trial in trials:
@@ -250,7 +250,7 @@ class Runner:
             if is_out:
                 self.people.change(trial.participant, excluded=text)
                 self.journal.write("excluded", participant=trial.participant, reason=text)
-            # It is written last: a run that is killed before it excludes again.
+            # This record comes last, so that a run killed before it excludes again.
             names = dict(zip(("participant", "session", "block"), key, strict=True))
             self.journal.write("practice", **names, task=trial.task, trials=used, met=met)
             self._show(f"{trial.participant} {text}")
@@ -259,7 +259,7 @@ class Runner:
         return ""
 
     def _agrees(self, participant: str, trials: Sequence[Trial]) -> bool:
-        """Return whether a participant takes part: a simulated one does, a person agrees once, on paper or the page."""
+        """Return whether a participant takes part: a simulated one does; a person consents once, on paper or page."""
         if self.plan.experiment.operator.kind == "simulated":
             self.people.change(participant, simulated=True)
             return True
@@ -272,7 +272,7 @@ class Runner:
         return False
 
     def _next(self, trials: Sequence[Trial], progress: Progress) -> Trial | None:
-        """Return the trial to be done next, with the level that an adaptive method chooses; None where all are over."""
+        """Return the next trial, with the level that an adaptive method chooses; None if all are done."""
         open_ones = still_open(self.plan, trials, progress)
         at_end = self.plan.experiment.disturbed.again == "end_of_block"
         while open_ones:
@@ -285,7 +285,7 @@ class Runner:
             level = Tracks(self.plan, trial.participant).method(trial, progress).next()
             if level is not None:
                 return self.plan.with_level(trial, level)
-            # The method has ended, and needs no more trials of this kind.
+            # The method has ended and needs no more trials of this kind.
             open_ones = [one for one in open_ones if not _same_cell(one, trial)]
         return None
 
@@ -308,14 +308,14 @@ class Runner:
         return outcome
 
     def _lead(self, trial: Trial) -> None:
-        """Have a person read what a task is before its first trial."""
+        """Show a person the instruction of a task before its first trial."""
         if self._instructed != trial.task:
             self._instructed = trial.task
             self.apparatus.prepare(trial)
             self.desk.instruct(trial)
 
     def _after(self, trial: Trial, outcome: TrialOutcome) -> str:
-        """Do what follows a trial; return why the run ends, empty where it continues."""
+        """Carry out the experimenter's request after a trial; return a reason if the run ends, else an empty string."""
         action, reason = self.desk.action, self.desk.reason
         self._disturbed = self._disturbed + 1 if outcome.status == "disturbed" else 0
         if action == "exclude":
@@ -366,7 +366,7 @@ class Runner:
 
 
 def remaining(plan: Plan, records: Sequence[Record]) -> dict[str, int]:
-    """Return how many trials each participant still has to do; none of those whose sessions are over."""
+    """Return the number of unfinished trials of each participant who has unfinished trials or sessions."""
     left = {}
     for participant in plan.experiment.pseudonyms:
         progress = progress_of(records, participant)
@@ -385,7 +385,7 @@ def remaining(plan: Plan, records: Sequence[Record]) -> dict[str, int]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what computes the results."""
+    """Return the versions of Python and of the packages that compute the results."""
     return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
 
 
@@ -401,7 +401,7 @@ def _line(trial: Trial, attempt: int, number: int, total: int, outcome: TrialOut
 
 
 def folder_plan(folder: Path) -> Path:
-    """Return the file of the experiment in a folder; ConfigError where there is none."""
+    """Return the file of the experiment in a folder; ConfigError if there is none."""
     path = folder / "experiment.yaml"
     if not path.is_file():
         raise ConfigError(f"{folder}: has no experiment.yaml: it is no folder of `telenano experiment run`")

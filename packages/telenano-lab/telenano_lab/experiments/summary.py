@@ -1,4 +1,4 @@
-"""What an experiment comes to before it is run, and how far it is: trials, time, balance, and what is left."""
+"""Summaries of an experiment: trials, time and balance before it is run, and its progress."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ from telenano_lab.experiments.types import Trial
 _BETWEEN_S = 5.0
 # A rig needs this time to start.
 _START_S = 15.0
-# A person reads for this time before each trial.
+# Countdown before each trial of a person.
 _COUNTDOWN_S = 3.0
 
 
 def summary_of(plan: Plan) -> dict[str, Any]:
-    """Return what an experiment comes to: counts, times [s], which factor varies where, and the balance of its order.
+    """Return a summary of an experiment: counts, times [s], where each factor varies, and the balance of its order.
 
     Times of an adaptive method are those of its longest run.
     """
@@ -64,7 +64,7 @@ def _duration_s(plan: Plan, trial: Trial) -> float:
 
 
 def _around_s(plan: Plan, trials: Sequence[Trial]) -> float:
-    """Return what passes on a rig beside the trials themselves [s]."""
+    """Return the time on a rig apart from the trials themselves [s]."""
     intervals, starts = 0, 0
     before: object = None
     for trial in trials:
@@ -86,7 +86,7 @@ def _breaks_s(plan: Plan, trials: Sequence[Trial]) -> float:
 
 
 def state_of(plan: Plan, records: Sequence[Record]) -> dict[str, Any]:
-    """Return how far an experiment is, from its journal."""
+    """Return the progress of an experiment, from its journal."""
     left = remaining(plan, records)
     rows = []
     for participant in plan.experiment.pseudonyms:

@@ -1,6 +1,6 @@
-"""The tidy table of an experiment: a row for each attempt at a trial, made from its journal, with a data dictionary.
+"""The tidy table of an experiment, with a row per attempt at a trial and a data dictionary, made from its journal.
 
-Every table is made from the journal again, so a participant who was erased there is in none of them.
+Every table is made anew from the journal, so an erased participant appears in none.
 """
 
 import csv
@@ -15,13 +15,13 @@ from telenano.wire import ConfigError
 Row = dict[str, Any]
 Describe = Callable[[str], Mapping[str, tuple[str, str]]]
 
-# The names of the columns of factors and of answers begin with these.
+# Prefixes of the columns of factors and of answers.
 CONDITION = "condition."
 ANSWER = "answer."
-# The names of the tables.
+# Names of the tables.
 TRIALS = "trials"
 QUESTIONNAIRES = "questionnaires"
-# the columns that every table of trials has: unit and description
+# Columns of every table of trials: unit and description.
 FIXED = {
     "participant": ("", "Pseudonym of the participant"),
     "session": ("", "Visit of the participant, from 1"),
@@ -50,7 +50,7 @@ _UNITS = (
     ("_n_per_m", "N/m"), ("_m_per_s", "m/s"), ("_n_s_per_m", "N s/m"), ("_percent", "%"), ("_ms", "ms"), ("_hz", "Hz"),
     ("_kg", "kg"), ("_j", "J"), ("_s", "s"), ("_n", "N"), ("_m", "m"),
 )  # fmt: skip
-# Levels of a column are listed where there are no more of them than this.
+# Levels of a column are listed if there are at most this many.
 _MOST_LEVELS = 50
 
 
@@ -60,10 +60,10 @@ class DictionaryRow(NamedTuple):
     Args:
         table: The table that the column is in.
         name: The name of the column.
-        unit: Its unit; empty where it has none.
+        unit: Its unit, or an empty string.
         type: One of text, boolean, integer and number.
-        description: What it holds.
-        levels: The values of a factor or of a column of few words; empty for others.
+        description: Its meaning.
+        levels: The values of a factor or of a categorical column; empty for others.
     """
 
     table: str
@@ -75,14 +75,14 @@ class DictionaryRow(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """The tables of an experiment, each with rows that all have the same columns."""
+    """The tables of an experiment; all rows of a table have the same columns."""
 
     trials: list[Row]
     questionnaires: list[Row]
     dictionary: tuple[DictionaryRow, ...]
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the trials; empty where it has none."""
+        """Return the unit of a column of the trials, or an empty string."""
         return next((row.unit for row in self.dictionary if (row.table, row.name) == (TRIALS, column)), "")
 
 
@@ -107,7 +107,7 @@ def tidy(records: Iterable[Mapping[str, Any]], describe: Describe = lambda task:
 
 
 def write_tables(tables: Tables, folder: Path) -> list[Path]:
-    """Write each table as Parquet and CSV, and the dictionary as JSON and Markdown; return what was written.
+    """Write each table as Parquet and CSV, and the dictionary as JSON and Markdown; return the paths.
 
     Raises:
         OSError: A file cannot be written.
@@ -135,7 +135,7 @@ def read_tables(folder: Path) -> Tables:
     """Return tables that `write_tables` wrote.
 
     Raises:
-        ConfigError: A file is missing or not of this kind; the message names it.
+        ConfigError: A file is missing or not of this kind; the message names the folder.
     """
     import pyarrow.parquet as pq
 
@@ -180,7 +180,7 @@ def _trial(record: Mapping[str, Any], excluded: Mapping[str, str]) -> Row:
     row = {name: record.get("index" if name == "trial" else name) for name in FIXED}
     row["excluded"] = excluded.get(record["participant"], "")
     row |= {CONDITION + factor: _cell(level) for factor, level in record["condition"].items()}
-    # the columns that every table has are not for a measure of the same name
+    # A measure must not take the name of a fixed column.
     row |= {_measure(name): _cell(value) for name, value in record["measures"].items()}
     return row | {ANSWER + answer["name"]: _cell(answer["value"]) for answer in record.get("answers") or ()}
 
@@ -198,7 +198,7 @@ def _asked(record: Mapping[str, Any]) -> list[Row]:
 
 
 def _cell(value: Any) -> Any:
-    """Return a value of one cell: a list or a mapping becomes JSON."""
+    """Return a value of one cell: a sequence or a dict becomes JSON."""
     return json.dumps(value) if isinstance(value, list | tuple | dict) else value
 
 
@@ -263,6 +263,6 @@ def _write_csv(path: Path, rows: Sequence[Row], described: Mapping[str, Dictiona
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(described))
         writer.writeheader()
-        # R and pandas both take these for truth values.
+        # R and pandas both read these as truth values.
         words = {True: "TRUE", False: "FALSE"}
         writer.writerows({name: words[v] if isinstance(v, bool) else v for name, v in row.items()} for row in rows)

@@ -1,4 +1,4 @@
-"""What the parts of an experiment give each other: a planned trial, what was measured in it, and what came of it."""
+"""Data that the parts of an experiment exchange: a planned trial, and its outcome."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -20,10 +20,10 @@ class Trial(NamedTuple):
         phase: Either practice or main.
         task: The name of the task in the registry.
         task_parameters: The parameters of the task, checked by its own model.
-        condition: The level of each factor, as the experiment's file has it.
-        settings: What the condition and the task mean, by dotted key of a scenario.
-        seed: The seed that follows from those of the experiment, the participant and the index; a repeated attempt
-            has another one, which the runner mixes in.
+        condition: The level of each factor, as in the experiment's file.
+        settings: The settings of condition and task, by dotted key of a scenario.
+        seed: The seed, derived from those of the experiment, the participant and the index; the runner mixes in the
+            number of a repeated attempt.
     """
 
     participant: str
@@ -39,17 +39,17 @@ class Trial(NamedTuple):
 
 
 class TrialOutcome(NamedTuple):
-    """What came of one attempt at a trial.
+    """The outcome of one attempt at a trial.
 
     Args:
         measures: The value of each measure of the task; None where it could not be judged.
         status: One of done, disturbed or aborted.
-        disturbance: What the truth of the link cannot explain, in words; empty where the trial was not disturbed.
-        duration_s: How long the attempt took [s].
-        started_utc: When it began, in ISO 8601.
-        recording: The path of its recording from the experiment's folder, empty where there is none.
-        verified: What link and law reported before the trial counted, by key.
-        answers: What the participant answered during the trial.
+        disturbance: Disturbances that the link's truth does not explain, in words; empty if there were none.
+        duration_s: Duration of the attempt [s].
+        started_utc: Time of its beginning, in ISO 8601.
+        recording: The path of its recording relative to the experiment's folder; empty without one.
+        verified: Reports of link and law before the trial began, by key.
+        answers: The participant's answers during the trial.
     """
 
     measures: Mapping[str, float | bool | str | None]

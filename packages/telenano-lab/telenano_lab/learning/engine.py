@@ -74,7 +74,7 @@ _NOISES = 3
 
 
 class Drawn(NamedTuple):
-    """What decides an episode: its rows of `given` and `state`, particle (fixed, moving), tip and spring, and noise."""
+    """The random values of an episode: rows of `given` and `state`, particle (fixed, moving), tip and spring, noise."""
 
     given: Array
     state: Array
@@ -164,7 +164,7 @@ def advance(
 
 @always_compiled
 def _believe(g: Array, s: Array, high: bool) -> None:
-    """Take what was felt: the particle lies in the direction of the force that the tip exerts, d away."""
+    """Update the believed place: a felt particle lies in the direction of the force that the tip exerts, d away."""
     size = math.sqrt(s[FELT_X] * s[FELT_X] + s[FELT_Y] * s[FELT_Y])
     if size <= max(_CONTACT_SHARE * F_N, 4.0 * g[FORCE_NOISE]):
         if s[CONTACT] > 0.0 and not high:

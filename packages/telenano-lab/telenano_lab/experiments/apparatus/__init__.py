@@ -1,1 +1,1 @@
-"""What trials run on: a rig of processes that stays up, or simulated time."""
+"""Apparatus of the trials: a rig of processes that stays up, or simulated time."""

@@ -1,4 +1,4 @@
-"""An apparatus carries out a trial and has its task judge it; what it runs on is in `lockstep` and `live`."""
+"""Base of the apparatus: carry out a trial and have its task judge it; `lockstep` and `live` implement it."""
 
 import math
 from abc import ABC, abstractmethod
@@ -17,13 +17,13 @@ from telenano_lab.experiments.types import Trial, TrialOutcome
 
 
 class Take(NamedTuple):
-    """One interval of a trial, as it was measured.
+    """The data of one interval of a trial.
 
     Args:
-        data: The tables, with times from its beginning; None where it was disturbed so that nothing can be judged.
-        disturbance: What disturbed it, in words; empty for nothing.
-        recording: The path of its recording from the experiment's folder; empty without one.
-        verified: What link and law reported before it counted.
+        data: The tables, with times from its beginning; None if a disturbance makes it impossible to judge.
+        disturbance: The disturbance, in words; empty for none.
+        recording: The path of its recording relative to the experiment's folder; empty without one.
+        verified: Reports of link and law before it began.
     """
 
     data: TrialData | None
@@ -33,7 +33,7 @@ class Take(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What an apparatus runs: the trial, the attempt, the scenario, how long [s], and the number of the interval."""
+    """The interval to run: trial, attempt, scenario, duration [s], its number, count of intervals, task parameters."""
 
     trial: Trial
     attempt: int
@@ -45,18 +45,18 @@ class Course(NamedTuple):
 
 
 class Apparatus(ABC):
-    """What trials run on.
+    """The apparatus on which trials run.
 
     Args:
         plan: The experiment.
-        desk: Tells and asks participant and experimenter.
+        desk: Communicates with participant and experimenter.
     """
 
     def __init__(self, plan: Plan, desk: Desk) -> None:
         self.plan, self.desk = plan, desk
 
     def prepare(self, trial: Trial) -> None:
-        """Bring up what a trial runs on, so that its participant can be addressed before it."""
+        """Start the apparatus for a trial, so that its participant can be addressed before it."""
         return
 
     @abstractmethod
@@ -64,16 +64,16 @@ class Apparatus(ABC):
         """Run one interval.
 
         Raises:
-            AbortedError: Somebody ended it.
+            AbortedError: The experimenter ended it.
             RigError: The apparatus cannot continue.
         """
 
     def close(self) -> None:
-        """Give up what runs."""
+        """Stop the apparatus."""
         return
 
     def run(self, trial: Trial, attempt: int) -> TrialOutcome:
-        """Carry out an attempt at a trial, whose seed is that of the attempt, and judge it."""
+        """Carry out and judge an attempt at a trial; the trial's seed must be that of the attempt."""
         task, started_utc = self.plan.tasks[trial.task], now_utc()
         parameters = parameters_of(task, trial.task_parameters)
         intervals = task.intervals(parameters, trial.seed)
@@ -111,7 +111,7 @@ class Apparatus(ABC):
         )
 
     def document(self, trial: Trial, parameters: Any, interval: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the checked scenario of an interval: of the task, of the condition over it, and of the operator."""
+        """Return the checked scenario of an interval; the condition's keys, then the operator's, override its own."""
         settings = {**interval, **trial.settings}
         if (hand := self.simulated(trial)) is not None:
             settings |= hand.settings(self.plan.tasks[trial.task], parameters, trial)
@@ -119,17 +119,17 @@ class Apparatus(ABC):
         return checked_document(self.plan, trial.task, trial.task_parameters, settings, trial.seed, origin)
 
     def simulated(self, trial: Trial) -> SimulatedParticipant | None:
-        """Return the simulated participant of a trial; None where a person does it."""
+        """Return the simulated participant of a trial; None if a person takes part."""
         operator = self.plan.experiment.operator
         return SimulatedParticipant(operator.profile, trial.seed) if operator.kind == "simulated" else None
 
     def steering(self, course: Course) -> Any:
-        """Return what makes the hand that steers the tip in a course (`pushing`); None for none."""
+        """Return a function that makes the hand which steers the tip in a course (`pushing`); None if none does."""
         trial, hand = course.trial, self.simulated(course.trial)
         task = self.plan.tasks[trial.task]
         if hand is None or not hand.steers(task, course.parameters, trial.seed):
             return None
-        # The particles take a second to load, which other tasks do not need.
+        # Importing the particles takes a second, which other tasks do not need.
         from telenano_lab.experiments.pushing import steering_of
 
         goal_m = task.target(course.parameters, trial.seed)
@@ -145,17 +145,17 @@ class Apparatus(ABC):
 
 
 def _finite(value: Any) -> Any:
-    """Return a value as a journal keeps it: None for a number that is none, plain numbers for those of numpy."""
+    """Return a value for the journal: NumPy scalars as Python numbers, and None for a float that is not finite."""
     plain = value.item() if hasattr(value, "item") else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain
 
 
 def joined(parts: Sequence[TrialData], durations_s: Sequence[float]) -> TrialData:
-    """Return the data of a trial whose intervals ran one after another: times continue, `interval` counts from 0.
+    """Return the data of a trial of several intervals: times continue, and `interval` counts from 0.
 
     Args:
         parts: The data of each interval, with times from its own beginning.
-        durations_s: How long each interval took [s].
+        durations_s: The duration of each interval [s].
     """
     starts = np.concatenate(([0.0], np.cumsum(durations_s)))[: len(parts)]
     afm, haptic, status = (

@@ -1,9 +1,9 @@
 """Trials on a rig of processes that stays up: the condition changes while the hand is at rest, and is verified.
 
-Before each trial the link is clean while a simulated hand goes back to its start and the law changes, as a rig does it
-bumplessly; then the link takes the condition. The trial begins only when `link/status` and `link/delay` report the
-settings and the delay, `law/status` the law at both halves, and `node/health` that every node runs. Each trial is an
-MCAP file of its own: the recorder begins a new one after it.
+Before each trial the link is clean while a simulated hand returns to its start and the law changes bumplessly; then the
+link takes its condition. The trial begins only when `link/status` and `link/delay` report the settings and the delay,
+`law/status` the law at both halves, and `node/health` that every node runs. Each trial is an MCAP file of its own: the
+recorder begins a new file after it.
 """
 
 import json
@@ -54,25 +54,25 @@ from telenano_lab.experiments.types import Trial
 _HALVES = ("controller@master", "controller@slave")
 _REPORTS = ("link/status", "link/delay", "law/status", "node/health")
 _NODES = (HAND, *_HALVES, f"{LINK}@master", TIP, RECORDER)
-# How long a state is waited for [s]; the rig's own deadlines are far shorter.
+# Longest wait for a state [s]; the rig's own deadlines are far shorter.
 _PATIENCE_S = 20.0
 _LISTEN_S = 0.05
 # The hand is at rest below this speed.
 _REST_M_PER_S = 2e-4
-# The hand has to be at rest, or at its start, for this time.
+# The hand must be at rest, or at its start, for this time.
 _REST_S = 0.1
 # The hand is at its start within this distance of it.
 _HOME_M = 2e-4
-# The hand has this time to go back to its start.
+# Longest time for the hand to return to its start.
 _HOME_S = 6.0
-# The hand has this time to come to rest.
+# Longest time for the hand to come to rest.
 _REST_MOST_S = 6.0
 _CLEAN: dict[str, Scalar] = {"profile": "clean"}
-# What is under way when the force profile ends still belongs to the trial.
+# Messages under way at the end of the force profile still belong to the trial.
 _AFTER_S = 0.3
-# Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
+# Hand and tip are coupled if the base is within this distance of the place of the hand, at the scale of the law [m].
 _SAME_PLACE_M = 2e-9
-# They are coupled again so often before the trial is given up.
+# Number of attempts to couple them before the trial is given up.
 _COUPLINGS = 3
 _NO_MARKS: Mapping[int, int | str] = {}
 
@@ -86,9 +86,9 @@ class Live(Apparatus):
     Args:
         plan: The experiment.
         folder: The folder of the experiment.
-        desk: Tells and asks participant and experimenter.
-        show: Called with what a person has to know.
-        marks: The port to which trials are marked; None for none.
+        desk: Communicates with participant and experimenter.
+        show: Called with messages for a person.
+        marks: The port on which trials are marked; None for none.
     """
 
     def __init__(
@@ -106,15 +106,15 @@ class Live(Apparatus):
         self._kept = ""
         self._set = WantedSettings({}, {}, "", {}, {})
         self._document: Mapping[str, Any] = {}
-        # When the trial began: the places of hand and base, and how far the base was from that of the hand [m].
+        # At the beginning of the trial: places of hand and base, and offset of the base from that of the hand [m].
         self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
-        # A simulated hand that steers the tip pushes at the place of a page.
+        # A simulated hand that steers the tip acts like a page.
         self._page: PageHand | None = None
         self._hold = ExitStack()
         self._lease: Any = None
         self._was_lost = False
         self._observer: Observer | None = None
-        # the newest report by topic and source, and when it came
+        # The newest report by topic and source, with its time of arrival.
         self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
         wait_for_others(self._folder, show)
 
@@ -139,7 +139,7 @@ class Live(Apparatus):
         verified = self._verified(wanted)
         place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
         mark: dict[str, Scalar] = {"trial": trial.index, "attempt": course.attempt, "interval": course.interval}
-        # What comes before the trial is in no file of its own: it is of no use.
+        # The part before the trial is in a file of its own, which is of no use.
         self._split(rig).unlink()
         self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
         self.desk.begin(trial, course.attempt, first=course.interval == 0)
@@ -163,7 +163,7 @@ class Live(Apparatus):
         return self._judged(course, path, verified, answers, marked)
 
     def _mark(self, code: int, marked: dict[int, int | str]) -> None:
-        """Mark the trial, and note when [ns], or in words why it was not: it is disturbed then."""
+        """Mark the trial, and store the time [ns], or the reason of a failure, which counts as a disturbance."""
         if self._marks is not None:
             try:
                 marked[code] = self._marks.send(code)
@@ -177,7 +177,7 @@ class Live(Apparatus):
         return document
 
     def _pushing(self, course: Course) -> AbstractContextManager[None]:
-        """Let the simulated hand of a course push at the place of a page, where it steers the tip across."""
+        """Let the simulated hand of a course push through the page's interface, if it steers the tip laterally."""
         steers = self.steering(course)
         if steers is None:
             return nullcontext()
@@ -224,9 +224,9 @@ class Live(Apparatus):
         self._rig_of(trial, self.document(trial, parameters, first.settings))
 
     def _rig_of(self, trial: Trial, document: Mapping[str, Any]) -> RigProcess:
-        """Return the rig of a trial: the one that runs, or a new one where it differs in what none takes while it runs.
+        """Return the rig of a trial: the running one, or a new one if they differ in keys that need a restart.
 
-        Each participant has rigs of their own, so that all that is theirs is in folders of theirs.
+        Each participant has separate rigs, so that all of a participant's data are in separate folders.
         """
         kept = json.dumps([trial.participant, kept_keys(document)], sort_keys=True)
         self._document = document
@@ -238,14 +238,14 @@ class Live(Apparatus):
         number = len(list(parent.glob(f"{trial.participant}-*"))) + 1
         folder = parent / f"{trial.participant}-{number}"
         hand = document.get("haptic_node", {})
-        # No simulated hand presses before the first trial; a page's force is none until then.
+        # No simulated hand presses before the first trial; a page's force is zero until then.
         operator = hand.get("operator", NO_HAND)
         if self.simulated(trial) is not None and operator.get("kind") != "interactive":
             operator = NO_HAND
         started = {**document, "haptic_node": {**hand, "operator": operator}}
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
-        # Participants press, and no one else commands, while the experiment has control.
+        # While the experiment has control, participants press and nobody else commands.
         self._lease = self._hold.enter_context(holding("experiment"))
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
@@ -257,7 +257,7 @@ class Live(Apparatus):
         return self._rig
 
     def _await_running(self, rig: RigProcess) -> None:
-        """Wait until the session of a new rig runs: its devices are armed and the hand's clock counts."""
+        """Wait until the session of a new rig runs: its devices are armed and the hand's session clock counts."""
         deadline_s = time.monotonic() + 4.0 * _PATIENCE_S
         with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
             while time.monotonic() < deadline_s:
@@ -269,10 +269,12 @@ class Live(Apparatus):
         raise RigError(f"the rig did not begin its session; see {rig.folder}")
 
     def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: WantedSettings) -> RigProcess:
-        """Return a rig in a condition, whose hand and tip are coupled as those of a new one are.
+        """Return a rig in a condition, with hand and tip coupled as in a new one.
 
-        A law keeps the places at which it was coupled, and a silence can move them against each other: then the tip is
-        withdrawn and armed again. Where that fails, a simulated hand gets a new rig, and a person's hand another try.
+        A law keeps the places at which it was coupled, and a gap in the messages can shift them against each other:
+        then the
+        tip is withdrawn and armed again. If that fails, a simulated hand gets a new rig, and a person's hand another
+        try.
         """
         for left in reversed(range(_COUPLINGS)):
             rig = self._rig_of(trial, document)
@@ -291,7 +293,8 @@ class Live(Apparatus):
                     self._show("the rig is restarted")
                     self.close()
                 continue
-            # Some laws, such as tactile, do not bring the tip to the place of the hand: then this is where it belongs.
+            # Some laws, such as tactile, do not bring the tip to the place of the hand: its place is then correct as it
+            # is.
             self._off_m(document)
             break
         self._prepare_sample(document)
@@ -299,7 +302,7 @@ class Live(Apparatus):
         return rig
 
     def _off_m(self, document: Mapping[str, Any]) -> float:
-        """Return how far the base is from where the place of the hand, at the scale of the law, has it [m]."""
+        """Return the offset of the base from the place of the hand at the scale of the law [m]."""
         law = section_of(document, "controller", ControllerConfig).law_config()
         states = self._states()
         self._base_m = -states["afm/state"].base_position_m[2]
@@ -307,18 +310,18 @@ class Live(Apparatus):
         return self._apart_m
 
     def _couple(self) -> None:
-        """Couple hand and tip again, as `telenano session couple` does; a tip that touches is withdrawn before."""
+        """Couple hand and tip again, as `telenano session couple` does; withdraw the tip first if it touches."""
         if self._states()["afm/state"].in_contact:
             self._command("stop", TIP)
             self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
         self._show(recouple(self._site_file))
 
     def _prepare_sample(self, document: Mapping[str, Any]) -> None:
-        """Put the tip to its place over the sample where a hand moves it across, and particles to where they began."""
+        """Move a laterally steered tip to its start over the sample, and restore the particles' first places."""
         across = section_of(document, "controller", ControllerConfig).lateral
         if "lateral" not in document.get("haptic_node", {}) or across.mode == "direct":
             return
-        # In mode position the way of the tip is that of the hand, which continues from where it is.
+        # In position mode the tip follows the hand, which continues from where it is.
         scale = across.position_scale if across.mode == "position" else 0.0
         x_m, y_m = (scale * place_m for place_m in self._states()["haptic/state"].position_m[:2])
 
@@ -328,13 +331,13 @@ class Live(Apparatus):
         def is_there(state: AfmState) -> bool:
             return math.dist(state.base_position_m[:2], (x_m, y_m)) <= _SAME_PLACE_M
 
-        # A hand that still comes to rest across has the stage and keeps the tip in place: the tip is commanded again.
+        # A hand not yet at rest laterally controls the stage and keeps the tip in place: the command is repeated.
         self._await_tip(is_there, "that the tip is at its place over the sample", put)
         if "particles" in document.get("afm_node", {}).get("sample", {}):
             self._command("set", TIP, {"sample.restore": True})
 
     def _await_tip(self, is_so: Callable[[AfmState], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
-        """Wait until something holds of the tip, and ask for it each time before looking."""
+        """Wait until a condition holds for the tip; `ask` is called before each look."""
         deadline_s = time.monotonic() + _PATIENCE_S
         ask()
         while not is_so(self._states()["afm/state"]):
@@ -343,7 +346,7 @@ class Live(Apparatus):
             ask()
 
     def _ready(self) -> None:
-        """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
+        """Arm devices that an earlier condition has stopped; an emergency stop is left to a person."""
         states = self._states()
         if states["haptic/state"].estop or states["afm/state"].mode == "estop":
             raise RigError(
@@ -377,14 +380,14 @@ class Live(Apparatus):
         self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
 
     def _condition(self, wanted: WantedSettings) -> None:
-        """Give the operator its force profile, and the link its condition."""
+        """Set the force profile of the operator and the condition of the link."""
         if wanted.operator:
             self._command("set", HAND, {"operator": wanted.operator})
         self._command("set", LINK, {**wanted.link})
         self._set = wanted
 
     def _go_home(self) -> float:
-        """Have a simulated hand go back to where it starts; return where it is then [m]."""
+        """Move a simulated hand back to its start; return its place then [m]."""
         start_m = self._start_m
         path = [{"time_s": 0.0, "position_m": start_m}]
         self._command("set", HAND, {"operator": json.dumps({"kind": "impedance", "path": path, "arm": "ordinary"})})
@@ -403,7 +406,7 @@ class Live(Apparatus):
         return self._await_hand(lambda state: abs(state.velocity_m_per_s[2]) < _REST_M_PER_S, _REST_MOST_S)
 
     def _await_hand(self, is_there: Callable[[HapticState], bool], most_s: float) -> float:
-        """Wait until something has held of the hand for a while, at most for a time; return where it is then [m]."""
+        """Wait, at most most_s, until a condition has held for the hand for a while; return its place then [m]."""
         since_ns: int | None = None
         place_m = 0.0
         with closing(Observer(AddressBook.load(self._site_file), ("haptic/state",))) as observer:
@@ -421,7 +424,7 @@ class Live(Apparatus):
         return place_m
 
     def _verified(self, wanted: WantedSettings) -> dict[str, Any]:
-        """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
+        """Wait until the rig reports the condition; return its reports, or raise RigError naming the missing one."""
         expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
         network = LinkSettings().changed(wanted.link).network_name
 
@@ -466,12 +469,12 @@ class Live(Apparatus):
         return all(report is not None and report.law == law and not report.switching for report in reports)
 
     def _absent(self) -> list[str]:
-        """Return the nodes that report nothing, or that they do not run."""
+        """Return the nodes that report nothing, or report that they are not running."""
         reports = {node: self._report("node/health", node) for node in _NODES}
         return [node for node, report in reports.items() if report is None or report.state in ("stopping", "starting")]
 
     def _report(self, topic: str, src: str) -> Any:
-        """Return the newest report, None where none came since the last change."""
+        """Return the newest report; None if none came since the last command or it is too old."""
         at_s, message = self._newest.get((topic, src), (0.0, None))
         fresh_s = 2.0 if topic == "node/health" else 1.0
         return message if time.monotonic() - at_s <= fresh_s else None
@@ -484,7 +487,7 @@ class Live(Apparatus):
             self._watch(_LISTEN_S)
 
     def _watch(self, duration_s: float) -> None:
-        """Take what the rig reports for a time [s]."""
+        """Receive the reports of the rig for a time [s]."""
         assert self._observer is not None
         for observed in self._observer.listen(duration_s):
             message = observed.received.message
@@ -495,13 +498,13 @@ class Live(Apparatus):
             self._rig.check()
 
     def _wait(self, duration_s: float, begun_s: float) -> Iterator[Mapping[str, Any]]:
-        """Wait for the end of a trial, and yield what is answered meanwhile."""
+        """Wait for the end of a trial, and yield the answers that come meanwhile."""
         while (elapsed_s := time.monotonic() - begun_s) < duration_s:
             self._watch(min(_LISTEN_S, duration_s - elapsed_s))
             yield from self.desk.during(elapsed_s)
 
     def _command(self, name: _Name, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
-        """Send a command; RigError where a node refuses it. What was reported before counts no more."""
+        """Send a command and drop earlier reports; RigError if a node refuses it."""
         self._send(Command(name, target, parameters=parameters or {}))
 
     def _send(self, command: Command) -> None:
@@ -513,10 +516,10 @@ class Live(Apparatus):
         self._newest = {}
 
     def _keep_hand(self) -> None:
-        """Take the hand again where a machine that was held up has lost it, which disturbs the trial.
+        """Take control of the hand again if a stall of the machine has lost it, which disturbs the trial.
 
         Raises:
-            RefusedError: Another has it now; the sentence names whose.
+            RefusedError: Another client has it now; the message names it.
         """
         if self._lease is None or self._lease.is_held():
             return
@@ -525,7 +528,7 @@ class Live(Apparatus):
         self._show("the experiment stood still for a second and lost the hand: it has taken it again")
 
     def _split(self, rig: RigProcess) -> Path:
-        """Have the recorder begin a new file; return the one that it has finished."""
+        """Make the recorder begin a new file; return the finished one."""
         finished = rig.recordings[-1]
         self._command("set", RECORDER, {"record.split": True})
         deadline_s = time.monotonic() + _PATIENCE_S

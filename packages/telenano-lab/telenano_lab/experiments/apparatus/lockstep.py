@@ -43,5 +43,5 @@ class Lockstep(Apparatus):
 
 
 def empty(topic: str) -> ColumnTable:
-    """Return a table of a topic without rows, such as law/status, which lockstep does not have."""
+    """Return an empty table of a topic, such as law/status, which lockstep does not have."""
     return ColumnTable(topic, {"time_s": np.empty(0)}, {"time_s": "s"}, {"time_s": "Time since the trial began"})

@@ -1,8 +1,8 @@
-"""Marks for what records beside the rig, such as an amplifier for EEG: a byte on a port at both ends of a trial.
+"""Trigger marks for devices that record beside the rig, such as an EEG amplifier: a byte at both ends of a trial.
 
-A byte is the number of the trial's condition, PRACTICE or END, and a pulse: PULSE_S later the byte 0 follows. A serial
-port gets bytes, as boxes for triggers take them; a parallel port (`/dev/parport0` of Linux) has the byte on its eight
-data lines; a file or a pipe gets the bytes, to try it out.
+A byte is the number of the trial's condition, PRACTICE or END, as a pulse: PULSE_S later the byte 0 follows. A serial
+port receives the bytes, as trigger boxes expect; a parallel port (`/dev/parport0` of Linux) has the byte on its eight
+data lines; a file or a pipe receives the bytes, for tests.
 """
 
 import fcntl
@@ -17,15 +17,15 @@ from telenano.wire import ConfigError, RigError
 from telenano_lab.experiments.plan import Plan
 from telenano_lab.experiments.types import Trial
 
-# The byte of a trial for practice.
+# Byte of a practice trial.
 PRACTICE = 254
-# The byte of the end of a trial.
+# Byte of the end of a trial.
 END = 255
-# The port holds a byte for this time.
+# Duration of a pulse [s].
 PULSE_S = 0.01
-# The major number of Linux's parallel ports.
+# Major device number of Linux's parallel ports.
 _PARALLEL = 99
-# Requests to a parallel port: have it alone, claim it, and write its data lines.
+# Requests to a parallel port: exclusive access, claim, and write the data lines.
 _EXCLUSIVE = 0x708F
 _CLAIM = 0x708B
 _DATA = 0x40017086
@@ -57,7 +57,7 @@ class Marks:
             raise ConfigError(f"--marks {port}: cannot be opened: {_reason(error)}") from error
 
     def send(self, code: int) -> int:
-        """Write a byte, and 0 after PULSE_S; return when it was written, since the epoch [ns].
+        """Write a byte, and 0 after PULSE_S; return the time of writing since the epoch [ns].
 
         Raises:
             RigError: It could not be written; the message says where and why.
@@ -77,7 +77,7 @@ def _reason(error: Exception) -> str:
 
 
 def _opened(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
-    """Return what writes a byte to a port without waiting for who reads it, and what lets the port go."""
+    """Return two functions: one that writes a byte to a port without blocking, and one that closes it."""
     descriptor = os.open(port, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY)
     status, close = os.fstat(descriptor), partial(os.close, descriptor)
     if os.isatty(descriptor):

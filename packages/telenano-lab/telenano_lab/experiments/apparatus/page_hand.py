@@ -1,4 +1,4 @@
-"""A simulated participant at the place of a page: it pushes at the stylus of a running rig, on `operator/force`."""
+"""A simulated participant in place of a page: it pushes the stylus of a running rig through `operator/force`."""
 
 import contextlib
 import threading
@@ -21,41 +21,41 @@ _PERIOD_MS = 5
 
 
 class PageHand:
-    """The hand, and its place at a rig.
+    """The page's connection to a rig, used by a simulated hand.
 
     Args:
         site_file: The site file of the rig.
 
     Raises:
-        EndpointError: Somebody else is at that place, such as `telenano view`.
+        EndpointError: Another process has that connection, such as `telenano view`.
     """
 
     def __init__(self, site_file: Path) -> None:
         self._hand, self._book = RigHand(site_file), AddressBook.load(site_file)
 
     def close(self) -> None:
-        """Give the place up."""
+        """Close the connection."""
         self._hand.close()
 
     @contextlib.contextmanager
     def pushing(
         self, steers: Callable[[float], Hand], controller: ControllerConfig, arm_n_per_m: float
     ) -> Iterator[None]:
-        """Push while the block runs and the operator's force profile with it.
+        """Push while the block runs and the session clock of the hand counts.
 
         Args:
             steers: Makes the hand, from the period [s].
-            controller: The settings of the controller, in mode rate.
+            controller: The settings of the controller, in rate mode.
             arm_n_per_m: The spring of the arm that pushes the stylus [N/m].
 
         Raises:
-            RigError: The hand has failed in between.
+            RigError: The hand has failed meanwhile.
         """
         over, faults = threading.Event(), list[Exception]()
 
         def run() -> None:
             try:
-                # It listens while it pushes only, because what is not read would fill the queues of the nodes.
+                # It subscribes only while it pushes: unread messages would fill the queues of the nodes.
                 with Participant.observing(self._book) as participant:
                     self._push(over, _HandInputs(participant), steers(controller.period_s), controller, arm_n_per_m)
             except Exception as error:  # noqa: BLE001
@@ -85,7 +85,7 @@ class PageHand:
             state = inputs.newest(hand)
             if state is None or state.session_s < 0.0:
                 continue
-            # It takes hold where the stylus is then.
+            # The hand takes hold of the stylus at its current place.
             place_m, shown_n = state.position_m[:2], state.motor_force_n[:2]
             neutral_m = neutral_m or place_m
             newest = round(state.session_s / controller.period_s)
@@ -98,14 +98,14 @@ class PageHand:
 
 
 class _HandInputs:
-    """What the hand sees and feels: the newest states of the stylus, and what has come over the link."""
+    """The perception of the hand: the newest states of the stylus, and the answers over the link."""
 
     def __init__(self, participant: Participant) -> None:
         heard = {HAND: ["haptic/state"], f"{LINK}@master": ["teleop/backward"]}
         self._subscribers, self._network = participant.subscribers(heard, newest_only=True), participant.network
 
     def newest(self, hand: Hand) -> HapticState | None:
-        """Return the newest state of the stylus, None where none came; what came over the link is seen by a hand."""
+        """Return the newest state of the stylus, or None; store an answer from the link in the hand."""
         zmq.select([subscriber.socket for subscriber in self._subscribers], [], [], _PERIOD_MS * 1e-3)
         self._network.process_events()
         state = None

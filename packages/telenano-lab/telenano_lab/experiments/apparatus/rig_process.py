@@ -1,4 +1,4 @@
-"""A rig that an experiment starts: `telenano up` as a child, which ends when the experiment does, however it ends."""
+"""A rig that an experiment starts: `telenano up` as a child process, which ends with the experiment in every case."""
 
 import os
 import signal
@@ -15,9 +15,9 @@ from telenano.launcher import running_rigs
 from telenano.signals import start
 from telenano.wire import RigError
 
-# names the rig that commands are for, as --rig does
+# Environment variable that names the rig of commands, like --rig.
 RIG_VARIABLE = "TELENANO_RIG"
-# A rig is ready within half a minute also where its models have to be compiled first.
+# A rig is ready within half a minute, even if its models have to be compiled first.
 _READY_S = 120.0
 _END_S = 60.0
 _LOOK_S = 0.1
@@ -30,10 +30,10 @@ class RigProcess:
     """A rig with the scenario of the first trial.
 
     Args:
-        folder: The folder of the rig, which is made.
+        folder: The folder of the rig, which is created.
         document: The scenario.
         further: Further options of `telenano up`.
-        show: Called with what a person has to know, such as the address of the page.
+        show: Called with messages for a person, such as the address of the page.
 
     Raises:
         RigError: The rig did not come up; the message has its last lines.
@@ -58,7 +58,7 @@ class RigProcess:
             str(folder / "session"),
         ]
         self._before = os.environ.get(RIG_VARIABLE)
-        # A pipe would break when this process is killed, in the middle of what the rig does to end in order.
+        # A pipe would break if this process is killed, while the rig shuts down in order.
         self._log = folder / "up.log"
         with self._log.open("wb") as log:
             self._process = start(
@@ -77,12 +77,12 @@ class RigProcess:
 
     @property
     def recordings(self) -> list[Path]:
-        """The files of the recording that are there, the newest last."""
+        """The existing files of the recording, the newest last."""
         paths = (self.folder / "session").glob("session*.mcap")
         return sorted(paths, key=lambda path: int(path.stem.partition("_")[2] or 0))
 
     def check(self) -> None:
-        """Show what the rig says of its page; RigError where it has ended by itself."""
+        """Show the rig's messages on its page; RigError if it has ended by itself."""
         lines = self._lines()
         for line in lines[self._lines_shown :]:
             if "http" in line or line.startswith("telenano:"):
@@ -120,7 +120,7 @@ class RigProcess:
 
 
 def wait_for_others(folder: Path, show: Callable[[str], None]) -> None:
-    """Wait until rigs of a run of this experiment that was killed have ended; they end by themselves."""
+    """Wait until rigs of an earlier, killed run of this experiment have ended by themselves."""
     deadline_s, is_reported = time.monotonic() + _END_S, False
     while time.monotonic() < deadline_s:
         mine = [

@@ -1,4 +1,4 @@
-"""What a running rig is set to for a trial, and what needs another rig."""
+"""The settings of a running rig for a trial, and the keys that need another rig."""
 
 import json
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _SIMULATED = ("simulated", "simulated_impedance")
 
 
 class WantedSettings(NamedTuple):
-    """What a running rig is set to: the law, the link, the operator and the disturbances, by key of `set`."""
+    """The settings of a running rig: law, link, operator (as JSON) and disturbances, by key of `set`."""
 
     law: dict[str, Scalar]
     link: dict[str, Scalar]
@@ -30,19 +30,19 @@ def section_of(document: Mapping[str, Any], name: str, model: Any) -> Any:
 
 
 def kept_keys(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a scenario that a running rig does not take: two trials with other ones need two rigs."""
+    """Return the keys of a scenario that a running rig does not accept: trials that differ in them need another rig."""
     flat = flatten({key: value for key, value in document.items() if key not in ("name", "description", "duration_s")})
     kept = {key: value for key, value in flat.items() if not changes_while_running(key)}
-    # A person, or who pushes at the place of one, and a simulated hand of the device do not take turns.
+    # A hand at the page, of a person or of a program, cannot alternate with a simulated hand of the device.
     return {**kept, "interactive": flat.get("haptic_node.operator.kind") == "interactive"}
 
 
 def wanted_of(document: Mapping[str, Any], seed: int) -> WantedSettings:
-    """Return what a running rig is set to for a trial, with every default in it, so that nothing of the last one stays.
+    """Return the settings of a running rig for a trial, defaults included, so that nothing of the last trial remains.
 
     Args:
         document: The scenario of the trial.
-        seed: The seed of the link where the scenario gives none.
+        seed: The seed of the link, if the scenario gives none.
     """
     law = flatten(section_of(document, "controller", ControllerConfig).model_dump(mode="json"))
     section = document.get("delay_node", {})
@@ -64,7 +64,7 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> WantedSettings:
 
 
 def _spring(document: Mapping[str, Any]) -> dict[str, Scalar]:
-    """Return the stiffness of a spring in the place of a sample, which a running rig takes."""
+    """Return the stiffness of a spring that replaces the sample, which a running rig accepts."""
     afm = section_of(document, "afm_node", AfmConfig)
     is_spring = afm.driver == "simulated" and afm.environment == "spring"
     return {"spring.stiffness_n_per_m": afm.spring.stiffness_n_per_m} if is_spring else {}
@@ -80,7 +80,7 @@ def of_way(link: Mapping[str, Scalar], way: str) -> dict[str, Scalar]:
 
 
 def constant_delays_ns(link: Mapping[str, Scalar]) -> dict[str, int]:
-    """Return the delays that the link will report, by direction, where nothing but a fixed delay makes them [ns]."""
+    """Return the delays that the link will report [ns], for the directions that have a fixed delay only."""
     delays_ns = {}
     for way in ("forward", "backward"):
         keys = {key for key, value in of_way(link, way).items() if value not in ("none", 0, 0.0, False)}

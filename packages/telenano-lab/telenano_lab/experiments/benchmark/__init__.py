@@ -1,1 +1,1 @@
-"""The benchmark of teleoperation laws: fixed tasks, networks and hands, whose result has the same bits everywhere."""
+"""The benchmark of teleoperation laws: fixed tasks, networks and hands, with the same results to the bit everywhere."""

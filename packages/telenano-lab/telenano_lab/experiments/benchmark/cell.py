@@ -1,4 +1,4 @@
-"""Kept runs of the benchmark that are made again, and what became of them beside what is kept."""
+"""Repeat kept runs of the benchmark, and compare their outcomes with the kept ones."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,24 +12,24 @@ from telenano_lab.experiments.benchmark.run import Outcome
 
 CELL_HEAD = ("run", "verdict kept", "verdict now", "tracking error kept", "now", "least energy kept [mJ]", "now [mJ]",
              "differs in")  # fmt: skip
-# More runs than this are the whole benchmark in the place of a cell.
+# More runs than this amount to the whole benchmark rather than a cell.
 _MOST_RUNS = 2000
 
 
 def named_runs(
     table: Kept, wanted: Mapping[str, Sequence[Any]], options: Mapping[str, str], draw: int | None, draw_seed: int
 ) -> list[Outcome]:
-    """Return the kept runs that are asked for, in the order of the table.
+    """Return the selected kept runs, in the order of the table.
 
     Args:
         table: The kept runs.
-        wanted: By field of a run the values that it may have; without values it may have any.
-        options: The option of each field, for errors.
-        draw: How many of them are drawn; None: all.
+        wanted: Allowed values by field of a run; an empty list allows any.
+        options: The command-line option of each field, for errors.
+        draw: Number of runs to draw from them; None for all.
         draw_seed: The seed of the draw.
 
     Raises:
-        ConfigError: Nothing is asked for, a value is in no kept run, or no kept run has all of them.
+        ConfigError: Nothing is selected, a value is in no kept run, no kept run has all of them, or they are too many.
     """
     outcomes = list(table.outcomes.values())
     if draw is None and not any(wanted.values()):
@@ -53,11 +53,11 @@ def named_runs(
 
 
 def compared(before: Sequence[Outcome], again: Sequence[Outcome], digest: str) -> tuple[dict[str, Any], list[Any]]:
-    """Return what is printed of runs that were made again, as JSON and as the rows of a table.
+    """Return the comparison of repeated with kept runs, as JSON and as the rows of a table.
 
     Args:
-        before: The runs as they are kept.
-        again: The same runs, made now.
+        before: The kept runs.
+        again: The same runs, repeated.
         digest: The digest of the kept runs.
     """
     records, rows = [], []

@@ -1,10 +1,10 @@
-"""The runs of the benchmark that are kept with the package: read, compared with runs made again, and written.
+"""The benchmark's runs that are kept with the package: read them, compare them with repeated runs, and write them.
 
     python -m telenano_lab.experiments.benchmark.kept out/benchmark/runs.csv
 
-`runs.csv.xz` is a file `runs.csv` that `telenano benchmark` wrote, compressed without loss, and `runs.sha256` its
-digest: a table that is not of its digest is refused. `telenano benchmark cell` makes some of its runs again. Where it
-is the whole set, the command writes the table that `study advise` reads (`standings`) as well.
+`runs.csv.xz` is a losslessly compressed `runs.csv` of `telenano benchmark`, and `runs.sha256` its digest: a table that
+does not match its digest is refused. `telenano benchmark cell` repeats some of its runs. For a complete set of runs,
+this command also writes the table that `study advise` reads (`standings`).
 """
 
 import csv
@@ -26,19 +26,19 @@ from telenano_lab.studies.option_values import COMPARED_LAWS
 
 TABLE = Path(__file__).with_name("runs.csv.xz")
 DIGEST = TABLE.with_name("runs.sha256")
-# These columns of a line say which run it is.
+# Columns that identify a run.
 _CONDITION = ("instrument", "steadiness", "network", "task", "law", "hand", "seed", "settings")
 
 
 class Kept(NamedTuple):
-    """The runs of a table, by what was run, and its digest."""
+    """The outcomes of a table, by run, and its digest."""
 
     outcomes: Mapping[Run, Outcome]
     digest: str
 
 
 class Difference(NamedTuple):
-    """What is not the same in a run that was made again: the name of the figure, as it is kept, and as it came."""
+    """A figure that differs in a repeated run: its name, the kept value, and the new one."""
 
     what: str
     kept: Any
@@ -46,7 +46,7 @@ class Difference(NamedTuple):
 
 
 def read_outcomes(text: str) -> list[Outcome]:
-    """Return the runs of the text of a `runs.csv`; the reason of a verdict is not in it.
+    """Return the runs in the text of a `runs.csv`, which does not contain the reasons of verdicts.
 
     Raises:
         ValueError: The text is not that of this version of the benchmark.
@@ -78,7 +78,7 @@ def kept(table: Path = TABLE, digest: Path = DIGEST) -> Kept:
     """Return the runs that are kept with the package.
 
     Raises:
-        ConfigError: The table cannot be read, or is not that of its digest; the message names the file.
+        ConfigError: The table cannot be read or does not match its digest; the message names the file.
     """
     try:
         text = lzma.decompress(table.read_bytes()).decode()
@@ -99,7 +99,7 @@ def kept(table: Path = TABLE, digest: Path = DIGEST) -> Kept:
 
 
 def differences(before: Outcome, again: Outcome) -> list[Difference]:
-    """Return what is not the same in two outcomes of one run, to the last digit that is kept."""
+    """Return the differences of two outcomes of one run, to the last digit that is kept."""
     found = [Difference("verdict", before.verdict, again.verdict)] if before.verdict != again.verdict else []
     figures = ((name, before.measures[name], again.measures[name]) for name in MEASURES)
     return found + [Difference(name, one, other) for name, one, other in figures if one != other]
@@ -122,14 +122,14 @@ def write(runs_csv: str, table: Path = TABLE, digest: Path = DIGEST) -> None:
 
 
 def chosen(outcomes: Iterable[Outcome], **wanted: Sequence[Any]) -> list[Outcome]:
-    """Return the runs that have one of the values that are wanted of each field of a run; no value means any."""
+    """Return the runs whose fields each have one of the wanted values; no value means any."""
     return [
         one for one in outcomes if all(not some or getattr(one.cell, name) in some for name, some in wanted.items())
     ]
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Keep the runs of a file, and what they say where they are the whole set."""
+    """Keep the runs of a file, and write their standings if the set is complete."""
     if len(arguments) != 1:
         raise SystemExit("usage: python -m telenano_lab.experiments.benchmark.kept RUNS.CSV")
     source = Path(arguments[0])

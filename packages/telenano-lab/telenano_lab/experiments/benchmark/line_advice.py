@@ -1,15 +1,15 @@
-"""Which law to take for a line, a sample and an instrument: what the cells of the benchmark say, tried on that line.
+"""Advice on the law for a line, a sample and an instrument: the benchmark's cells, plus trials on that line.
 
-The laws are ordered as *What to take* of the benchmark orders them, by `results.standings_of` over its runs, whose
-table comes with the package (`standings`): the cells are those of the kind of line, the instrument and the sample that
-are asked for. Then each law is tried on the line itself, as it comes (`telenano_lab.studies.loops.advice`). A law is
-not suited
+The laws are ordered as in *What to take* of the benchmark, by `results.standings_of` over its runs, whose table comes
+with the package (`standings`); the cells are those of the question's kind of line, instrument and sample. Then each law
+with its default settings is tried on the line itself (`telenano_lab.studies.loops.advice`). A law is not suited
 
-- where the benchmark puts it behind the best in these cells, or
-- where a trial was not held, or made energy, while another law that is not behind came through all of them,
+- if the benchmark puts it behind the best in these cells, or
+- if one of its trials was not held or made energy, while another law that is not behind passed all of them,
 
-and both are said with their figures. A law that is not behind and came through goes before one that is behind. What the
-benchmark did not run, laws that are tuned for the line or have their clamp switched, stands apart and is never first.
+and the reasons are given with their figures. A law that is not behind and passed all trials comes before one that is
+behind. Variants that the benchmark did not run, with tuned settings or a switched clamp, are listed apart and never
+first.
 """
 
 import math
@@ -28,21 +28,22 @@ from telenano_lab.studies.loops.advice import Candidate, Question, try_all
 from telenano_lab.studies.loops.cells import CellResult
 from telenano_lab.studies.loops.sweep import Sweep
 
-# A line is local where nearly every message is back within this time: half of what the shortest other line takes [ms].
+# A line is local if nearly every message is back within this time: half of that of the shortest other line [ms].
 LOCAL_MS = 8.0
-# Delays are even where 95 % of them are at most by this share above their median: of `satellite` 0.09.
+# Delays are even if their 95 % quantile is at most this share above the median: for `satellite` it is 0.09.
 EVEN_SHARE = 0.1
-# The share of lost messages from which a line is uneven: ten times as many as `satellite` loses in each direction.
+# A line is uneven from this share of lost messages on: ten times the loss of `satellite` in each direction.
 LOSSY = 0.01
 _AT_95 = NormalDist().inv_cdf(0.95)
 
 
 @dataclass(frozen=True)
 class Advice:
-    """The laws as they come, the one to take first; then the forms of them that the benchmark did not run.
+    """The laws with default settings, the recommended one first; then variants that the benchmark did not run.
 
-    standings has what the benchmark says of the laws in the situation, in its order, and is empty where it has no such
-    cell; digest is that of its runs; notes say where the cells differ from what was asked for.
+    standings: the benchmark's order of the laws in the situation, empty if it has no such cell; digest: that of its
+    runs;
+    notes: differences of the cells from the question.
     """
 
     question: Question
@@ -54,12 +55,12 @@ class Advice:
 
     @cached_property
     def by_law(self) -> Mapping[str, Stood]:
-        """Return what the benchmark says, by law."""
+        """Return the standings by law."""
         return {one.law: one for one in self.standings}
 
     @cached_property
     def laws(self) -> list[Candidate]:
-        """Return the laws as they come, the one to take first."""
+        """Return the laws with default settings, the recommended one first."""
         places = {one.law: number for number, one in enumerate(self.standings)}
         came = [candidate for candidate in self.tried if candidate.clamp is None]
         return sorted(
@@ -76,26 +77,26 @@ class Advice:
 
     @cached_property
     def forms(self) -> list[Candidate]:
-        """Return the forms that the benchmark did not run and that came through all trials, the cheapest first."""
+        """Return the variants outside the benchmark that passed all trials, the cheapest first."""
         good = [candidate for candidate in self.tried if candidate.clamp is not None and not failures(candidate)]
         return sorted(good, key=lambda one: one.price())
 
     @property
     def ordered(self) -> list[Candidate]:
-        """Return all that was tried: the laws in the order of the advice, then the forms, the failed ones last."""
+        """Return all candidates: the laws in the order of the advice, then the variants, the failed ones last."""
         forms = [candidate for candidate in self.tried if candidate.clamp is not None]
         return [*self.laws, *sorted(forms, key=lambda one: (len(failures(one)), one.price()))]
 
     @property
     def take(self) -> Candidate:
-        """Return the law to take, or the nearest to one where none is suited."""
+        """Return the recommended law, or the nearest to one if none is suited."""
         return self.laws[0]
 
     @cached_property
     def reasons(self) -> Mapping[str, str]:
-        """Return for each law why it is not suited; empty where it is."""
+        """Return the reason why each law is not suited, by law; empty for a suited one."""
         came = [candidate for candidate in self.tried if candidate.clamp is None]
-        # Where no law comes through, as over a line that stalls, failed trials tell no law from another.
+        # If no law passes, as over a line that stalls, failed trials do not distinguish the laws.
         tells = any(not failures(one) and not self._is_behind(one.law) for one in came)
         return {one.law: "; ".join(self._reasons_of(one, tells=tells)) for one in came}
 
@@ -109,7 +110,7 @@ class Advice:
 
     @property
     def best(self) -> Stood:
-        """Return the law of which the benchmark held the greatest share, of those that are not behind."""
+        """Return the law with the greatest share of runs held in the benchmark, among those that are not behind."""
         ahead = [one for one in self.standings if not one.is_behind]
         return max(ahead, key=lambda one: (one.held if one.sound is None else one.sound) / one.runs)
 
@@ -134,12 +135,12 @@ class Advice:
 
 
 def failures(candidate: Candidate) -> list[CellResult]:
-    """Return the trials of a candidate that were not held, or made energy."""
+    """Return the trials of a candidate that were not held or made energy."""
     return [one for one in candidate.results if one.outcome != "stable" or makes_energy(1e3 * one.lowest_energy_j)]
 
 
 def why_failed(candidate: Candidate) -> str:
-    """Return what became of the trials that were not good, with the figures of the first; empty where all were."""
+    """Return a sentence on the failed trials, with the figures of the first; empty if none failed."""
     failed = failures(candidate)
     if not failed:
         return ""
@@ -153,7 +154,7 @@ def why_failed(candidate: Candidate) -> str:
 
 
 def why_behind(stood: Stood, best: Stood) -> str:
-    """Return by what the benchmark puts a law behind the best one."""
+    """Return the reason why the benchmark puts a law behind the best one."""
     if stood.sound is not None and best.sound is not None:
         made = f", and {stood.made_energy} made energy" if stood.made_energy else ""
         return (
@@ -176,7 +177,7 @@ def advise(question: Question, sweep: Sweep, table: Standings | None = None) -> 
     Args:
         question: The line, the sample and the instrument.
         sweep: Runs the trials.
-        table: What the benchmark says; None: the table of the package.
+        table: The standings of the benchmark; None for the table of the package.
 
     Raises:
         ConfigError: The line or the instrument is not known, or the table cannot be read.
@@ -190,7 +191,7 @@ def advise(question: Question, sweep: Sweep, table: Standings | None = None) -> 
 
 
 def situation_of(question: Question) -> tuple[Situation, list[str]]:
-    """Return the cells of the benchmark that are asked for, and in sentences by what they differ from the question."""
+    """Return the situation of the benchmark nearest to a question, and sentences on their differences."""
     notes = []
     instrument = question.instrument
     if instrument not in INSTRUMENTS:
@@ -206,14 +207,15 @@ def situation_of(question: Question) -> tuple[Situation, list[str]]:
 
 
 def kind_of_line(question: Question) -> str:
-    """Return which kind of line of the benchmark a line is of: its own network, or what its delays are like.
+    """Return the benchmark's kind of line: that of its own networks, or by the statistics of the delays.
 
-    It is a measured line where delays last over a correlation time, or the line stands still at times; local where
-    nearly every message is back within LOCAL_MS; of long distance where delays are even and hardly a message is lost;
-    and else one of independent delays.
+    A line is a measured line if its delays are correlated in time or it stalls at times; local if nearly every message
+    is
+    back within LOCAL_MS; long distance if its delays are even and it hardly loses messages; and else one of independent
+    delays.
     """
     if question.network is None:
-        # Of a uniform jitter 95 % are at most by 0.9 of its half-width above the median.
+        # For a uniform jitter the 95 % quantile is 0.9 of its half-width above the median.
         above_ms = 2.0 * 0.9 * question.jitter.at_ms(question.round_trip_ms)
         return _kind(question.round_trip_ms, above_ms, question.loss)
     own = next((line for line, networks in LINES.items() if question.network in networks), None)
@@ -233,18 +235,18 @@ def _kind(median_ms: float, above_ms: float, lost: float) -> str:
 
 
 def _lasts(way: Any) -> bool:
-    """Return whether slow messages of a direction come one after the other, or it stands still at times."""
+    """Return whether delays of a direction are correlated in time, or it stalls at times."""
     outage = way.outage
     return way.jitter.correlation_time_s > 0.0 or bool(outage.schedule or outage.period_s or outage.mean_up_s)
 
 
 def _middle_ms(way: Any) -> float:
-    """Return the median delay of the statistics of a direction, or its mean."""
+    """Return the median delay of the statistics of a direction, or else its mean [ms]."""
     return float(way.percentiles_ms.get(50.0, way.mean_ms))
 
 
 def _above_ms(way: Any) -> float:
-    """Return by how much 95 % of the delays are at most above the median [ms], if what is known is that of a normal."""
+    """Return the distance of the 95 % quantile of the delays from the median [ms], assuming a normal distribution."""
     greatest = max(way.percentiles_ms, default=50.0)
     if greatest > 50.0:
         at = NormalDist().inv_cdf(0.01 * greatest)
@@ -253,7 +255,7 @@ def _above_ms(way: Any) -> float:
 
 
 def in_words(advice: Advice) -> list[str]:
-    """Return the advice in sentences: what to take and why, what comes next, what not to take, and what else held."""
+    """Return the advice in sentences: the law to take and why, next ones, unsuited ones, and variants that passed."""
     question, best = advice.question, advice.take
     network = f"{question.round_trip_ms:g} ms" if question.network is None else question.network
     network += f", jitter {question.jitter}" if question.jitter.value else ""
@@ -282,7 +284,7 @@ def in_words(advice: Advice) -> list[str]:
 
 
 def _of_cells(advice: Advice) -> str:
-    """Return in a sentence what the cells of the benchmark say, and where the trials turned that."""
+    """Return a sentence on the benchmark's cells, and on trials that changed their order."""
     if not advice.standings:
         return f"The kind of line is {advice.situation.line}."
     first = advice.standings[0]

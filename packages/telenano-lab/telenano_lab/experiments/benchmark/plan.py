@@ -1,6 +1,6 @@
-"""What the benchmark runs: tasks, networks, laws, hands and instruments, fixed for each version.
+"""The runs of the benchmark: tasks, networks, laws, hands and instruments, fixed for each version.
 
-A change of anything here that alters a result counts VERSION up: figures of two versions are not compared.
+Any change here that alters a result must increment VERSION; figures of different versions are not comparable.
 """
 
 import functools
@@ -36,17 +36,17 @@ STEADINESS: dict[Steadiness, str] = {
 }
 _TREMBLING = {"tremor": {"enabled": True, "rms_n": 0.02}, "wander": {"enabled": True, "rms_n": 0.03}}
 INSTRUMENTS = ("ideal", "real")
-# The reacting operator reacts after this time.
+# Reaction time of the reacting operator.
 REACTION_S = 0.25
-# The moves of the reacting operator scatter by this share of them.
+# Relative scatter of the reacting operator's moves.
 SCATTER = 0.1
-# Each measured line has a twin that draws the delay of every message by itself.
+# Each measured line has a twin that draws the delay of each message independently.
 MEASURED_LINES = ("cicv5g_n78_arterial", "starlink_driving", "att_driving", "verizon_driving")
 NETWORKS = (
     *("clean", "wifi", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
     *(name for line in MEASURED_LINES for name in (line, f"{line}_no_memory")),
 )
-# What a reader knows of a line before anything was measured on it, and the networks that stand for it.
+# Kinds of line that a reader knows before any measurement, and the networks that represent them.
 LINES: dict[str, tuple[str, ...]] = {
     "local": ("clean",),
     "long distance": ("transatlantic", "satellite"),
@@ -60,20 +60,20 @@ QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
 # The number of seeds of the whole benchmark, and of the quick one.
 SEEDS = 4
 QUICK_SEEDS = 2
-# The amplitude of the swing that is followed, about the force of the hold.
+# Amplitude of the swing to follow, about the force of the hold.
 SWING_N = 0.3
 # The frequency of that swing.
 SWING_HZ = 0.5
-# The number of its periods before the measurement.
+# Number of its periods before the measurement.
 SWINGS_BEFORE = 2
-# The number of its periods in the measurement.
+# Number of its periods in the measurement.
 SWINGS = 2
-# The swing is given by this number of points for each period.
+# Number of points per period that describe the swing.
 _POINTS_PER_PERIOD = 200
 
 
 class Task(NamedTuple):
-    """A task: what the tip meets, K of it [N/m], the force to hold [N], and whether a swing is followed afterwards."""
+    """A task: the environment of the tip, its stiffness K [N/m], the force to hold [N], and whether a swing follows."""
 
     about: str
     environment: Environment
@@ -90,7 +90,7 @@ TASKS: dict[TaskName, Task] = {
     "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
     "stiff": Task("the same on a spring of 80 N/m", "spring", 80.0, 1.0, True),
 }
-# The tasks by the sample that they touch.
+# Tasks by the sample that they touch.
 SAMPLES: dict[str, tuple[TaskName, ...]] = {"20 to 40 N/m": ("touch", "hold", "track"), "80 N/m": ("stiff",)}
 QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")
 QUICK_HANDS: tuple[HandName, ...] = ("force", "stiff")
@@ -117,9 +117,9 @@ class Run(Settings):
 
     @property
     def cell(self) -> Cell:
-        """What the loop is told: the round trip sets the times of the programme, and the link itself is the network's.
+        """Return the cell of the loop: the nominal round trip sets its programme, the network sets the link.
 
-        A long mean of a heavy tail would make them no longer than they have to be.
+        The mean of a heavy-tailed delay would make the programme's times longer than necessary.
         """
         task = TASKS[self.task]
         return Cell(
@@ -160,17 +160,17 @@ class Run(Settings):
 
     @property
     def link(self) -> LinkSettings:
-        """The settings of the network with the run's seed."""
+        """Return the settings of the network with the run's seed."""
         return LinkSettings.of({"profile": self.network, "seed": self.seed}, f"network {self.network}")
 
     @property
     def sort_key(self) -> tuple[Any, ...]:
-        """The place in the result."""
+        """Return the key by which results are sorted."""
         condition = (self.instrument, self.steadiness)
         return (*condition, self.network, self.task, self.law, self.hand, self.seed, self.settings)
 
     def force_profile(self) -> tuple[list[tuple[float, float]], float, float, float]:
-        """Return the hand's corners (time [s], force [N]), and when hold, settling of the swing, and run end [s]."""
+        """Return the hand's corners (time [s], force [N]), and the ends of hold, settling of the swing, and run [s]."""
         task, cell = TASKS[self.task], self.cell
         points, held_s = list(cell.hand_points()), cell.hold_s()[1]
         if not task.follows:
@@ -183,7 +183,7 @@ class Run(Settings):
 
 
 class Plan(NamedTuple):
-    """What is run: names of networks, tasks, laws and hands, seeds of what is random, and settings of the laws."""
+    """The runs of a benchmark: networks, tasks, laws and hands by name, number of seeds, and settings of the laws."""
 
     networks: tuple[str, ...]
     tasks: tuple[TaskName, ...]
@@ -195,7 +195,7 @@ class Plan(NamedTuple):
     steadiness: tuple[Steadiness, ...] = tuple(STEADINESS)
 
     def runs(self) -> list[Run]:
-        """Return the runs, those over one draw together: to draw a link or a noise takes longer than to run over it."""
+        """Return the runs, grouped by the draw of a link, because drawing a link or a noise takes longer than a run."""
         planned = [
             Run(
                 task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings,
@@ -221,7 +221,7 @@ def plan_of(
     instruments: Sequence[str] = (),
     steadiness: Sequence[str] = (),
 ) -> Plan:
-    """Return the whole set, or the quick one, for some laws, over its own networks where none are named.
+    """Return the complete or the quick set of runs for some laws, over its own networks unless others are named.
 
     Raises:
         ConfigError: A law, a network, an instrument or a hand is not known; the message names it.

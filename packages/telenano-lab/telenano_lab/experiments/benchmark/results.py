@@ -1,7 +1,7 @@
-"""The result of the benchmark: its runs as a text of the same bits everywhere, a row a case and law, and the choice.
+"""Results of the benchmark: its runs as bit-identical text, a row per case and law, and the choice of a law.
 
-The digest is that of `runs.csv`: two people have the same result when `sha256sum runs.csv` says so. No file says when
-or where it was made, and none has a figure of more digits than DIGITS.
+The digest is that of `runs.csv`: two results are the same if `sha256sum runs.csv` agrees. No file contains its time or
+place of origin, and no figure has more than DIGITS digits.
 """
 
 import csv
@@ -17,14 +17,14 @@ from telenano.settings import profile_named
 from telenano_lab.experiments.benchmark.plan import LINES, SAMPLES, STEADINESS, TASKS, VERSION, Plan, Run
 from telenano_lab.experiments.benchmark.run import MEASURES, Outcome, rounded
 
-# A run is held when it came to rest, with the force that it should have, and unstruck.
+# A run is held if it came to rest at the intended force without being struck.
 HELD = ("stable",)
-# energy below this was made by the loop and not left by rounding [mJ]
+# Energy below this was made by the loop, and not by rounding [mJ].
 LEAST_MJ = -1e-3
 
 
 class Spread(NamedTuple):
-    """Median, least and greatest of the runs that have a measure."""
+    """Median, least and greatest value of a measure over the runs that have it."""
 
     median: float
     least: float
@@ -32,7 +32,7 @@ class Spread(NamedTuple):
 
 
 class Case(NamedTuple):
-    """What the runs of a choice have in common: the instrument, how steady the hand is, and the network."""
+    """The common conditions of the runs of a choice: instrument, steadiness of the hand, and network."""
 
     instrument: str
     steadiness: str
@@ -40,7 +40,7 @@ class Case(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What a reader knows beforehand: the kind of line, the instrument and the sample; every hand is in it."""
+    """The facts that a reader knows beforehand: kind of line, instrument and sample; it includes all hands."""
 
     line: str
     instrument: str
@@ -51,10 +51,11 @@ Of = TypeVar("Of", bound=Case | Situation)
 
 
 class Row(NamedTuple, Generic[Of]):
-    """A law in a case or a situation: its runs.
+    """The runs of a law in a case or a situation.
 
-    Of them were held (with the interval of their share), made energy, and were held without it; measures are of those
-    held.
+    held: number of runs held; low, high: interval of their share; made_energy: runs in which the loop made energy;
+    sound:
+    runs held without it; measures: over the runs held.
     """
 
     case: Of
@@ -74,7 +75,7 @@ class Row(NamedTuple, Generic[Of]):
         return self.held / self.runs
 
     def price(self) -> tuple[float, float]:
-        """Return what puts one law before another: most runs held, and of equal ones the nearest tracking."""
+        """Return the sort key of a law: greatest share of runs held first, then the least tracking error."""
         spread = self.measures["tracking_error"]
         return -self.share, math.inf if spread is None else spread.median
 
@@ -94,8 +95,9 @@ def rows_of(outcomes: Sequence[Outcome]) -> list[Row[Case]]:
 class Standing(NamedTuple):
     """A law among those of a situation.
 
-    It is behind where its share of runs held without making energy cannot by chance be the greatest: the 95 % interval
-    of the share ends below that of the law whose interval begins highest, which is the best.
+    It is behind if its share of runs held without making energy cannot by chance be the greatest: the 95 % interval of
+    that
+    share ends below the interval that begins highest, that of the best law.
     """
 
     row: Row[Situation]
@@ -104,10 +106,11 @@ class Standing(NamedTuple):
 
 
 def standings_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Standing]]:
-    """Return the laws in each situation, the one to take first: the one rule of all advice.
+    """Return the laws in each situation, the recommended one first; all advice follows this rule.
 
-    It is the law that followed the swing nearest of those that are not behind; those that are behind follow by their
-    share. Networks that stand for no kind of line are left out.
+    The recommended law has the least tracking error among those that are not behind; those behind follow by their
+    share.
+    Networks that represent no kind of line are left out.
     """
     lines = {network: line for line, networks in LINES.items() for network in networks}
     samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}
@@ -120,7 +123,7 @@ def standings_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Standing]]
 
 
 def situations_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Row[Situation]]]:
-    """Return the laws in each situation in the order of `standings_of`."""
+    """Return the rows of the laws in each situation, in the order of `standings_of`."""
     return {situation: [one.row for one in some] for situation, some in standings_of(outcomes).items()}
 
 
@@ -131,7 +134,7 @@ def _standings(rows: Sequence[Row[Situation]]) -> list[Standing]:
 
     def order(one: Standing) -> tuple[bool, float, float, str]:
         row = one.row
-        # a law that is behind is ordered by its share, and the others follow one another by the swing alone
+        # Laws that are behind are ordered by their share, the others by the tracking error alone.
         return one.is_behind, -row.sound / row.runs if one.is_behind else 0.0, row.price()[1], row.law
 
     return sorted(standings, key=order)
@@ -152,7 +155,7 @@ def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
     low, high = wilson(len(held), len(some))
     made = sum(map(_made_energy, some))
     sound = sum(not _made_energy(outcome) for outcome in held)
-    # What is not held has no place that its force or position could be compared at.
+    # Measures of runs that were not held are meaningless: force and position have not settled.
     measures = {name: spread_of(held, name) for name in MEASURES}
     return Row(case, law, len(some), len(held), low, high, made, sound, dict(sorted(verdicts.items())), measures)
 
@@ -162,18 +165,18 @@ def _made_energy(outcome: Outcome) -> bool:
 
 
 def makes_energy(least_energy_mj: float | None) -> bool:
-    """Return whether the loop of a run made energy, and not rounding alone; None is a run without that measure."""
+    """Return whether the loop of a run made energy beyond rounding; None is a run without that measure."""
     return (least_energy_mj or 0.0) < LEAST_MJ
 
 
 def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
-    """Return the spread of a measure; None where no run has it."""
+    """Return the spread of a measure; None if no run has it."""
     values = [value for outcome in some if (value := outcome.measures[measure]) is not None]
     return Spread(statistics.median(values), min(values), max(values)) if values else None
 
 
 def choices(rows: Sequence[Row[Case]]) -> dict[Case, list[Row[Case]]]:
-    """Return the laws in each case, the one to take first."""
+    """Return the laws in each case, the recommended one first."""
     by_case: dict[Case, list[Row[Case]]] = {}
     for row in rows:
         by_case.setdefault(row.case, []).append(row)
@@ -181,7 +184,7 @@ def choices(rows: Sequence[Row[Case]]) -> dict[Case, list[Row[Case]]]:
 
 
 def runs_text(outcomes: Sequence[Outcome]) -> str:
-    """Return the runs as CSV, in one order: a line a run, with its verdict and measures."""
+    """Return the runs as CSV in a fixed order: a line per run, with its verdict and measures."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     condition = ("instrument", "steadiness", "network", "task", "law", "hand", "seed", "settings")
@@ -206,7 +209,7 @@ def summary_of(
     rows: Sequence[Row[Case]],
     situations: Mapping[Situation, Sequence[Row[Situation]]],
 ) -> dict[str, Any]:
-    """Return the object that `benchmark.json` holds and --json prints."""
+    """Return the contents of `benchmark.json`, which --json also prints."""
     return {
         "study": "benchmark",
         "version": VERSION,

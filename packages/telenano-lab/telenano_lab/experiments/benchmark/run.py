@@ -1,6 +1,6 @@
 """One run of the benchmark and its measures, in lockstep.
 
-Sums are rounded once (`math.fsum`) and sines are those of Python, not of NumPy, whose bits depend on the processor.
+Sums are rounded once (`math.fsum`), and sines are those of Python, because NumPy's bits depend on the processor.
 """
 
 import functools
@@ -20,11 +20,11 @@ from telenano_lab.experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 from telenano_lab.studies.loops.cells import CellResult, Scales, judged, never_placed, scales_of, settle_ticks
 from telenano_lab.studies.loops.sweep import Kind
 
-# Every figure of the result has this many digits: those after them are beyond what a model means.
+# Number of digits of every figure; further digits exceed the accuracy of the model.
 DIGITS = 9
-# Signals that are warped onto one another are sampled at this interval.
+# Sampling period of the signals that are warped onto each other.
 ETVO_STEP_S = 0.005
-# A signal may lag behind the other one by this.
+# Longest lag of one signal behind the other.
 ETVO_LONGEST_S = 1.0
 
 
@@ -54,7 +54,7 @@ MEASURES: dict[str, Measure] = {
 
 
 class Outcome(NamedTuple):
-    """A run, its verdict or how it came to rest wrongly, the reason in words, and its measures, None if it has none."""
+    """A run, its verdict or kind of failure, the reason in words, and its measures, None where there is none."""
 
     cell: Run
     verdict: str
@@ -74,7 +74,7 @@ def outcome_from(data: dict[str, Any]) -> Outcome:
 
 
 def run(run: Run) -> Outcome:
-    """Run and judge; ConfigError for what cannot be run."""
+    """Run and judge; ConfigError for a run that is not possible."""
     points, held_s, begin_s, end_s = run.force_profile()
     try:
         course = course_of(run, points, end_s)
@@ -94,7 +94,7 @@ def run(run: Run) -> Outcome:
 
 
 def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:
-    """Run over a draw of the network: the programme of the hand, corners (time [s], force [N]), and its length [s]."""
+    """Run the hand's programme, corners (time [s], force [N]), for end_s [s] over a draw of the network."""
     cell, haptic = run.cell, validate(HapticConfig, run.hand_section(points), f"hand {run.hand}", "haptic_node")
     controller = cell.controller()
     settle = settle_ticks(cell, controller.period_s)
@@ -106,7 +106,7 @@ def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> 
 
 
 def _longest_ticks(run: Run) -> int:
-    """Return the ticks of the longest task over the network, so that all of them share one draw of the link."""
+    """Return the ticks of the longest task over the network, so that all tasks share one draw of the link."""
     period_s = run.cell.controller().period_s
     longest = 0
     for name in TASKS:
@@ -132,7 +132,7 @@ def course_until(course: Trajectory, end_s: float) -> Trajectory:
 
 
 def rounded(value: float | None) -> float | None:
-    """Return a figure with DIGITS digits; None for what is no number."""
+    """Return a figure with DIGITS digits; None for None or a value that is not finite."""
     return float(f"{value:.{DIGITS}g}") if value is not None and math.isfinite(value) else None
 
 
@@ -153,7 +153,7 @@ def _held(result: CellResult, course: Trajectory, scales: Scales, task: Task) ->
 
 
 def _parted(course: Trajectory, scales: Scales, hold_s: tuple[float, float], swing_hz: float | None) -> float | None:
-    """Return by how much hand and tip have parted since the middle of the hold [mm], over whole periods of a swing."""
+    """Return the change of the distance of hand and tip since mid-hold [mm], over whole periods of a swing."""
     apart = course.hand_position_m - course.base_position_m / scales.position_scale
     middle_s, tenth_s, end_s = 0.5 * sum(hold_s), 0.1 * (hold_s[1] - hold_s[0]), float(course.time_s[-1])
     spans = (
@@ -170,12 +170,12 @@ def _parted(course: Trajectory, scales: Scales, hold_s: tuple[float, float], swi
 
 
 def _followed(course: Trajectory) -> bool:
-    """Return whether the instrument followed to the end; a pause in the commands makes it hold for a moment."""
+    """Return whether the instrument followed to the end; short holds, due to a pause in the commands, are allowed."""
     return bool((course.follows | course.held).all())
 
 
 def _swung(course: Trajectory, begin_s: float, scales: Scales, task: Task) -> dict[str, float | None]:
-    """Return the measures of the swing that is followed."""
+    """Return the measures of the swing."""
     first = int(np.searchsorted(course.time_s, begin_s - 1e-9))
     hand_m, tip_m = course.hand_position_m, course.base_position_m / scales.position_scale
     tip_n, rendered_n = scales.force_scale * course.tip_force_n, course.rendered_force_n
@@ -219,7 +219,7 @@ def _tone(values: Series, time_s: Series) -> complex:
     return complex(real, -imaginary) * (2.0 / len(listed))
 
 
-# these networks bring every message after the same time
+# Networks that deliver every message after the same delay.
 _EVEN = ("clean", "constant delay")
 
 

@@ -1,6 +1,6 @@
-"""Whether the session in force is outside of what its law was shown to hold: the adviser of the benchmark.
+"""Adviser of the benchmark: warn if the running session is outside the conditions that its law was shown to hold.
 
-What it finds is advice, and never acts on a device.
+It only gives advice, and never acts on a device.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -14,16 +14,16 @@ from telenano.wire import AfmState, LawStatus, Message, Scalar
 from telenano_lab.experiments.benchmark.session_estimates import ContactEstimate, LineEstimate
 from telenano_lab.experiments.benchmark.shown_range import Estimate, LawRange, Session, advice, outside, read_shown
 
-# It is judged this often [ns].
+# Interval of the checks [ns].
 _LOOK_NS = 500_000_000
-# A session is outside when it has been for this time, and back when it has been inside for that [ns].
+# A session counts as outside after the first time, and as inside again after the second [ns].
 _OUTSIDE_NS = 2_000_000_000
 _INSIDE_NS = 10_000_000_000
 _UNITS = ("round_trip_ms", "unevenness_ms", "stiffness_n_per_m", "drift_pm_per_s")
 
 
 class BenchmarkAdviser:
-    """Watches the session: what it has estimated, and whether a warning is in force."""
+    """Watches the session: its estimates, and whether a warning is in force."""
 
     inputs: ClassVar[tuple[str, ...]] = ("law/status", "afm/state")
 
@@ -38,9 +38,9 @@ class BenchmarkAdviser:
 
         Args:
             now_ns: Returns the time on the monotonic clock [ns].
-            laws: The laws whose settings are those that the benchmark ran.
-            absent_laws: The laws that are not installed, each with where it is.
-            read_table: Returns what each law was shown to hold.
+            laws: The laws whose settings are those of the benchmark.
+            absent_laws: The laws that are not installed, each with the place where it is available.
+            read_table: Returns the conditions that each law was shown to hold.
         """
         self._now_ns, self._laws, self._absent_laws = now_ns, frozenset(laws), absent_laws
         self._read_table = read_table
@@ -48,25 +48,25 @@ class BenchmarkAdviser:
         self._law = ""
         self._hears_master = False
         self._look_ns = now_ns()
-        # Since when the session has been outside, or back inside, without a look that found it otherwise.
+        # Start of the time for which the session has been outside, or back inside, without an exception.
         self._since_ns: int | None = None
-        # What was known of the session when it was warned of; None while no warning is in force.
+        # The estimates at the time of the warning; None while no warning is in force.
         self._warned: Session | None = None
 
     def look(self, messages: Iterable[Message], *, runs: bool) -> Advice | None:
-        """Return a warning where the session has left what its law was shown to hold."""
+        """Return a warning if the session has left the conditions that its law was shown to hold."""
         self.take(messages, runs=runs)
         return self._judged() if runs else None
 
     def take(self, messages: Iterable[Message], *, runs: bool) -> None:
-        """Take note of messages; of the line only while the session runs."""
+        """Record messages; those of the line only while the session runs."""
         for message in messages:
             if isinstance(message, AfmState):
                 _, _, base_m = message.base_position_m
                 touches = message.in_contact and message.mode == "follow" and message.felt_channel is None
                 self._contact.record(1e-9 * message.t_ns, 0.0 - base_m, message.tip_force_n[2], touches=touches)
             elif isinstance(message, LawStatus):
-                # The round trip is measured at the master's half, and the slave's may be at another law for a moment.
+                # The round trip is measured at the master's half; the slave's may briefly be at another law.
                 self._hears_master |= message.round_trip_valid
                 if self._hears_master and not message.round_trip_valid:
                     continue
@@ -78,7 +78,7 @@ class BenchmarkAdviser:
                     self._line.record(1e-9 * message.t_ns, message.round_trip_s)
 
     def session(self) -> Session:
-        """Return what is known of the session."""
+        """Return the estimates of the session."""
         line, stiffness, drift = self._line.estimate(), self._contact.stiffness(), self._contact.drift()
         there, uneven = line if line is not None else (None, None)
         return Session(
@@ -103,14 +103,14 @@ class BenchmarkAdviser:
             choices = [law for law in LAWS if law in self._laws]
             text = advice(table, self._law, axis, session, choices, self._absent_laws)
             return Advice(text, {"outside": axis, "law": self._law, **_facts(session)})
-        # What is not known any more is not known to be inside.
+        # A figure that is no longer known is not known to be inside.
         is_known = all(new is not None for old, new in zip(self._warned, session, strict=True) if old is not None)
         if self._lasts(axis is None and is_known, _INSIDE_NS, now_ns):
             self._warned, self._since_ns = None, None
         return None
 
     def _lasts(self, is_so: bool, for_ns: int, now_ns: int) -> bool:
-        """Return whether something has been so for a time, which begins again when it is not."""
+        """Return whether a condition has held without a break for a time [ns]."""
         if not is_so:
             self._since_ns = None
         elif self._since_ns is None:
@@ -119,13 +119,13 @@ class BenchmarkAdviser:
 
 
 def benchmark_adviser(session: AdvisedSession) -> BenchmarkAdviser | None:
-    """Return the adviser of a session; None where no law has the settings that the benchmark ran."""
+    """Return the adviser of a session; None if no law has the settings that the benchmark ran."""
     laws = laws_as_shown(session.controller)
     return BenchmarkAdviser(session.now_ns, laws, session.absent_laws) if laws else None
 
 
 def laws_as_shown(controller: ControllerConfig) -> list[str]:
-    """Return the laws that a scenario leaves as the benchmark ran them."""
+    """Return the laws whose settings in a scenario are those that the benchmark ran."""
     plain = ControllerConfig()
     shared = ("period_s", "deadband", "clamp", "lateral")
     if any(getattr(controller, name) != getattr(plain, name) for name in shared):

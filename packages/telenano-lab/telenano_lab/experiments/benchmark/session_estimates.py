@@ -1,9 +1,9 @@
-"""What a running session shows of its line, its sample and its drift, each with the interval of 95 % that it lies in.
+"""Estimates of line, sample and drift from a running session, each with its interval of 95 %.
 
-Some twenty samples a second are enough, so that a reader may take the newest of each that waits. An interval is from
-the scatter of parts of the record, as samples that follow one another are alike, and is widened by what the samples
-cannot show: what an open-loop piezo makes of a motion (Physik Instrumente, Piezo tutorial: hysteresis of 2 % of a small
-motion to 15 % of a large one, creep of 1 to 2 % of a step in a decade of time after 0.1 s).
+Some twenty samples a second suffice, so a reader may take only the newest of those that wait. An interval follows from
+the scatter of parts of the record, because successive samples are correlated. It is widened by errors that the samples
+cannot show, those of an open-loop piezo (Physik Instrumente, Piezo tutorial: hysteresis of 2 % of a small motion to
+15 % of a large one, creep of 1 to 2 % of a step per decade of time after 0.1 s).
 """
 
 import math
@@ -17,51 +17,51 @@ from telenano.analysis import DEVIATIONS, half_width, student
 from telenano_lab.experiments.benchmark.shown_range import Estimate
 
 Series = npt.NDArray[np.float64]
-# The line is estimated over this time, and not before the second has passed [s].
+# The line is estimated over the first time, and not before the second has passed [s].
 LINE_S = 10.0
 _LINE_LEAST_S = 4.0
-# The contact is estimated over this time, of which a drift needs the second at least [s].
+# The contact is estimated over the first time; a drift needs at least the second [s].
 CONTACT_S = 12.0
 _DRIFT_LEAST_S = 8.0
-# Samples within this time of one another are not taken to be independent [s].
+# Samples within this time of each other are treated as correlated [s].
 _ALIKE_S = 0.5
-# Unevenness is what this share of the ages is at most above their median.
+# Unevenness is the distance of this quantile of the ages from their median.
 UNEVEN_SHARE = 0.95
-# The age is known in whole periods [ms].
+# Resolution of the age [ms].
 _STEP_MS = 0.5
-# A stiffness counts as known where half its interval is less than this share of it.
+# A stiffness counts as known if half its interval is less than this share of it.
 _KNOWN_TO = 0.3
-# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share: a contact looks softer
-# than it is, and its drift faster. By noise it may look a little stiffer.
+# Hysteresis and creep make a piezo move up to this share less than commanded: a contact looks softer than it is, and
+# its drift faster. By noise it may look a little stiffer.
 _SOFTER = 0.37
 _STIFFER = 0.05
-# Of a step, the share that creep adds in a decade of time, and the time from which it does [s].
+# Creep adds this share of a step per decade of time, beginning at the second value [s].
 _CREEP_SHARE = 0.02
 _CREEP_FROM_S = 0.1
-# Steps are remembered for this time, a second together [s].
+# Steps of the base, summed over each second, are remembered for this time [s].
 _STEPS_S = 240.0
 _DRIFT_PARTS = 4
 NEVER = -math.inf
 
 
 class LineEstimate:
-    """Mean and unevenness of the age of the sample that the newest answer descends from."""
+    """Mean and unevenness of the age of the hand's sample to which the newest answer responds."""
 
     def __init__(self) -> None:
         self._ages: deque[tuple[float, float]] = deque()
 
     def record(self, time_s: float, age_s: float) -> None:
-        """Take note of an age [s]."""
+        """Record an age [s] at a time [s]."""
         self._ages.append((time_s, 1e3 * age_s))
         while time_s - self._ages[0][0] > LINE_S:
             self._ages.popleft()
 
     def forget(self) -> None:
-        """Forget all ages, where those that come are of another session."""
+        """Forget all ages, because the next ones belong to another session."""
         self._ages.clear()
 
     def estimate(self) -> tuple[Estimate, Estimate] | None:
-        """Return mean age and unevenness [ms]; None where too few are known."""
+        """Return mean age and unevenness [ms]; None if there are too few ages."""
         if not self._ages or self._ages[-1][0] - self._ages[0][0] < _LINE_LEAST_S:
             return None
         times, ages = np.array(self._ages).T
@@ -75,7 +75,7 @@ class LineEstimate:
 
 
 def _unevenness(ages: Series, error: float) -> Estimate:
-    """Return the unevenness by order statistics of as many ages as would be independent."""
+    """Return the unevenness, with an interval by order statistics for the effective number of independent ages."""
     count = min(float(ages.size), max(4.0, float(ages.var()) / max(error * error, 1e-12)))
     half = DEVIATIONS * math.sqrt(UNEVEN_SHARE * (1.0 - UNEVEN_SHARE) / count)
     middle = float(np.median(ages))
@@ -85,14 +85,14 @@ def _unevenness(ages: Series, error: float) -> Estimate:
 
 
 def _means(times: Series, values: Series) -> Series:
-    """Return the means of the samples of each `_ALIKE_S`."""
+    """Return the mean of the samples within each interval of `_ALIKE_S`."""
     parts = np.floor((times - times[0]) / _ALIKE_S).astype(np.int64)
     counts = np.bincount(parts)
     return np.asarray((np.bincount(parts, values) / np.maximum(counts, 1))[counts > 0], dtype=np.float64)
 
 
 def _error_of_mean(means: Series) -> float:
-    """Return the standard error of the mean of means that follow one another."""
+    """Return the standard error of the mean of correlated successive means."""
     off = means - means.mean()
     square = float(off @ off)
     alike = min(max(float(off[1:] @ off[:-1]) / square, 0.0), 0.9) if square > 0.0 else 0.0
@@ -100,23 +100,23 @@ def _error_of_mean(means: Series) -> float:
 
 
 class Unknown(NamedTuple):
-    """Why a figure is not known."""
+    """The reason why a figure is not known."""
 
     reason: str
 
 
 class ContactEstimate:
-    """Stiffness and drift of a contact, from base and force."""
+    """Stiffness and drift of a contact, estimated from base and force."""
 
     def __init__(self) -> None:
-        # time [s], way of the base towards the sample [nm], force [nN]
+        # Time [s], position of the base towards the sample [nm], force [nN].
         self._samples: deque[tuple[float, float, float]] = deque()
-        # the time of each second that has passed [s], and where the base was at its end [nm]
+        # Time [s] and position of the base [nm] once a second.
         self._steps: deque[tuple[float, float]] = deque()
         self._stiffness: Estimate | None = None
 
     def record(self, time_s: float, base_m: float, force_n: float, *, touches: bool) -> None:
-        """Take note of a sample; touches: the tip follows the hand on the sample."""
+        """Record a sample; touches: whether the tip follows the hand in contact with the sample."""
         base_nm = 1e9 * base_m
         if not self._steps or time_s - self._steps[-1][0] >= 1.0 or time_s < self._steps[-1][0]:
             self._steps.append((time_s, base_nm))
@@ -130,12 +130,12 @@ class ContactEstimate:
             self._samples.popleft()
 
     def leave(self) -> None:
-        """Forget the contact: the next may be of another sample."""
+        """Forget the contact: the next may be with another sample."""
         self._samples.clear()
         self._stiffness = None
 
     def stiffness(self) -> Estimate | Unknown:
-        """Return the stiffness [N/m] that the base meets, as it was known last in this contact."""
+        """Return the latest known stiffness [N/m] of this contact, as the base meets it."""
         if len(self._samples) < 40:
             return self._stiffness or Unknown("the tip has not touched the sample for long enough")
         estimate = _stiffness(*np.array(self._samples).T)
@@ -144,7 +144,7 @@ class ContactEstimate:
         return self._stiffness or Unknown("the hand did not move enough")
 
     def drift(self) -> Estimate | Unknown:
-        """Return how fast the contact drifts [pm/s], without its sign."""
+        """Return the absolute speed of the contact's drift [pm/s]."""
         stiffness = self.stiffness()
         if isinstance(stiffness, Unknown):
             return stiffness
@@ -162,13 +162,13 @@ class ContactEstimate:
         pressed = softer * abs(_slope(times, force)) / stiffness.value
         half = 1e3 * (math.hypot(scatter, crept) + pressed)
         value = 1e3 * abs(speed + crept)
-        # The base is commanded further than the piezo goes, as it is where the contact looks too soft.
+        # The base is commanded further than the piezo moves, so the true drift may be slower.
         return Estimate(value, max(0.0, value - half) * (1.0 - _SOFTER), value + half)
 
     def _creep(self, times: Series) -> Series:
-        """Return how far a piezo goes by itself after the steps of the base, where that is its whole step a decade."""
+        """Return the creep of a piezo after the steps of the base [nm], if it were the whole step per decade."""
         began, at = np.array(self._steps).T
-        # the steps of each second
+        # Time since the step of each second.
         since = times[:, None] - began[None, 1:]
         decades = np.log10(np.maximum(since, _CREEP_FROM_S) / _CREEP_FROM_S)
         return np.asarray(decades @ np.diff(at), dtype=np.float64)
@@ -180,7 +180,7 @@ def _slope(times: Series, values: Series) -> float:
 
 
 def _stiffness(times: Series, base: Series, force: Series) -> Estimate | None:
-    """Return the slope of force over base beside a drift, with its interval; None where it is not known."""
+    """Return the slope of force over base, apart from a linear drift, with its interval; None if it is uncertain."""
     away = _without_trend(times, base)
     square = float(away @ away)
     if square <= 0.0:

@@ -1,14 +1,14 @@
-"""What each law was shown to hold, made of the runs of the benchmark: the table that a running rig warns by.
+"""The conditions that each law was shown to hold, computed from the benchmark: the table by which a running rig warns.
 
     python -m telenano_lab.experiments.benchmark.shown out/benchmark/runs.csv \
         packages/telenano-lab/telenano_lab/experiments/benchmark/shown.json
 
-A cell is a law over a network on a sample with an instrument; its runs are those of every hand. A run that the
-instrument's guard ended before it began to be judged says nothing of the law: it is counted by itself.
+A cell is a law over a network on a sample with an instrument; its runs are those of all hands. A run that the
+instrument's guard ended before its judged part says nothing about the law: it is counted separately.
 
-The loop is closed by the newest message, so a line is described as a law meets it: by the age of the sample that
-the newest answer descends from, which `law/status` of a running rig has by the same definition. A sample is described
-by the slope of force over base, which is less than that of the cantilever where a soft contact is in series with it.
+The loop is closed by the newest message, so a line is described by its effect on a law: by the age of the hand's sample
+to which the newest answer responds, which `law/status` of a running rig reports by the same definition. A sample is
+described by the slope of force over base, which is less than the cantilever's stiffness if a soft contact is in series.
 """
 
 import csv
@@ -31,13 +31,13 @@ from telenano_lab.experiments.benchmark.results import HELD, digest_of
 from telenano_lab.experiments.benchmark.run import course_of
 from telenano_lab.studies.option_values import disturbances_of
 
-# The line is drawn over this time for each of the benchmark's seeds.
+# Duration of a line's simulation for each seed of the benchmark [s].
 _LINE_S = 20.0
-# Ages in this time after the beginning of a draw are left out.
+# Ages within this time after the beginning are ignored [s].
 _BEGINNING_S = 3.0
 # The period of the loop.
 _PERIOD_S = 1e-3
-# Unevenness: by how much this share of the ages is at most above their median.
+# Unevenness is the distance of this quantile of the ages from their median.
 UNEVEN_SHARE = 0.95
 _GUARDED = "guarded"
 _COLUMNS = ("network", "stiffness_n_per_m", "drift_pm_per_s", "runs", "held", "low", "high", "guarded")
@@ -62,7 +62,7 @@ class _Row(NamedTuple):
 
 
 def shown_of(runs_csv: str) -> dict[str, Any]:
-    """Return the table, given the text of `runs.csv`.
+    """Compute the table from the text of `runs.csv`.
 
     Raises:
         ValueError: The text is not that of this version of the benchmark, or the settings of a law were changed.
@@ -87,7 +87,7 @@ def shown_of(runs_csv: str) -> dict[str, Any]:
 
 
 def text_of(shown: Mapping[str, Any]) -> str:
-    """Return the table as JSON, a line a cell."""
+    """Return the table as JSON with a line per cell."""
     laws = [
         f"    {json.dumps(law)}: {{\n"
         f'      "tracking_error": {json.dumps(places["tracking_error"])},\n      "cells": [\n'
@@ -101,14 +101,14 @@ def text_of(shown: Mapping[str, Any]) -> str:
 
 @cache
 def line_of(network: str) -> dict[str, float]:
-    """Return mean age and unevenness [ms] of what closes a loop over a network, over the benchmark's seeds."""
+    """Return mean age and unevenness [ms] of a loop over a network, over the benchmark's seeds."""
     pooled = np.concatenate([_ages(network, seed) for seed in range(SEEDS if is_random(network) else 1)])
     high, middle = np.quantile(pooled, (UNEVEN_SHARE, 0.5))
     return {"round_trip_ms": round(float(pooled.mean()), 1), "unevenness_ms": round(float(high - middle), 1)}
 
 
 def _ages(network: str, seed: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return at each period [ms] the age of the sample that the newest answer descends from."""
+    """Return the age [ms] of the hand's sample to which the newest answer responds, at each period with an answer."""
     ticks = round(_LINE_S / _PERIOD_S)
     settings = LinkSettings.of({"profile": network, "seed": seed}, f"network {network}")
     schedule = Schedule.of(settings, ticks, _PERIOD_S)
@@ -119,7 +119,7 @@ def _ages(network: str, seed: int) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 @cache
 def stiffness_of(name: str) -> float:
-    """Return the slope of force over base [N/m] of what a task touches; of a contact, between its two holds."""
+    """Return the slope of force over base [N/m] of a task's sample; for a contact, between its two holds."""
     task = TASKS[name]  # type: ignore[index]
     if task.environment != "tip_sample":
         return task.stiffness_n_per_m
@@ -153,13 +153,13 @@ def _row(place: tuple[str, float, float], some: Sequence[Mapping[str, str]]) -> 
 
 @cache
 def _drift_of(instrument: str) -> float:
-    """Return how fast the sample of a named instrument drifts [pm/s]."""
+    """Return the drift speed of a named instrument's sample [pm/s]."""
     keys = dict(disturbances_of(instrument))
     return round(1e12 * float(keys["drift.speed_m_per_s"]), 3) if keys.get("drift.enabled") else 0.0
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Make the table of the first file, and write it to the second."""
+    """Write the table of the first file to the second."""
     if len(arguments) != 2:
         raise SystemExit("usage: python -m telenano_lab.experiments.benchmark.shown RUNS.CSV SHOWN.JSON")
     source, target = map(Path, arguments)

@@ -1,14 +1,14 @@
-"""What each law was shown to hold by the benchmark, and whether a session is outside of it.
+"""The conditions that each law was shown to hold in the benchmark, and whether a session is outside of them.
 
     table = read_shown()
-    outside(table["wave"], Session(round_trip_ms=Known(78.0, 77.0, 79.0)))   # None: it was shown to hold that
+    outside(table["wave"], Session(round_trip_ms=Estimate(78.0, 77.0, 79.0)))   # None: it was shown to hold that
 
-A session has the age of the sample that the newest answer descends from, its unevenness, the stiffness of the
-sample and its drift, each with the interval that it lies in, or None where it is not known. A law was shown to hold a
-place where cells of the benchmark that it held are at least as demanding, one of them on a sample as stiff without a
-failed cell between, and one on a sample as soft, and no cell that it failed is as easy, unless a harder one that is as
-easy was held. So nothing beyond what was run counts as shown, and nothing between a cell that was held and one that was
-not. A session is outside when no place within its intervals was shown.
+A session is described by the age of the hand's sample to which the newest answer responds, its unevenness, the
+stiffness of the sample and its drift, each with an interval, or None if unknown. A law was shown to hold a place if
+cells of the benchmark that it held are at least as demanding, one of them on a sample as stiff without a failed cell
+between, and one on a sample as soft, and if every cell that it failed and that is as easy as the place is outweighed by
+a harder one that it held and that is as easy. So nothing beyond the cells that were run counts as shown, and nothing
+between a held cell and a failed one. A session is outside if no place within its intervals was shown.
 """
 
 import math
@@ -23,19 +23,19 @@ import msgspec
 
 Axis = Literal["line", "stiffness", "drift", "together"]
 TABLE = Path(__file__).with_name("shown.json")
-# A cell was held where this much of its runs is within the 95 % interval at least: 29 of 32.
+# A cell was held if the 95 % interval of its share begins at this value or above: 29 of 32.
 _HELD_FROM = 0.75
-# It was failed where a smaller share than this was held; where neither is so, there were too few runs.
+# It was failed if a smaller share than this was held; if neither applies, there were too few runs.
 _FAILED_BELOW = 0.9
-# What the processes of a rig add to the age, which the benchmark's loop of one process does not have [ms].
+# Age that the processes of a rig add to that of the benchmark's loop in one process [ms].
 RIG_MS = 6.0
-# of what a session has, in its order
+# Contribution of a rig to each figure of a session, in their order.
 _ADDED_BY_RIG = (RIG_MS, RIG_MS, 0.0, 0.0)
 _NOTHING = (0.0, 0.0, 0.0, 0.0)
 
 
 class Estimate(NamedTuple):
-    """An estimate and the interval of 95 % that it lies in."""
+    """An estimate and its interval of 95 %."""
 
     value: float
     low: float
@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
 
 
 class Session(NamedTuple):
-    """What is known of a session: ages in ms, N/m, and pm/s; None where nothing is."""
+    """The estimates of a session: ages [ms], stiffness [N/m], drift [pm/s]; None where unknown."""
 
     round_trip_ms: Estimate | None = None
     unevenness_ms: Estimate | None = None
@@ -52,7 +52,7 @@ class Session(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A place among the cells: mean age and unevenness [ms], stiffness [N/m], and drift [pm/s]."""
+    """A point among the cells: mean age and unevenness [ms], stiffness [N/m], and drift [pm/s]."""
 
     round_trip_ms: float
     unevenness_ms: float
@@ -60,7 +60,7 @@ class Place(NamedTuple):
     drift_pm_per_s: float
 
     def is_as_easy_as(self, other: "Place") -> bool:
-        """Return whether nothing here is more demanding than there."""
+        """Return whether no coordinate is more demanding than the other place's."""
         return all(map(le, self, other))
 
 
@@ -82,7 +82,7 @@ class Cell(NamedTuple):
 
 
 class LawRange:
-    """What a law was shown to hold; tracking_error: how near the tip followed the swing in the runs that were held."""
+    """The range that a law was shown to hold; tracking_error: median over its held runs."""
 
     def __init__(self, cells: Sequence[Cell], tracking_error: float | None) -> None:
         self.held = tuple(cell.place for cell in cells if cell.was_held)
@@ -97,13 +97,13 @@ class LawRange:
         if softest > place.stiffness_n_per_m:
             return False
         easier = [held for held in self.held if held.is_as_easy_as(place)]
-        # A failed cell is outweighed by one that is harder than it, was held, and is still as easy as the place.
+        # A failed cell is outweighed by a harder one that was held and is still as easy as the place.
         return any(self._leads_to(place, held) for held in self.held) and all(
             any(failed.is_as_easy_as(held) for held in easier) for failed in self.failed if failed.is_as_easy_as(place)
         )
 
     def _leads_to(self, place: Place, held: Place) -> bool:
-        """Return whether a cell that was held is at least as hard as a place, and none between them was failed."""
+        """Return whether a held cell is at least as hard as a place, without a failed one between them."""
         return place.is_as_easy_as(held) and not any(
             place.is_as_easy_as(failed) and failed.is_as_easy_as(held) for failed in self.failed
         )
@@ -112,13 +112,13 @@ class LawRange:
         """Return whether the law was shown to hold some place within the intervals of a session.
 
         Args:
-            session: What is known of the session.
-            added: What of each figure may be the rig's own.
+            session: The estimates of the session.
+            added: The greatest contribution of the rig itself to each figure.
         """
         return any(map(self.holds, {Place(*map(_clipped, held, session, added)) for held in self.held}))
 
     def fits(self, session: Session) -> bool:
-        """Return whether the law was shown to hold a session, whatever is not known of it."""
+        """Return whether the law was shown to hold a session, with any of the held values for its unknown figures."""
         most = [None if one is None else one.value for one in session]
         least = [
             None if value is None else max(0.0, value - own) for value, own in zip(most, _ADDED_BY_RIG, strict=True)
@@ -136,7 +136,7 @@ def _on_as_hard_a_line(held: Place, place: Place) -> bool:
 
 
 def _clipped(value: float, estimate: Estimate | None, added: float) -> float:
-    """Return the nearest to a value within what is known, of which so much may be the rig's own."""
+    """Return the value nearest to `value` in an estimate's interval, which the rig's share extends downwards."""
     return value if estimate is None else max(0.0, estimate.low - added, min(value, estimate.high))
 
 
@@ -159,7 +159,7 @@ class _Table(msgspec.Struct):
 
 @cache
 def read_shown(path: Path = TABLE) -> Mapping[str, LawRange]:
-    """Return what each law of a table was shown to hold, by its name; OSError or msgspec.MsgspecError for no table."""
+    """Return the range of each law in a table, by name; raise OSError or msgspec.MsgspecError if it cannot be read."""
     table = msgspec.json.decode(path.read_bytes(), type=_Table)
     return {
         name: LawRange(
@@ -174,9 +174,9 @@ def read_shown(path: Path = TABLE) -> Mapping[str, LawRange]:
 
 
 def outside(shown: LawRange, session: Session) -> Axis | None:
-    """Return by what a session is outside of what a law was shown to hold; None where it may be inside.
+    """Return the axis by which a session is outside a law's range; None if it may be inside.
 
-    It is `together` where line, sample and drift were each shown with others, and not with one another.
+    It is `together` if line, sample and drift were each shown, but not in this combination.
     """
     if shown.holds_some(session):
         return None
@@ -196,15 +196,15 @@ def advice(
     choices: Sequence[str],
     absent: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
-    """Return what happened, what it means and what to do, in sentences.
+    """Return sentences on what happened, what it means and what to do.
 
     Args:
-        table: What each law was shown to hold.
+        table: The range of each law.
         law: The law in force.
-        axis: By what the session is outside.
-        session: What is known of the session.
-        choices: The laws that can be taken instead.
-        absent: Laws that can be taken once their package is installed, and where they are; named where no other fits.
+        axis: The axis by which the session is outside.
+        session: The estimates of the session.
+        choices: The laws that can be selected instead.
+        absent: Laws that are available once their package is installed, with its place; named only if no other fits.
     """
     happened, remedy = _HAPPENED[axis](table[law], law, session)
     means = "The hand may feel an oscillation, or the tip may rest at another force than intended."
@@ -269,7 +269,7 @@ def _drift(session: Session) -> str:
 
 
 def _up_to(shown: LawRange, session: Session) -> str:
-    """Return in words which round trips the law was shown to hold on the sample and with the drift of a session."""
+    """Return words on the round trips that the law was shown to hold on the sample and with the drift of a session."""
     lengths = {place.round_trip_ms for place in shown.held}
     rest = Session(stiffness_n_per_m=session.stiffness_n_per_m, drift_pm_per_s=session.drift_pm_per_s)
     held = [ms for ms in lengths if shown.holds_some(rest._replace(round_trip_ms=Estimate(ms, ms, ms)), _NOTHING)]

@@ -1,7 +1,7 @@
-"""What the benchmark says of the laws in each situation, as a table that the advice reads.
+"""The standing of the laws in each situation of the benchmark, as a table that the advice reads.
 
-`standings.json` has the order and the counts of `results.standings_of` over all runs of the benchmark. `kept.write`
-makes it of a whole set of runs together with the runs themselves. A figure that is null was not kept with the counts.
+`standings.json` has the order and the counts of `results.standings_of` over all runs of the benchmark. `kept.main`
+makes it from a complete set of runs, together with the kept runs themselves. A null figure was not kept.
 """
 
 import json
@@ -26,7 +26,7 @@ _ABOUT = (
 
 
 class Stood(msgspec.Struct, frozen=True):
-    """A law in a situation: its runs, what came of them, and whether it is behind the best."""
+    """A law in a situation: counts of its runs, its tracking error, and whether it is behind the best."""
 
     law: str
     runs: int
@@ -42,14 +42,14 @@ class Stood(msgspec.Struct, frozen=True):
 
 
 class Standings(NamedTuple):
-    """The laws in each situation, the one to take first, and the digest of the runs."""
+    """The laws in each situation, the recommended one first, and the digest of the runs."""
 
     situations: Mapping[Situation, Sequence[Stood]]
     digest: str
 
 
 def of_runs(outcomes: Iterable[Outcome], digest: str) -> Standings:
-    """Return what runs of the benchmark say."""
+    """Compute the standings from runs of the benchmark."""
     return Standings({case: [_stood(one) for one in some] for case, some in standings_of(outcomes).items()}, digest)
 
 
@@ -60,7 +60,7 @@ def _stood(one: Standing) -> Stood:
 
 
 def text_of(standings: Standings) -> str:
-    """Return the table as JSON, a line a law."""
+    """Return the table as JSON with a line per law."""
     head = json.dumps({"about": _ABOUT, "benchmark": VERSION, "digest": standings.digest}, indent=1)[:-2]
     situations = [
         f'  {json.dumps(case._asdict())[:-1]}, "laws": [\n'
@@ -86,7 +86,7 @@ class _Table(msgspec.Struct):
 
 @cache
 def read_standings(path: Path = TABLE) -> Standings:
-    """Return the table of the package.
+    """Read the table of the package.
 
     Raises:
         ConfigError: It cannot be read, or is of another benchmark; the message names the file.

@@ -1,1 +1,1 @@
-"""Psychophysics: methods that choose the level of the next trial, and fits of what was answered."""
+"""Psychophysics: methods that choose the level of the next trial, and fits of the answers."""

@@ -1,8 +1,8 @@
 """Sensitivity d' and criterion c of signal detection, with intervals.
 
-Rates are (k + 1/2) / (n + 1), so that none is 0 or 1 (M. J. Hautus, Behav. Res. Methods 27 (1995) 46). Intervals are
-those of a normal number with the variance of V. Gourevitch and E. Galanter (Psychometrika 32 (1967) 25). Of a choice
-of two intervals, d' is divided by the square root of 2 (N. A. Macmillan and C. D. Creelman, Detection Theory, 2nd ed.
+Rates are (k + 1/2) / (n + 1), so that none is 0 or 1 (M. J. Hautus, Behav. Res. Methods 27 (1995) 46). Intervals assume
+a normal distribution with the variance of V. Gourevitch and E. Galanter (Psychometrika 32 (1967) 25). For a choice of
+two intervals, d' is divided by the square root of 2 (N. A. Macmillan and C. D. Creelman, Detection Theory, 2nd ed.
 (2005), chapter 7), and c is the preference: below 0 for the first interval, above it for the second.
 """
 
@@ -14,17 +14,17 @@ _NORMAL = NormalDist()
 
 
 class Detection(NamedTuple):
-    """Sensitivity and criterion with their intervals, and the counts that they are of.
+    """Sensitivity and criterion with their intervals, and the counts behind them.
 
     Args:
         d_prime: The sensitivity.
         d_prime_low: The lower end of its interval.
         d_prime_high: The upper end.
-        criterion: The criterion; 0 has no preference, above it "yes" is rarer.
+        criterion: The criterion; 0 is no preference, above it "yes" is rarer.
         criterion_low: The lower end of its interval.
         criterion_high: The upper end.
-        signals: How many trials had the signal, or had it first.
-        others: How many had not.
+        signals: Number of trials with the signal, or with it first.
+        others: Number of other trials.
     """
 
     d_prime: float
@@ -43,10 +43,10 @@ def detection(
     """Return sensitivity and criterion.
 
     Args:
-        hits: How often the answer was yes (or first) to a signal (that came first).
-        signals: How many signals there were.
-        false_alarms: How often the answer was yes (or first) to no signal (or one that came second).
-        others: How often there was none (or it came second).
+        hits: Number of answers yes (or first) to a signal (that came first).
+        signals: Number of signals (that came first).
+        false_alarms: Number of answers yes (or first) to no signal (or one that came second).
+        others: Number of trials without a signal (or with it second).
         of_two: Whether it is a choice of two intervals.
         confidence: The confidence of the intervals.
     """

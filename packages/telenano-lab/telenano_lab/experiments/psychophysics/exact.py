@@ -1,8 +1,8 @@
 """Exponentials, logarithms and sums whose bits do not depend on the processor.
 
-NumPy and the C library choose among kernels by the instructions of the processor, and these differ in the last digit
-(ADR 0010). The level of the next trial follows from such numbers and is kept in the journal of an experiment, so they
-are made of additions, multiplications and divisions alone, which IEEE 754 rounds in one way, in a fixed order.
+NumPy and the C library choose kernels by the instruction set of the processor, and these differ in the last digit (ADR
+0010). The level of the next trial depends on such numbers and is kept in the journal of an experiment, so they are
+computed only with additions, multiplications and divisions, which IEEE 754 rounds uniquely, in a fixed order.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy.typing as npt
 Numbers = npt.NDArray[np.float64]
 
 _LN2 = 0.6931471805599453
-# The upper part of ln 2 has so few digits that a whole multiple of it is exact.
+# The upper part of ln 2 has so few digits that its integer multiples are exact.
 _LN2_HIGH = 6.93147180369123816490e-01
 # The rest of ln 2.
 _LN2_LOW = 1.90821492927058770002e-10
@@ -25,14 +25,14 @@ _LOGARITHM = [1.0 / (2 * power + 1) for power in range(12)]
 _ROOT_HALF = 0.7071067811865476
 # Arguments of the exponential are clipped here, where it is still finite.
 _LARGEST = 700.0
-# beyond this number of standard deviations the share is 0 or 1 for every purpose here
+# Beyond this number of standard deviations the share is practically 0 or 1.
 _FARTHEST = 7.0
 _TERMS = 90
 _DENSITY = 0.3989422804014327
 
 
 def exp(values: Numbers) -> Numbers:
-    """Return the exponentials, of values that are taken no further than 700 to either side."""
+    """Return the exponentials of values, which are clipped to ±700."""
     bounded = np.clip(values, -_LARGEST, _LARGEST)
     power = np.rint(bounded / _LN2)
     rest = (bounded - power * _LN2_HIGH) - power * _LN2_LOW
@@ -62,7 +62,7 @@ def normal_share(values: Numbers) -> Numbers:
 
 
 def total(values: Numbers) -> Numbers:
-    """Return the sums along the last axis: neighbours at half the length are added, until one is left."""
+    """Return the sums along the last axis, by adding elements half the length apart until one is left."""
     while values.shape[-1] > 1:
         half = values.shape[-1] // 2
         odd = values[..., 2 * half :]

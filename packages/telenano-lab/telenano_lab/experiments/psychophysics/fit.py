@@ -1,13 +1,13 @@
 """The posterior of a threshold over a grid: its median, and its credible interval.
 
-The likelihood is tabulated over threshold, width and lapse rate, on a grid that closes in on what the answers allow,
-and summed over width and lapse rate. How the levels were chosen does not matter to a likelihood, so constant stimuli,
-staircases and QUEST+ have the same fit. QUEST+ has the prior of its settings. Of the others every threshold as far as
-the range of levels beyond either end, every ratio of widths from a fifth to four times that range, and every lapse rate
-is as likely beforehand.
+The likelihood is tabulated over threshold, width and lapse rate, on a grid that is refined around the likely values,
+and summed over width and lapse rate. A likelihood does not depend on how the levels were chosen, so constant stimuli,
+staircases and QUEST+ share this fit. QUEST+ uses the prior of its settings. For the others, the prior is uniform over
+thresholds up to the range of levels beyond either end, over ratios of widths from a fifth to four times that range, and
+over lapse rates.
 
-Intervals by profile likelihood had the threshold of short staircases in 84 to 87 % in place of 95: few answers let the
-width be narrow, and so the threshold certain. That width is what the prior takes away.
+Intervals by profile likelihood contained the threshold of short staircases in 84 to 87 % of cases instead of 95 %: few
+answers allow a narrow width, and with it a seemingly certain threshold. The prior excludes such widths.
 """
 
 import math
@@ -22,40 +22,40 @@ from telenano_lab.experiments.psychophysics.function import Psychometric
 Answer = tuple[float, bool]
 METHOD = "median of the posterior, credible interval"
 
-# points of the grid: thresholds, widths, lapse rates
+# Points of the grid: thresholds, widths, lapse rates.
 _GRID = 81, 13, 4
-# The grid has widths from this share of the range of levels on.
+# Least width of the grid, as a share of the range of levels.
 _NARROWEST = 0.2
-# The grid has widths up to this multiple of the range of levels.
+# Greatest width of the grid, as a multiple of the range of levels.
 _WIDEST = 4.0
-# An end at which the posterior is still so large a share of its maximum is one of the prior and not of the answers.
+# An end where the posterior exceeds this share of its maximum is a bound of the prior, not of the answers.
 _CUT_OFF = 0.05
-# The grid closes in on what is no further below the maximum, in units of the logarithm of the posterior.
+# The grid is refined to values whose log posterior is at most this much below the maximum.
 _KEPT = 10.0
 _LEAST = 1e-300
-# A track tells little whose interval reaches further to either side than this share of its threshold.
+# A track is remarked on if half its interval exceeds this share of its threshold.
 _LITTLE_SHARE = 0.5
-# An observer is said to learn from this score on, which one who does not learn has in 1 of 100 tracks.
+# Score from which an observer is said to learn; without learning 1 of 100 tracks reaches it.
 _LEARNS = 2.33
-# Intervals of fewer answers were not tried with simulated observers.
+# Intervals of fewer answers were not tested with simulated observers.
 LEAST_TRIALS = 12
 
 
 class Estimate(NamedTuple):
-    """A threshold with its interval, and the mean of the function that the answers allow.
+    """A threshold with its interval, and the posterior mean of the function's width and lapse rate.
 
     Args:
-        threshold: The level at which F is 1/2, or that of the share asked for: the median of its posterior, None where
-            nothing can be said.
-        low: The lower end of the interval; None where the answers do not bound it.
-        high: The upper end of the interval; None where the answers do not bound it.
+        threshold: The level at which F is 1/2, or that of the given proportion: the median of its posterior, None if it
+            cannot be estimated.
+        low: The lower end of the interval; None if the answers do not bound it.
+        high: The upper end of the interval; None if the answers do not bound it.
         confidence: The confidence of the interval.
-        width: The width of the function on its axis; None where nothing can be said.
-        lapse: The lapse rate; None where nothing can be said.
+        width: The width of the function on its axis; None if it cannot be estimated.
+        lapse: The lapse rate; None if it cannot be estimated.
         proportion: The share of correct answers at the threshold.
-        trials: How many answers there were.
-        method: How the interval was found.
-        note: Why the interval or the threshold is not to be relied on, or tells little; else empty.
+        trials: The number of answers.
+        method: The method of the interval.
+        note: Reasons why interval or threshold are unreliable or uninformative; empty if there are none.
     """
 
     threshold: float | None
@@ -92,7 +92,7 @@ def fit(
     if proportion is not None:
         model.distance_of(proportion, 0.0)
     if len({level for level, _ in answer_list}) < 2 or len({correct for _, correct in answer_list}) < 2:
-        # one level, or one answer to all: every threshold to one side is as likely as any other
+        # With one level, or the same answer to all, every threshold to one side is equally likely.
         return Estimate(None, None, None, confidence, None, None, middle, len(answer_list))
     places = model.on_axis([level for level, _ in answer_list])
     low, high = float(places.min()), float(places.max())
@@ -117,14 +117,14 @@ def posterior(
     Args:
         answers: The level of each trial, and whether its answer was correct (or yes).
         model: The family of functions.
-        thresholds: The ends, on the axis, between which every threshold is as likely beforehand.
-        widths: Widths that are as likely beforehand.
-        lapses: Lapse rates that are as likely beforehand.
+        thresholds: The ends, on the axis, of the uniform prior of the threshold.
+        widths: The widths, equally likely a priori.
+        lapses: The lapse rates, equally likely a priori.
         proportion: The share of correct answers that defines the threshold; None for F = 1/2.
         confidence: The confidence of the interval.
 
     Returns:
-        The estimate; an end is None where the range of thresholds, and not the answers, bounds the posterior.
+        The estimate; an end is None if the range of thresholds, and not the answers, bounds the posterior.
     """
     answer_list = list(answers)
     middle = 0.5 * (1.0 + model.guess) if proportion is None else proportion
@@ -137,7 +137,7 @@ def posterior(
         density = exp(logarithms - logarithms.max())
         density_places, share = places, total(total(density))
         places = _closer(places, log(np.maximum(share, _LEAST)))
-    # the distribution function by trapezoids, at the points of the grid
+    # The distribution function by trapezoids, at the points of the grid.
     steps = np.concatenate(([0.0], np.cumsum(0.5 * (share[1:] + share[:-1]))))
     tail = 0.5 - 0.5 * confidence
     parts = [float(np.interp(part * steps[-1], steps, density_places)) for part in (0.5, tail, 1.0 - tail)]
@@ -164,7 +164,7 @@ def _short(trials: int) -> str:
 
 
 def _little(level: float, low: float | None, high: float | None) -> str:
-    """Say that a track tells little, where its interval is wide beside its threshold, or open."""
+    """Return a note if the interval of a track is wide relative to its threshold, or open."""
     if low is None or high is None:
         return "this track bounds the threshold poorly: the answers leave an end open; run more trials"
     share = 0.5 * (high - low) / abs(level) if level else math.inf
@@ -177,11 +177,13 @@ def _little(level: float, low: float | None, high: float | None) -> str:
 
 
 def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[float, float, float]) -> str:
-    """Say that answers get better along a track, by the score of a threshold that falls evenly from trial to trial.
+    """Return a note if the answers improve along a track, by the score of a threshold that falls linearly.
 
-    What the fitted threshold, width and lapse rate can take up of such a trend is taken out of it (J. Neyman's C(alpha)
-    test), so the score is a standard normal number for an observer who does not change, in many trials, however the
-    levels are chosen and though a staircase follows the one who learns.
+    The part of the trend that threshold, width and lapse rate can explain is removed (J. Neyman's C(alpha) test). So,
+    with
+    many trials, the score of an observer who does not change is a standard normal number, however the levels are
+    chosen,
+    although a staircase follows a learning observer.
     """
     if len(answers) < LEAST_TRIALS:
         return ""
@@ -205,7 +207,7 @@ def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[fl
             rest = rest - float(total(rest * other)) * other
         left = float(total(rest * rest))
         if left <= 1e-9 * size or size == 0.0:
-            # the column is not one of its own: of the trend that means that nothing can be said
+            # The column depends on the others; if it is the trend, nothing can be said.
             if column is trend:
                 return ""
             continue
@@ -220,7 +222,7 @@ def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[fl
 
 
 class _Grid:
-    """The answers, and the likelihood of them over threshold, width and lapse rate."""
+    """The answers, and their likelihood over threshold, width and lapse rate."""
 
     def __init__(
         self,
@@ -238,7 +240,7 @@ class _Grid:
             self.lapses = self.lapses[self.lapses < 1.0 - proportion]
 
     def likelihood(self, thresholds: Numbers, widths: Numbers) -> Numbers:
-        """Return its logarithm, of shape (thresholds, widths, lapse rates)."""
+        """Return the logarithm of the likelihood, shape (thresholds, widths, lapse rates)."""
         width, lapse = widths[None, :, None], self.lapses[None, None, :]
         middle = thresholds[:, None, None]
         if self._proportion is not None:
@@ -260,7 +262,7 @@ def _counted(answers: Sequence[Answer]) -> list[tuple[float, int, int]]:
 
 
 def _closer(points: Numbers, posterior: Numbers) -> Numbers:
-    """Return a grid over the points that are likely enough, and a point more to either side."""
+    """Return a grid over the sufficiently likely points, extended by one point to either side."""
     likely = np.flatnonzero(posterior >= posterior.max() - _KEPT)
     first, last = max(int(likely[0]) - 1, 0), min(int(likely[-1]) + 1, len(points) - 1)
     return np.linspace(points[first], points[last], len(points))

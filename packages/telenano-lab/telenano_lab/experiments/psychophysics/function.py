@@ -28,7 +28,7 @@ _NORMAL = 3.289707253902943
 _LN_HALF = -0.6931471805599453
 # ln(ln 0.05 / ln 0.95)
 _WEIBULL = 4.0673839494071125
-# No answer is impossible: the logarithm of a share stays finite.
+# No answer is impossible, so that the logarithm of a share stays finite.
 _RAREST = 1e-9
 
 
@@ -62,17 +62,17 @@ class Psychometric(Settings):
         return self
 
     def on_axis(self, levels: Sequence[float] | Numbers) -> Numbers:
-        """Return levels as places on the axis."""
+        """Convert levels to places on the axis."""
         values = np.asarray(levels, dtype=float)
         return log(values) if self.axis == "log" else values
 
     def from_axis(self, places: Sequence[float] | Numbers) -> Numbers:
-        """Return places on the axis as levels."""
+        """Convert places on the axis to levels."""
         values = np.asarray(places, dtype=float)
         return exp(values) if self.axis == "log" else values
 
     def grow(self, distances: Numbers) -> Numbers:
-        """Return F at distances from the threshold in widths."""
+        """Return F at distances from the threshold, in widths."""
         if self.shape == "logistic":
             return 1.0 / (1.0 + exp(-_LOGISTIC * distances))
         if self.shape == "normal":
@@ -85,7 +85,7 @@ class Psychometric(Settings):
         return np.clip(self.guess + (1.0 - self.guess - lapse) * grown, _RAREST, 1.0 - _RAREST)
 
     def distance_of(self, proportion: float, lapse: float) -> float:
-        """Return how far from the threshold, in widths, a share of correct answers is reached.
+        """Return the distance from the threshold, in widths, at which a share of correct answers is reached.
 
         Raises:
             ValueError: The function never has that share.

@@ -1,7 +1,7 @@
 """Methods that choose the level of the next trial: constant stimuli, staircases, and QUEST+.
 
-The state of a method is a function of its settings, its seed and the sequence of answers, so that an experiment which
-is resumed replays its journal: `replay` gives the method as it was. A level has the unit of the factor that it sets.
+The state of a method is a function of its settings, its seed and the sequence of answers, so a resumed experiment
+replays its journal: `replay` restores the method. A level has the unit of the factor that it sets.
 """
 
 import random
@@ -166,13 +166,13 @@ class Method(Protocol):
         """Return the level of the next trial; None when the method has ended."""
 
     def take(self, level: float, correct: bool) -> None:
-        """Take an answer, correct or yes, at a level."""
+        """Add an answer (True for correct or yes) at a level."""
 
     def estimate(self) -> Estimate:
-        """Return the threshold that the answers so far give."""
+        """Return the threshold estimated from the answers so far."""
 
     def summary(self) -> dict[str, float]:
-        """Return what the method itself says of the threshold, by name."""
+        """Return the method's own figures on the threshold, by name."""
 
 
 class _Base:
@@ -181,20 +181,20 @@ class _Base:
         self.answers: list[Answer] = []
 
     def take(self, level: float, correct: bool) -> None:
-        """Take an answer at a level."""
+        """Add an answer at a level."""
         self.answers.append((float(level), bool(correct)))
 
     def estimate(self) -> Estimate:
-        """Return the threshold that the answers so far give."""
+        """Return the threshold estimated from the answers so far."""
         return fit(self.answers, self.settings.function, self.settings.proportion, self.settings.confidence)
 
     def summary(self) -> dict[str, float]:
-        """Return nothing more than the fit has."""
+        """Return no figures beyond those of the fit."""
         return {}
 
 
 class ConstantStimuli(_Base):
-    """Each level once in every repetition, in an order that the seed decides."""
+    """Each level once in every repetition, in an order that depends on the seed."""
 
     def __init__(self, settings: ConstantSettings, seed: int) -> None:
         super().__init__(settings)
@@ -205,13 +205,13 @@ class ConstantStimuli(_Base):
             self._order += block
 
     def next(self) -> float | None:
-        """Return the level of the next trial; None when each had its repetitions."""
+        """Return the level of the next trial; None after all repetitions."""
         done = len(self.answers)
         return self._order[done] if done < len(self._order) else None
 
 
 class Staircase(_Base):
-    """A level that goes down after correct answers in a row, and up after a wrong one."""
+    """A level that falls after several correct answers in a row, and rises after a wrong one."""
 
     def __init__(self, settings: StaircaseSettings) -> None:
         super().__init__(settings)
@@ -219,7 +219,7 @@ class Staircase(_Base):
         self._level, self._in_a_row, self._direction = settings.start, 0, 0
 
     def next(self) -> float | None:
-        """Return the level of the next trial; None when there were enough reversals or trials."""
+        """Return the level of the next trial; None after enough reversals or trials."""
         ended = len(self.reversals) >= self.settings.reversals or len(self.answers) >= self.settings.trials
         return None if ended else self._level
 
@@ -236,7 +236,7 @@ class Staircase(_Base):
         self._level = self._moved(direction)
 
     def summary(self) -> dict[str, float]:
-        """Return the share of correct answers that it converges to, and the mean level of its reversals."""
+        """Return the share of correct answers to which it converges, the number of reversals, and their mean level."""
         used = self.reversals[self.settings.discarded :]
         used = used[len(used) % 2 :]
         facts = {"target": 0.5 ** (1.0 / self.settings.downs), "reversals": float(len(self.reversals))}
@@ -274,7 +274,7 @@ class QuestPlus(_Base):
         self._logarithm = log(self.posterior)
 
     def next(self) -> float | None:
-        """Return the level of the next trial; None after the last one, or when the threshold is known well enough."""
+        """Return the level of the next trial; None after the last one, or once the threshold is precise enough."""
         settings = self.settings
         if len(self.answers) >= settings.trials or (self.answers and self._deviation() < settings.precision):
             return None
@@ -300,12 +300,12 @@ class QuestPlus(_Base):
         for table, logarithm in self._tables:
             weighted = self.posterior * table
             chance = total(weighted)
-            # -Σ p ln p of the posterior p = weighted / chance, times the chance of this answer
+            # -Σ p ln p of the posterior p = weighted / chance, times the probability of this answer.
             result = result + chance * log(chance) - total(weighted * (self._logarithm + logarithm))
         return result
 
     def summary(self) -> dict[str, float]:
-        """Return mean and standard deviation of the posterior of the threshold: the level of the mean on the axis."""
+        """Return the posterior mean of the threshold as a level, and its standard deviation on the axis."""
         mean = self.settings.function.from_axis([self._mean()])[0]
         return {"posterior_mean": float(mean), "posterior_deviation_on_axis": self._deviation()}
 
@@ -322,9 +322,9 @@ class QuestPlus(_Base):
 
 
 def checked(settings: Mapping[str, Any], origin: str = "adaptive") -> Any:
-    """Return the settings of a method, from those of an experiment's file.
+    """Return the checked settings of a method from those of an experiment's file.
 
-    Without a `method` it is QUEST+, whose intervals are the narrowest of as many trials (docs/experiments.md).
+    Without a `method` it is QUEST+, which has the narrowest intervals for a number of trials (docs/experiments.md).
 
     Raises:
         ConfigError: A key is wrong; the error names it after `origin`.
@@ -333,7 +333,7 @@ def checked(settings: Mapping[str, Any], origin: str = "adaptive") -> Any:
 
 
 def most_trials(settings: Mapping[str, Any]) -> int:
-    """Return how many trials a method takes at most; ConfigError for settings that are wrong."""
+    """Return the greatest number of trials of a method; ConfigError for wrong settings."""
     checked_settings = checked(settings)
     return (
         len(checked_settings.levels) * checked_settings.repetitions
@@ -362,7 +362,7 @@ def make(settings: Mapping[str, Any], seed: int, origin: str = "adaptive") -> Me
 
 
 def replay(settings: Mapping[str, Any], seed: int, answers: Iterable[Answer]) -> Method:
-    """Return a method as it is after answers that were kept."""
+    """Return the state of a method after recorded answers."""
     method = make(settings, seed)
     for level, correct in answers:
         method.take(level, correct)

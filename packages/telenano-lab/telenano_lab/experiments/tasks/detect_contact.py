@@ -1,4 +1,4 @@
-"""Say when the tip touches: the time from the touch at the sample to the answer of who feels it at the hand."""
+"""Task: report the touch of the tip; the measure is the time from the touch at the sample to the answer."""
 
 from typing import Any
 
