@@ -7,8 +7,7 @@ amplitude-phase curve. In a steady motion driven at its resonance (J. P. Clevela
     sin(phi) = a + e / a,    a = A / A0,    e = Q E / (pi k A0^2),
 
 where E is the energy that the sample dissipates in a period; phi = 90 degrees in free motion. The fit has an energy
-that
-grows with the depth of the tip, e = c + d (1 - a); c and d may be 0.
+that grows with the depth of the tip, e = c + d (1 - a); c and d may be 0.
 """
 
 import math
@@ -36,9 +35,8 @@ class AmplitudePhase(NamedTuple):
     """Medians over bins of the amplitude a = A / A0, shape (n,): phase [degrees], its error, pixels; and the fit.
 
     constant, slope: c and d of e = c + d (1 - a), with standard errors; model_deg: the phase of the fit; still_deg:
-    that of
-    a sample that dissipates no energy. Neighbouring pixels are not independent, so the error of a phase assumes only as
-    many pixels as the least populated bin may have.
+    that of a sample that dissipates no energy. Neighbouring pixels are not independent, so the error of a phase assumes
+    only as many pixels as the least populated bin may have.
     """
 
     amplitude: Array

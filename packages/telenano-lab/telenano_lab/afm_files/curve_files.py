@@ -67,8 +67,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
     """Return the curves of a file.
 
     Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each curve, number of
-    points
-    of its approach and its retraction, and all heights [m] and forces [N], one curve after another.
+    points of its approach and its retraction, and all heights [m] and forces [N], one curve after another.
 
     Args:
         path: The file.
@@ -113,8 +112,7 @@ def load_one(
     """Return a curve of a file by its index, from 0; `table` as in `load_curves`.
 
     The facts are spring constant [N/m], speed [m/s], number of points of the approach and remarks; the arrays are base
-    and
-    deflection [m].
+    and deflection [m].
     """
     constants, wanted, count = _given(stiffness, sensitivity), int(number), 0
     with _open(path, constants, text_curves.table_options_of(table)) as curves:

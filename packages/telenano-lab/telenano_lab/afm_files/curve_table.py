@@ -74,8 +74,7 @@ def curves(
 
     Returns:
         A table with the units of its columns in `attrs["units"]`; a standard error beside each figure, NaN where there
-        is
-        none. `verdict` is fitted or refused, and `reason` is the reason of a refusal.
+        is none. `verdict` is fitted or refused, and `reason` is the reason of a refusal.
 
     Raises:
         ConfigError: There is no such file, the shape of the tip is missing, or no file can be read.

@@ -166,10 +166,8 @@ def gates(recorded: ForceMap) -> tuple[Array, Array]:
     """Return the heights at which contact is made and at which the loop of the branches closes [m], shape (x, y).
 
     Contact is made at the lowest force of the approach, after the snap-in; without attraction, where the force has
-    risen by
-    a twentieth of its range. The loop is closed above the last point at which the branches differ by more than a
-    twentieth
-    of their greatest difference. Differences within the noise far from the sample are ignored.
+    risen by a twentieth of its range. The loop is closed above the last point at which the branches differ by more than
+    a twentieth of their greatest difference. Differences within the noise far from the sample are ignored.
     """
     if recorded.quantity != "force":
         shape = recorded.values.shape[1:3]

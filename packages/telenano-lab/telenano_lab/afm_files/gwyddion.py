@@ -55,8 +55,7 @@ def load_image(path: str) -> Found:
             # Gwyddion drops a last line without a newline.
             source = os.fspath(Path(folder, Path(path).name))
             Path(source).write_bytes(content + b"\n")
-        # A locale with a decimal comma would change numbers; without HOME set, Gwyddion makes a settings folder in the
-        # user's home.
+        # A decimal comma would change numbers, and Gwyddion makes a settings folder in HOME.
         kept = {key: value for key, value in os.environ.items() if key not in ("LC_ALL", "DISPLAY")}
         try:
             ended = run_child(
@@ -90,8 +89,7 @@ def load_maps(path: str) -> Found:
     """Return the maps of a .gwy file in the order of their numbers; y rises with the row.
 
     Masks are ignored, because the user drew them. Values: `channels`, for each map its title, its width and depth, and
-    the
-    units of both and of the values.
+    the units of both and of the values.
     """
     return _maps_of(Path(path), "it has no map", is_converted=False)
 

@@ -53,12 +53,10 @@ class MapOptions(NamedTuple):
     """The user's options: members of a map that its file lacks, and how its curves are brought onto one grid.
 
     given: members of a map; channel: part of the name of a channel, for .3ds; level: `each` or `common`; points: number
-    of
-    heights, 0 for that of the curves; correct: signal in free air that is subtracted: `offset` (the mean of each curve
-    there; the default for curves), `tilt` (that, and a slope common to all curves), or `nothing` (the default for a
-    plain
-    grid); baseline: share of the heights that is free air, farthest from the sample, None for 0.1, or 0.25 with tilt;
-    converted: whether a frequency shift is converted to a force (`sader_jarvis`).
+    of heights, 0 for that of the curves; correct: signal in free air that is subtracted: `offset` (the mean of each
+    curve there; the default for curves), `tilt` (that, and a slope common to all curves), or `nothing` (the default for
+    a plain grid); baseline: share of the heights that is free air, farthest from the sample, None for 0.1, or 0.25 with
+    tilt; converted: whether a frequency shift is converted to a force (`sader_jarvis`).
     """
 
     given: Mapping[str, Any]
@@ -155,8 +153,7 @@ class Curves(NamedTuple):
     """Curves as they were taken: index in the file, place [m], and branches of height [m] and force [N] of each.
 
     The height is that of the base, ascending away from the sample; a repulsive force is positive; the approach comes
-    first.
-    is_grid: whether the places are those of a map.
+    first. is_grid: whether the places are those of a map.
     """
 
     numbers: list[int]

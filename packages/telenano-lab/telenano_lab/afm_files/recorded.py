@@ -14,10 +14,9 @@ class RecordedCurve(NamedTuple):
     """One curve.
 
     place: column and row in the grid. ways: for approach and retraction the height [m], rising away from the sample,
-    and
-    the value, in the order of time. unit: unit of the values, N of a force, m or V of a deflection. stiffness_n_per_m,
-    sensitivity_m_per_v: from the file, or None. speed_m_per_s: speed of the approach. remarks: sentences on what was
-    assumed and left out.
+    and the value, in the order of time. unit: unit of the values, N of a force, m or V of a deflection.
+    stiffness_n_per_m, sensitivity_m_per_v: from the file, or None. speed_m_per_s: speed of the approach. remarks:
+    sentences on what was assumed and left out.
     """
 
     place: tuple[int, int]

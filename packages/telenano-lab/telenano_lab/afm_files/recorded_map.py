@@ -3,8 +3,7 @@
 z is the height of the base, so a curve with snap-in and pull-off is felt as it was recorded. Between grid points the
 value is a tricubic Catmull-Rom interpolation: a cubic Hermite along each axis whose slopes are central differences, and
 at the outer points the slopes of the parabola through three points. It is C1, passes through every point, and uses 64
-of
-them. An axis of one point is constant, one of two points is linear.
+of them. An axis of one point is constant, one of two points is linear.
 
 A map may have two branches, approach and retract. The tip changes to the retract branch only after it has made contact;
 before, it goes back as it came. In contact a reversal blends from one branch to the other over `turn_m`, so that the
@@ -30,12 +29,10 @@ class MapParams(NamedTuple):
     """A map and the cantilever through which it is felt; made by `force_map.map_params`.
 
     values: shape (branches, x, y, z), approach and then retract; low_m, step_m: first point and spacing of each axis
-    [m], x
-    and y relative to the middle of the map; onset_m, release_m: heights at which contact is made and the loop closes
-    [m],
-    shape (x, y); turn_m: see the module; rest_distance_m: height of a base at 0 [m]; stiffness_n_per_m, volts_per_m: of
-    the
-    cantilever; is_force: whether the values are forces [N], repulsive positive, rather than another channel.
+    [m], x and y relative to the middle of the map; onset_m, release_m: heights at which contact is made and the loop
+    closes [m], shape (x, y); turn_m: see the module; rest_distance_m: height of a base at 0 [m]; stiffness_n_per_m,
+    volts_per_m: of the cantilever; is_force: whether the values are forces [N], repulsive positive, rather than another
+    channel.
     """
 
     values: Array

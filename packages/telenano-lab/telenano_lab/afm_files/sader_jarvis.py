@@ -2,11 +2,11 @@
 
     F(D) = 2 k / f0 int_D^inf [(1 + sqrt(A) / (8 sqrt(pi (z - D)))) df(z) - A^(3/2) / sqrt(2 (z - D)) df'(z)] dz
 
-(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004). From the greatest attraction outwards the error is within a few
-percent for any amplitude A, and on the repulsive flank it is 5 to 35 %. D is the distance of closest approach. A curve
-has to reach out to where its shift no longer changes, which is taken as 0. Where the force turns sharply within an
-amplitude, no inversion is reliable (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol. 13, 1088, 2018). Between its
-points the shift is interpolated linearly, so that the integrals are those of roots.
+(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004). From the place of the greatest attraction outwards the error is a
+few percent of that attraction, for any amplitude A; on the repulsive flank it is 5 to 35 %. D is the distance of
+closest approach. A curve has to reach out to where its shift no longer changes, which is assumed to be 0. Where the
+force turns sharply within an amplitude, no inversion is reliable (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol.
+13, 1088, 2018). Between its points the shift is interpolated linearly, so that the integrals are those of roots.
 """
 
 import math

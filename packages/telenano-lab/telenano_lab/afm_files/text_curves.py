@@ -84,8 +84,7 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
 
     Raises:
         ValueError: It has no height and no force, or no unit of them; the message says what the header must name, or
-            which
-            option replaces it.
+            which option replaces it.
     """
     table = TextTable.read(Path(path))
     pairs = list(_pairs(table, options))

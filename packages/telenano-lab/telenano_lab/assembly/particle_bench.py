@@ -22,8 +22,7 @@ def bench(particles: dict[str, Any], stiffness_n_per_m: float = 0.1, **others: A
     Args:
         particles: The section `sample.particles`.
         stiffness_n_per_m: Spring constant of the cantilever [N/m]; 0.1 is soft enough to image in contact without
-            moving
-            a particle.
+            moving a particle.
         others: Further keys of the section.
     """
     return {

@@ -47,7 +47,7 @@ _BEHIND = 1.35
 _KEEPS = 1.25
 # A particle that lies further aside than this angle is approached again; this is its cosine.
 _MOST_ASIDE = math.cos(math.radians(75.0))
-# The errors of the hand change every this number of ticks.
+# Number of ticks for which the errors of the hand stay the same.
 _HELD_TICKS = 20
 
 
@@ -70,8 +70,8 @@ class Push(NamedTuple):
 
     goal_m, place_m: of the particle [m]; d_m: distance of the particle's centre from the axis of a touching tip [m];
     friction_n: kinetic friction of the particle [N]; speed_m_per_s: greatest speed of the tip; reaction_s: reaction
-    time of
-    the hand; answers_s: further delay until the hand sees the effect of its motion [s]; leaves_m: tolerance [m].
+    time of the hand; answers_s: further delay until the hand sees the effect of its motion [s]; leaves_m: tolerance
+    [m].
     """
 
     goal_m: tuple[float, float]

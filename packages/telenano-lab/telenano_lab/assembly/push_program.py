@@ -120,12 +120,9 @@ class PushState(NamedTuple):
 
     gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size since
     contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the lateral
-    force
-    before contact, which is the reading of the channel without a particle: crosstalk, friction of the tip, noise. That
-    mean
-    is subtracted from all other forces. steps: steps above the threshold; faint_m: way without force. line: index of
-    the
-    line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the particle.
+    force before contact, which is the reading of the channel without a particle: crosstalk, friction of the tip, noise.
+    That mean is subtracted from all other forces. steps: steps above the threshold; faint_m: way without force. line:
+    index of the line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the particle.
     """
 
     phase: int

@@ -57,8 +57,7 @@ class Sensitivity(NamedTuple):
 
     residual_ratio: mean square of the residuals of blocks of points, relative to the noise between neighbours. remarks:
     the part that was used, and what was left out and found. rows: mask of the line's rows; parts: all parts, as name,
-    first
-    row and end.
+    first row and end.
     """
 
     m_per_v: float
@@ -91,8 +90,7 @@ def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "", columns:
 
     Raises:
         ConfigError: The file cannot be read, a column is ambiguous, a unit is not known, or no unit is given and the
-            span
-            is implausible in nm; the message asks for it.
+            span is implausible in nm; the message asks for it.
     """
     table = TextTable.read(path)
     first, second = _columns(table, columns, has_units=bool(way_unit and deflection_unit))

@@ -52,11 +52,9 @@ _IMAGINARY = (
 )
 # The correction was fitted to Reynolds numbers in this range.
 _REYNOLDS = (1e-6, 1e4)
-# Plausible stiffness, from the softest levers of magnetic resonance to quartz resonators; beyond it the units are
-# wrong.
+# Plausible stiffness, from the softest levers of magnetic resonance to quartz resonators; else a unit is wrong.
 _STIFFNESS = (1e-5, 1e7)  # [N/m]
-# Plausible resonance of AFM levers, from large ones to the small ones of fast scanning, and of quartz needles and
-# forks.
+# Plausible resonance, from large levers to the small ones of fast scanning, and needles and forks of quartz.
 _RESONANCE_HZ = (500.0, 1e7)
 # Plausible Q, from levers in honey-like liquids to those in ultra-high vacuum at 4 K.
 _QUALITY = (0.6, 3e6)
@@ -85,9 +83,8 @@ class Stiffness(NamedTuple):
     standard error from spectrum, sensitivity and size; agreement: sentence on whether they agree within it. averages:
     periodograms averaged per line, as given or from the scatter of the lines; deviance_ratio: deviance of the lines
     relative to thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise;
-    lines_left_out:
-    lines that are too strong for thermal noise; influence: effect of the most influential line [standard errors of k].
-    band_hz: band of the fitted lines [Hz].
+    lines_left_out: lines that are too strong for thermal noise; influence: effect of the most influential line
+    [standard errors of k]. band_hz: band of the fitted lines [Hz].
     """
 
     stiffness_n_per_m: float
@@ -113,13 +110,10 @@ class Thermal(NamedTuple):
     """The inputs of a thermal calibration besides the measurement.
 
     sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: size of the lever, for Sader's method
-    [m];
-    rate_hz: sampling rate of the deflection [Hz]; averages: periodograms averaged per line, None to estimate it from
-    the
-    scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the sensitivity, and of width and
-    length each. exclude_hz: bands whose lines are ignored. anyway: whether an implausible resonance, Q or mass is
-    accepted.
-    window: window of the segments of a spectrum, None if unknown.
+    [m]; rate_hz: sampling rate of the deflection [Hz]; averages: periodograms averaged per line, None to estimate it
+    from the scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the sensitivity, and of
+    width and length each. exclude_hz: bands whose lines are ignored. anyway: whether an implausible resonance, Q or
+    mass is accepted. window: window of the segments of a spectrum, None if unknown.
     """
 
     sensitivity_m_per_v: float

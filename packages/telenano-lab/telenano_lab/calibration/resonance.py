@@ -91,13 +91,10 @@ class Resonance(NamedTuple):
     """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2.
 
     covariance: of log s^2, log f0 and log Q, shape (3, 3). deviance: deviance of the lines relative to noise of
-    `averages`.
-    mismatch: mean square of the residuals of blocks of lines, relative to noise; chance: probability of as much by
-    noise.
-    tones: number of lines left out as not thermal. influence: shift of log s^2 by the most influential line, in
-    standard
-    errors. band_hz: band of the fitted lines. by_window: the part of `share` that comes from not knowing the window.
-    lines_across: width of the peak at half height, in lines.
+    `averages`. mismatch: mean square of the residuals of blocks of lines, relative to noise; chance: probability of as
+    much by noise. tones: number of lines left out as not thermal. influence: shift of log s^2 by the most influential
+    line, in standard errors. band_hz: band of the fitted lines. by_window: the part of `share` that comes from not
+    knowing the window. lines_across: width of the peak at half height, in lines.
     """
 
     mean_square_m2: float
@@ -149,8 +146,7 @@ def fit_spectrum(
 
     Lines that are not thermal under the fit are left out, and the others are fitted again until all are thermal. If the
     residuals of the widest band are systematic, narrower bands are tried, because disturbances (drift, other modes) lie
-    far
-    from the resonance. A peak in a single line, like that of a tone, is accepted only if no wider one fits as well.
+    far from the resonance. A peak in a single line, like that of a tone, is accepted only if no wider one fits as well.
 
     Args:
         frequency_hz: The lines [Hz], shape (n,), rising.
@@ -162,8 +158,7 @@ def fit_spectrum(
 
     Raises:
         ValueError: No fit describes the lines, the fit ends at a bound, the peak has too few lines, or the mean square
-            is
-            not known to a factor of e; the message says which and what may be wrong.
+            is not known to a factor of e; the message says which and what may be wrong.
     """
     best: Resonance | None = None
     reason: ValueError | None = None

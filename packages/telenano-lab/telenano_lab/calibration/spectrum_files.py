@@ -40,8 +40,7 @@ class Spectrum(NamedTuple):
     """A thermal spectrum: lines [Hz], their one-sided density, whether that is in metres, and its averages.
 
     averages: number of periodograms averaged per line, None if not stated; remarks: how the file was read; window:
-    window
-    as `scipy.signal.get_window` takes it, None if the file names none.
+    window as `scipy.signal.get_window` takes it, None if the file names none.
     """
 
     frequency_hz: Array
@@ -79,8 +78,7 @@ def spectrum_of(
 
     Args:
         path: A text table whose header may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that
-            an
-            installed package reads.
+            an installed package reads.
         unit: The unit of the density; empty for that of the file.
         frequency_unit: The unit of the frequency; empty for that of the file.
         columns: Columns of frequency and density in a text table, by number or title; empty to follow the header.

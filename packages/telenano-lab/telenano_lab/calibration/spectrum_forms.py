@@ -146,8 +146,7 @@ class SpectrumHead(NamedTuple):
     """The statements of a header on its spectrum; None or False where it states nothing.
 
     sides: 1 or 2; of_lines: whether it has the power of lines; bandwidth: value and unit of the noise bandwidth;
-    window: as
-    `scipy.signal.get_window` takes it; averages: number of averages.
+    window: as `scipy.signal.get_window` takes it; averages: number of averages.
     """
 
     sides: int | None

@@ -263,8 +263,7 @@ def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence:
     """Return d' and criterion of each participant and condition, over all levels of an adaptive factor.
 
     In a 2AFC task the signal is a stiffer sample that comes first. In the detection of a touch, the time before the
-    touch
-    is the noise of the same trial: a trial with a false alarm has no signal left to detect.
+    touch is the noise of the same trial: a trial with a false alarm has no signal left to detect.
     """
     detections = []
     for task, of_task in frame.groupby("task", sort=True):

@@ -81,10 +81,8 @@ def frontier_figure(situations: Mapping[Situation, Sequence[Row[Situation]]]) ->
     """Draw the frontier of the laws: felt stiffness against tracking error and energy, a panel per kind of line.
 
     A law is a line from the first instrument (diamond) to the second (circle), or a single point; its label has the
-    shares
-    of the runs held. Further right the tip follows worse, further down the sample feels softer, and the colour is the
-    least
-    energy at the ports.
+    shares of the runs held. Further right the tip follows worse, further down the sample feels softer, and the colour
+    is the least energy at the ports.
     """
     from matplotlib.ticker import FixedLocator, NullFormatter, StrMethodFormatter
 

@@ -187,8 +187,7 @@ class ExperimentBus:
             cue: The identifier of the cue.
             timeout_s: The longest wait [s]; None for no limit.
             idle: Called twenty times a second with all other answers, such as an experimenter's; a true return value
-                ends
-                the wait.
+                ends the wait.
 
         Returns:
             The answer; None after the timeout or if `idle` ended the wait.

@@ -49,8 +49,8 @@ class DriftRow(NamedTuple):
     """A law under a drift: runs, stable runs, ratio of felt to true stiffness, and the parting of hand and tip.
 
     felt, felt_least, felt_most: median, least and greatest ratio of the stable runs, None without one. parted_mm:
-    median of
-    the absolute change of the distance of hand and tip from mid-hold to the end; parted_most_mm: the greatest.
+    median of the absolute change of the distance of hand and tip from mid-hold to the end; parted_most_mm: the
+    greatest.
     """
 
     law: str

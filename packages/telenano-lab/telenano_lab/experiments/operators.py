@@ -166,7 +166,7 @@ class SimulatedParticipant:
         }
 
     def _felt_s(self, data: TrialData) -> float | None:
-        """Return when the force at the hand changed by more than the threshold from the mean before; None if never."""
+        """Return when the force at the hand first differs from its earlier mean by the threshold [s]; None if never."""
         hand = data.haptic
         time_s, force_n = hand["time_s"], -hand["operator_force_n.2"]
         if time_s.size < 2:

@@ -1,7 +1,6 @@
 """Environments for reinforcement learning; importing this package registers them with Gymnasium.
 
-import gymnasium
-import telenano_lab.learning
+import gymnasium import telenano_lab.learning
 
 env = gymnasium.make("telenano/Push-v0")
 """

@@ -178,10 +178,8 @@ def _with_noise(
     """Return the free values fitted in the estimated noise, their standard errors, and that noise.
 
     Each step estimates the noise of the residuals and moves by generalized least squares with it; offset and drift of
-    the
-    force are free in each. A step that reverses the one before is halved, and so are all later ones: where the curve
-    hardly
-    distinguishes radius from work, whole steps would oscillate about the minimum and end anywhere.
+    the force are free in each. A step that reverses the one before is halved, and so are all later ones: where the
+    curve hardly distinguishes radius from work, whole steps would oscillate about the minimum and end anywhere.
     """
     measured = np.concatenate([part.force_n, part.free_n]) / scale
     times = part.place / max(float(part.place[-1]), 1.0)

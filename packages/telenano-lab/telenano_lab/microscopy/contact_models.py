@@ -91,8 +91,7 @@ def end_of(contact: Contact) -> float:
     """Return the s at which the contact ends on the way back: 0, or for JKR the end of its equilibria."""
     if contact.model != 3 or not contact.pull_off_n > 0.0:
         return 0.0
-    # The upper bound is the contact radius of the greatest pull; under controlled displacement the contact ends below
-    # it.
+    # The upper bound is s at the greatest pull; under controlled displacement the contact ends below it.
     high = math.sqrt(_cube_root(contact.pull_off_n * 3.0 * contact.radius_m / (4.0 * contact.modulus_pa)))
     low = 0.0
     for _ in range(200):
@@ -122,8 +121,7 @@ def forces(contact: Contact, touch_m: float, base_m: Array, out_n: Array, depth_
     """Fill the forces [N] and indentations [m] at places of the base [m]; before the touch both are 0.
 
     An adhesive contact is followed on its way back to its end. Beyond that the force falls quadratically from the end,
-    so
-    that a fit whose contact ends before that of the curve is led back without an edge.
+    so that a fit whose contact ends before that of the curve is led back without an edge.
     """
     k, count = contact.stiffness_n_per_m, base_m.shape[0]
     soft_m = 0.02 * abs(base_m[count - 1] - base_m[0]) + 1e-15

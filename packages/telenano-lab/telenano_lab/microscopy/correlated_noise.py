@@ -168,8 +168,7 @@ def _regress(white: Array, coefficients: Array, inverse: Array, squares: Array, 
             for row in range(width):
                 for column in range(row + 1):
                     lower[row, column] += white[kind, i, row] * white[kind, i, column]
-        # Cholesky factor of the normal matrix with the values as its last row: its last element squared is the residual
-        # sum.
+        # Cholesky factor of the normal matrix with the values as its last row; its last square is the residual sum.
         half = 0.0
         for row in range(width):
             whole = lower[row, row]

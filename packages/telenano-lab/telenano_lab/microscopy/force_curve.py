@@ -31,8 +31,7 @@ CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
 OF_TABLES = ("columns", "way_unit", "value_unit", "value_sign")
 # A tenth of a piconewton is below the thermal force of any lever.
 _LEAST_LOAD_N = 1e-13
-# Default speed of the base [m/s]; at the 50 nm/s of a program the dynamic cantilever takes four times as long to
-# compute.
+# Default speed [m/s]; at the 50 nm/s of a program, the dynamic cantilever takes four times as long to compute.
 _SPEED_M_PER_S = 200e-9
 
 
@@ -63,8 +62,7 @@ class Marks:
     """Base x_s [m] and force [N] of each mark, and the energy of the loop [J]; None where a curve has no such point.
 
     snap_in: C of Fig. 5; break: the last jump of the way back; contact: the place where the force passes zero on that
-    way;
-    pull_off: the strongest pull.
+    way; pull_off: the strongest pull.
     """
 
     snap_in_base_m: float | None

@@ -25,8 +25,7 @@ class Image(NamedTuple):
     """One channel: title, unit of the values, values of shape (rows, columns) with y rising, and side lengths [m].
 
     partial: how much there is of an image that ended early, such as `37 of 256 lines`, or empty. log: the steps applied
-    to
-    the values, one sentence each. Both are written into every file.
+    to the values, one sentence each. Both are written into every file.
     """
 
     title: str

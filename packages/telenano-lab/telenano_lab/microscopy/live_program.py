@@ -52,8 +52,7 @@ def run_program(
         parameters: The parameters of the `set` command that begins the program.
         collected: Receives the data of the program.
         on_report: Called with each report of the program, and several times a second without a new one; its return
-            value
-            (pause, resume, abort or the empty string) is sent to the instrument.
+            value (pause, resume, abort or the empty string) is sent to the instrument.
 
     Returns:
         The last report.

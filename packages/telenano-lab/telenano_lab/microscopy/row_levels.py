@@ -49,8 +49,8 @@ def align_rows(
     """Return an image whose rows have one level, and a sentence for each step.
 
     With a threshold, the rows are first aligned by their medians to find the ground. The mask is then found again in
-    the
-    rows that were aligned without the masked points. A row that is mostly covered by features is mistaken for ground.
+    the rows that were aligned without the masked points. A row that is mostly covered by features is mistaken for
+    ground.
 
     Args:
         heights: The image, shape (rows, columns).

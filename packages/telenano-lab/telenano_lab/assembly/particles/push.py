@@ -38,8 +38,7 @@ RADIUS, STATIC, KINETIC, PULL_OFF = range(4)
 X, Y, RESTED = range(3)
 
 # Columns of a push. The first are those of `give_way`: number in the cluster, direction, overlap [m]. The others are
-# the particle, its distance [m], height of the apex [m] and force [N] if it held, and the height at which it is pushed
-# [m].
+# the particle, its distance [m], height of the apex [m] and force [N] if it held, and its height when pushing [m].
 MEMBER, ALONG_X, ALONG_Y, OVERLAP, PARTICLE, DISTANCE, HELD_APEX, HELD_FORCE, APEX = range(9)
 _COLUMNS = 9
 
@@ -55,10 +54,8 @@ class Contact(NamedTuple):
     """The contact of the tip at the end of a tick.
 
     apex_m: height at which particles hold it up [m], 0 if none does; lift_n: their upward force [N] on a tip that they
-    do
-    not hold up alone; push_x_n, push_y_n: their lateral force on the tip [N]; touched: number of touched particles;
-    moved:
-    number of moved ones.
+    do not hold up alone; push_x_n, push_y_n: their lateral force on the tip [N]; touched: number of touched particles;
+    moved: number of moved ones.
     """
 
     apex_m: float

@@ -29,8 +29,7 @@ class Spring(NamedTuple):
     """Normal and lateral stiffness [N/m], coefficient of friction in the contact of tip and particle, and options.
 
     loaded_area: whether the load of the tip on a particle increases the area that holds it. rest_s: time of rest [s]
-    after
-    which a particle has its static hold again.
+    after which a particle has its static hold again.
     """
 
     normal_n_per_m: float

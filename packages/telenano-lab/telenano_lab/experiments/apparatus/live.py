@@ -272,9 +272,8 @@ class Live(Apparatus):
         """Return a rig in a condition, with hand and tip coupled as in a new one.
 
         A law keeps the places at which it was coupled, and a gap in the messages can shift them against each other:
-        then the
-        tip is withdrawn and armed again. If that fails, a simulated hand gets a new rig, and a person's hand another
-        try.
+        then the tip is withdrawn and armed again. If that fails, a simulated hand gets a new rig, and a person's hand
+        another try.
         """
         for left in reversed(range(_COUPLINGS)):
             rig = self._rig_of(trial, document)
@@ -293,8 +292,7 @@ class Live(Apparatus):
                     self._show("the rig is restarted")
                     self.close()
                 continue
-            # Some laws, such as tactile, do not bring the tip to the place of the hand: its place is then correct as it
-            # is.
+            # Some laws, such as tactile, do not bring the tip to the place of the hand: it stays where it is.
             self._off_m(document)
             break
         self._prepare_sample(document)

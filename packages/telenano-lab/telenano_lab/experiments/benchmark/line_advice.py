@@ -42,8 +42,7 @@ class Advice:
     """The laws with default settings, the recommended one first; then variants that the benchmark did not run.
 
     standings: the benchmark's order of the laws in the situation, empty if it has no such cell; digest: that of its
-    runs;
-    notes: differences of the cells from the question.
+    runs; notes: differences of the cells from the question.
     """
 
     question: Question
@@ -210,9 +209,8 @@ def kind_of_line(question: Question) -> str:
     """Return the benchmark's kind of line: that of its own networks, or by the statistics of the delays.
 
     A line is a measured line if its delays are correlated in time or it stalls at times; local if nearly every message
-    is
-    back within LOCAL_MS; long distance if its delays are even and it hardly loses messages; and else one of independent
-    delays.
+    is back within LOCAL_MS; long distance if its delays are even and it hardly loses messages; and else one of
+    independent delays.
     """
     if question.network is None:
         # For a uniform jitter the 95 % quantile is 0.9 of its half-width above the median.

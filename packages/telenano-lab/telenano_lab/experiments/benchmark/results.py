@@ -54,8 +54,7 @@ class Row(NamedTuple, Generic[Of]):
     """The runs of a law in a case or a situation.
 
     held: number of runs held; low, high: interval of their share; made_energy: runs in which the loop made energy;
-    sound:
-    runs held without it; measures: over the runs held.
+    sound: runs held without it; measures: over the runs held.
     """
 
     case: Of
@@ -96,8 +95,7 @@ class Standing(NamedTuple):
     """A law among those of a situation.
 
     It is behind if its share of runs held without making energy cannot by chance be the greatest: the 95 % interval of
-    that
-    share ends below the interval that begins highest, that of the best law.
+    that share ends below the interval that begins highest, that of the best law.
     """
 
     row: Row[Situation]
@@ -109,8 +107,7 @@ def standings_of(outcomes: Iterable[Outcome]) -> dict[Situation, list[Standing]]
     """Return the laws in each situation, the recommended one first; all advice follows this rule.
 
     The recommended law has the least tracking error among those that are not behind; those behind follow by their
-    share.
-    Networks that represent no kind of line are left out.
+    share. Networks that represent no kind of line are left out.
     """
     lines = {network: line for line, networks in LINES.items() for network in networks}
     samples = {task: sample for sample, tasks in SAMPLES.items() for task in tasks}

@@ -180,10 +180,8 @@ def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[fl
     """Return a note if the answers improve along a track, by the score of a threshold that falls linearly.
 
     The part of the trend that threshold, width and lapse rate can explain is removed (J. Neyman's C(alpha) test). So,
-    with
-    many trials, the score of an observer who does not change is a standard normal number, however the levels are
-    chosen,
-    although a staircase follows a learning observer.
+    with many trials, the score of an observer who does not change is a standard normal number, however the levels are
+    chosen, although a staircase follows a learning observer.
     """
     if len(answers) < LEAST_TRIALS:
         return ""

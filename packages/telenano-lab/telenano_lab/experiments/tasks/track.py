@@ -21,7 +21,7 @@ from telenano_lab.experiments.extend import (
 )
 from telenano_lab.experiments.tasks.common import rms
 
-# Distance of the target's corners; at 1 Hz, its fastest sine, the error is 1 % of the amplitude.
+# Distance of the target's corners [s]; at 1 Hz, its fastest sine, the error is 1 % of the amplitude.
 _CORNER_S = 0.05
 _GRID_S = 0.02
 _LONGEST_LAG_S = 2.0
@@ -64,8 +64,7 @@ def lag_s(target: Series, followed: Series, period_s: float) -> float | None:
     """Return the lag of a course behind its target, the maximum of their normalised cross-correlation [s].
 
     Each lag is evaluated over the overlap of both, and the maximum is refined by a parabola. None is returned if either
-    is
-    constant.
+    is constant.
 
     Args:
         target: The target, evenly sampled, shape (n,).
