@@ -25,7 +25,7 @@ LOST = ("device_lost", "the device is lost")
 
 
 class Passage(NamedTuple):
-    """One direction of the link: times at which messages reached it, and at which undropped ones left it [s]."""
+    """One direction of the link: sorted times [s] at which messages reached it, and at which undropped ones left it."""
 
     arrived_s: Times
     released_s: Times

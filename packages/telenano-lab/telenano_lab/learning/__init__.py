@@ -1,9 +1,9 @@
 """Environments for reinforcement learning; importing this package registers them with Gymnasium.
 
-    import gymnasium
-    import telenano_lab.learning
+import gymnasium
+import telenano_lab.learning
 
-    env = gymnasium.make("telenano/Push-v0")
+env = gymnasium.make("telenano/Push-v0")
 """
 
 from gymnasium.envs import registration

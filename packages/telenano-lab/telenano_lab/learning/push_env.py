@@ -92,8 +92,9 @@ class PushEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     The action is the velocity of the tip in x and y, in units of 2 um/s, and its lift (above 0 it is retracted); a step
     takes 20 ms. An episode ends when the believed place of the particle is within a tenth of its diameter of the goal
-    while the tip stands. Whether the particle really is there, is info["is_success"], on which no reward and no
-    observation depends.
+    while
+    the tip stands. info["is_success"] tells whether the particle really is there; no reward or observation depends on
+    it.
 
     Args:
         obs: felt, the knowledge of an instrument; or state, with the true place of the particle, for debugging.
