@@ -6,8 +6,8 @@ lies in the direction -F at the distance d (that of the axes of a tip and a sphe
 
 - *straight*: along the line from the believed place to the goal. A particle that lies beside it slips off.
 - *steered*: the tip turns the particle towards the goal (`telenano_lab.assembly.particles.steering`).
-- *sweep*: lines across the way, each nearer to the goal than the last by a share of d; the start of the particle beside
-  the way does not matter.
+- *sweep*: lines across the way, each nearer to the goal than the last by a share of d; a lateral offset of the
+  particle does not matter.
 """
 
 import math

@@ -292,7 +292,8 @@ class Live(Apparatus):
                     self._show("the rig is restarted")
                     self.close()
                 continue
-            # Some laws, such as tactile, do not bring the tip to the place of the hand: it stays where it is.
+            # Some laws, such as tactile, do not bring the tip to the place of the hand: the remaining offset is
+            # recorded.
             self._off_m(document)
             break
         self._prepare_sample(document)
