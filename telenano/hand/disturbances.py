@@ -95,7 +95,7 @@ def disturbed(
 def disturbed_plant_params(
     config: HandDisturbanceConfig, plant: Any, samples: int, period_s: float
 ) -> DisturbedPlantParams:
-    """Draw the disturbances of a run of `samples` samples, one a period_s [s]; the seed of `config` alone decides them."""
+    """Draw the disturbances of a run of `samples` samples, one a period_s [s], from the seed of `config` alone."""
     return DisturbedPlantParams(plant, *_drawn(config, samples, period_s), config.resolution_m)
 
 

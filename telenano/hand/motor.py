@@ -239,7 +239,7 @@ def _is_limited(servo: _Servo, x: float, v: float) -> bool:
 
 @compiled
 def _advance(servo: _Servo, x: float, v: float, t: float, c: float, s: float) -> tuple[float, float]:
-    """Advance by t [s] in one piece if no limit acts at its ends, else in fine pieces; (c, s) is `_transition` over t."""
+    """Advance by t [s] in one piece if no limit acts at its ends, else in fine ones; (c, s) is `_transition` over t."""
     if not _is_limited(servo, x, v):
         end_x, end_v = _substep(servo, x, v, t, c, s)
         if not _is_limited(servo, end_x, end_v):

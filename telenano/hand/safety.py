@@ -8,7 +8,8 @@ reference starts at the present position and moves towards the commanded one, at
 resumes by itself as soon as commands are fresh, over any distance.
 
 Arming concerns the tip: it follows only a hand that a person has armed since the start of the hand's node and since its
-last emergency stop (`telenano.afm.safety`).
+last emergency stop (`telenano.afm.safety`). The motor of a hand that was never armed is off for another reason: nothing
+follows it.
 """
 
 import math
