@@ -1,8 +1,10 @@
 """The guard of the tip with its state, for a program that drives an instrument without a node.
 
-guard = TipGuard(limits)
-base_m = guard.follow(reference_m, period_s, force_n=sample.force_n)
-base_m = guard.retract(period_s, force_n=sample.force_n)
+The program calls it once a period:
+
+    guard = TipGuard(limits)
+    base_m = guard.follow(reference_m, period_s, force_n=sample.force_n)
+    base_m = guard.retract(period_s, force_n=sample.force_n)
 """
 
 from telenano.afm.safety import (

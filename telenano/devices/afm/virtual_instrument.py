@@ -1,9 +1,11 @@
 """A configured instrument in simulated time: guard, programs and device of the node, without a bus.
 
-instrument = VirtualInstrument(AfmConfig())
-for step in instrument.run({"program": "curve"}):
-    instrument.state()["tip_force_n"]
-instrument.outcome.state                       # "finished"
+For example, a force curve:
+
+    instrument = VirtualInstrument(AfmConfig())
+    for step in instrument.run({"program": "curve"}):
+        instrument.state()["tip_force_n"]
+    instrument.outcome.state                   # "finished"
 """
 
 from collections.abc import Iterator, Mapping
