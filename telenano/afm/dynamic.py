@@ -33,9 +33,9 @@ from telenano.afm.contact.force_grid import Passages, grid_force, grid_slopes, p
 from telenano.afm.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
 from telenano.numerics.compiler import always_compiled, compiled
 
-# A part of a step moves the tip by at most this share of the distance to the next jump of the force,
+# Largest motion of the tip in a part of a step, as a share of the distance to the next jump of the force.
 _LOOK_AHEAD = 0.25
-# but never by less than this bound where the jump is near [m].
+# A part of a step may always move the tip by this distance, however near the jump is [m].
 _LEAST_WAY_M = 40e-12
 # Lower bound of the amplitude [m] whose speed multiplies the error of an impulse.
 _LEAST_AMPLITUDE_M = 1e-9

@@ -198,7 +198,7 @@ def _measured_errors(table: ContactTable, end: float, start: float, span: float,
         force, stiffness = exact[:, 0], exact[:, 2]
         force_errors = np.abs(looked_up[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
         force_error = max(force_error, float(force_errors.max()))
-        # the innermost cell holds its stiffness constant by definition; only its force is bounded
+        # The innermost cell holds its stiffness constant by definition, so only the error of its force is bounded.
         if not innermost:
             stiffness_errors = np.abs(looked_up[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
             stiffness_error = max(stiffness_error, float(stiffness_errors.max()))

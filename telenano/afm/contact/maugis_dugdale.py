@@ -18,7 +18,7 @@ r = c, where the gap must be h0 = w / sigma0. Hence
 which meets Eq. 7-10 with equal value and slope. It ends where dD/dC = 0, C = 8 lambda / 3 pi: beyond, the surfaces are
 apart. That end lies on the contact itself, as a fold of Eq. 7-10, once lambda exceeds 0.938.
 
-Under displacement control the curve from that end to infinite indentation is single valued; it is what `force` follows.
+Under displacement control the curve from that end to infinite indentation is single valued; `force_at` follows it.
 """
 
 import math
@@ -29,7 +29,7 @@ from telenano.numerics.compiler import compiled
 FOLD_TRANSITION = (9.0 * math.pi / (16.0 * (math.pi - 1.0))) ** (1.0 / 3.0)  # 0.938: the fold enters the contact
 HALF_PI = 0.5 * math.pi
 _SERIES_BELOW = 0.5
-# a difference in the last digit of a double [1]
+# Relative difference in the last digit of a double.
 _LAST_DIGIT = 2e-16
 _MOST_NEWTON_STEPS = 50
 

@@ -74,7 +74,7 @@ class Surface(NamedTuple):
         return Surface(result, self.step_x_m, self.step_y_m)
 
 
-# a plane at height 0
+# A plane at height 0.
 PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
 
 

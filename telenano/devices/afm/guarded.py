@@ -27,7 +27,7 @@ from telenano.sections.sample_section import layers_on
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, Array
 
-# A warning at the edge of a map is repeated only after this time without one: a hand may tremble there.
+# A warning at the edge of a map is repeated only after this time away from the edge: a hand may tremble there.
 _QUIET_NS = 2_000_000_000
 # The truth of a layer is examined every 50 ms, and published while it changes.
 _LOOK_PERIOD_NS = 50_000_000

@@ -14,7 +14,7 @@ _REACH_M = 1e-3
 
 
 class ControllerAddress(Settings):
-    """Where the controller, or the guard in front of it, is reached."""
+    """The network address of the controller, or of the guard in front of it."""
 
     host: str = Field(min_length=1, max_length=255, description="Name or address")
     port: int = Field(ge=1, le=65535)
