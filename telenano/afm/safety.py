@@ -174,7 +174,7 @@ def initial_safety_state(params: SafetyParams) -> SafetyState:
 def safety_step(
     params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float
 ) -> tuple[SafetyState, SafetyOutputs]:
-    """Decide mode and base position of one tick of dt [s].
+    """Decide mode and base position of one tick of dt [s]; return the state after it, and the outputs.
 
     Raises:
         ValueError: dt is not positive and finite.

@@ -35,7 +35,7 @@ class Step(NamedTuple):
 
 
 class EndedError(Exception):
-    """The person has ended the motion; the message gives the way."""
+    """The person has ended the motion, in the way that the message states."""
 
 
 class Guide(NamedTuple):
@@ -157,7 +157,7 @@ def overall(verdicts: list[Verdict]) -> Result:
 
 
 def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
-    """Return the take in a file, after its kind, which is one of those given.
+    """Return the kind of the take in a file, one of `kinds`, and the take.
 
     Raises:
         ConfigError: The file cannot be read, or is no take of such a kind.
@@ -170,7 +170,7 @@ def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
 
 
 def take_of(file: IO[bytes], *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
-    """Return the take in an open seekable file, after its kind, which is one of those given.
+    """Return the kind of the take in an open seekable file, one of `kinds`, and the take.
 
     Raises:
         ValueError: The file is no take of such a kind, is damaged, or is larger than a take may be.
