@@ -4,16 +4,16 @@ For a given branch of the force every distance h is the equilibrium of exactly o
 
     X(h) = L - h + F(h) / k,
 
-and the net force on the tip is k (X(h) - x_s). An equilibrium is stable where X falls with h. Pushed by the net force,
-the tip goes to the next h with X(h) = x_s; leaving the interval of a branch it passes to the next one (contact made or
-lost, meniscus formed or broken). This is continuation along the stable branch while there is one, and the jump at a
-fold where there is not. The outcome of a monotonic motion of the base does not depend on its steps.
+and the net force on the tip is k (X(h) - x_s). An equilibrium is stable where X falls with h. The net force moves the
+tip to the next h with X(h) = x_s; a tip that leaves the interval of a branch passes to the next branch (contact made or
+lost, meniscus formed or broken). This is continuation along the stable branch while there is one, and a jump at a fold
+where there is not. The outcome of a monotonic motion of the base does not depend on the size of its steps.
 
 The extrema of X are found once, when parameters change (`build_branches`). Between them X is monotonic, so a step is a
 walk over a few intervals and one bracketed Newton solution: no start value can miss a root, and iterations are bounded.
 
-Where the printed force jumps so that the tip is pushed back from both sides, it rests at the jump; the force there is
-what the spring exerts.
+Where the printed force jumps so that the tip is pushed back from both sides, the tip rests at the jump; its force there
+is that of the spring.
 """
 
 import math
@@ -37,7 +37,7 @@ from telenano.numerics.compiler import compiled
 
 _TOLERANCE_M = 1e-17
 _MOST_ITERATIONS = 200
-# A branch is left for good, or the tip rests at the switch: four branches never need more.
+# The tip returns to a branch only to rest at the switch, so four branches never need more passages.
 _MOST_PASSAGES = 16
 _FAR_M = 1e-4  # beyond, no force has a gradient near any cantilever's stiffness
 _SCAN_POINTS = 4000
@@ -68,7 +68,7 @@ class Plant(NamedTuple):
 
 
 class _Spring(NamedTuple):
-    """Numbers of one equilibrium: k [N/m], L [m], x_s [m], bound on F [N]; without arrays it is free to hand around."""
+    """Numbers of one equilibrium: k [N/m], L [m], x_s [m], lower bound of F [N]; without arrays it is cheap to pass."""
 
     k: float
     L: float
@@ -77,7 +77,7 @@ class _Spring(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """Where the tip is, and on which branch of the force."""
+    """Distance of the tip from the sample, and the branch of the force that holds for it."""
 
     distance_m: float  # h
     contact: bool
@@ -116,14 +116,14 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
     h = state.distance_m
     if not (math.isfinite(base_m) and math.isfinite(h)):
         raise ValueError("base position and tip distance in m must be finite")
-    # Taken out of the tuple once: every look into it costs a count of references to its arrays.
+    # The fields are read once: each access to the tuple counts a reference to its arrays.
     tip, branches = plant.tip, plant.branches
     spring = _Spring(plant.stiffness_n_per_m, plant.rest_distance_m, base_m, plant.lowest_force_n)
     b = 2 * int(state.contact) + int(state.meniscus)
     arrived = 0
     for _ in range(_MOST_PASSAGES):
         n = int(branches[b, 0, 0])
-        # A state from elsewhere (start, changed parameters) may lie outside its branch: first find the one it is on.
+        # A first state, or one from before a change of parameters, may lie outside its branch: find the right one.
         if n == 0 or h > branches[b, n, 1]:
             b = int(branches[b, 0, 2])
             continue
@@ -140,7 +140,7 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
         if has_converged:
             break
         if arrived == -direction and h == before:
-            # Pushed back at once through the end it came in by: it rests at the switch, which counts as contact.
+            # The tip was pushed back at once through the end it entered by: it rests at the switch, as a contact.
             if direction < 0:
                 b = int(branches[b, 0, 1])
             break
@@ -151,12 +151,12 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
 
 @compiled
 def step(plant: Plant, state: PlantState, inputs: PlantInputs, dt: float) -> tuple[PlantState, AfmSample]:
-    """Move the base, find the equilibrium and read it out: the part of the quasi-static cantilever.
+    """Move the base, find the equilibrium and read it out: one step of the quasi-static cantilever.
 
-    The force is that of the cantilever, k zeta, which in equilibrium is F(h). A surface that rises is to the tip a base
-    that comes nearer. A voltage bends the cantilever by its force F_el as a base does that is nearer by -F_el / k. This
-    force grows as the tip comes nearer, so the turns go one way only, to the next equilibrium, and over the edge where
-    there is none: a pull-in.
+    The force of the sample is that of the cantilever, k zeta, which in equilibrium is F(h). A rising surface acts on
+    the tip like a base that comes nearer, and the electrostatic force F_el of a voltage like a base that is nearer by
+    -F_el / k. Position and F_el are iterated. F_el grows as the tip comes nearer, so the iteration goes one way only:
+    to the next equilibrium or, where there is none, to pull-in.
     """
     k, pull_m, strength = plant.stiffness_n_per_m, 0.0, 0.0
     if inputs.voltage_v != 0.0:
@@ -196,12 +196,12 @@ def _excess(tip: TipSample, spring: _Spring, b: int, h: float) -> tuple[float, f
 def _descend(
     tip: TipSample, spring: _Spring, branches: npt.NDArray[np.float64], b: int, h: float
 ) -> tuple[float, bool]:
-    """Next h below with X(h) >= x_s on the branch b, or its lower end and False."""
+    """Return the next h below with X(h) >= x_s on branch b, and True; or the lower end of the branch, and False."""
     i = _interval(branches, b, h)
     while True:
         low, x_low = float(branches[b, i, 0]), float(branches[b, i, 2])
         if x_low >= spring.base_m:
-            # The lowest interval has no end: there F / k is all that can hold the tip away from L - x_s.
+            # The lowest interval is unbounded: there only F / k can hold the tip away from L - x_s.
             bound = spring.L - spring.base_m + spring.lowest_force_n / spring.k
             return _root(tip, spring, b, min(max(low, bound), h), h, h), True
         h = low
@@ -214,13 +214,13 @@ def _descend(
 
 @compiled
 def _ascend(tip: TipSample, spring: _Spring, branches: npt.NDArray[np.float64], b: int, h: float) -> tuple[float, bool]:
-    """Next h above with X(h) <= x_s on the branch b, or its upper end and False."""
+    """Return the next h above with X(h) <= x_s on branch b, and True; or the upper end of the branch, and False."""
     i = _interval(branches, b, h)
     while True:
         high, x_high = float(branches[b, i, 1]), float(branches[b, i, 3])
         if x_high <= spring.base_m:
             if high == math.inf:
-                # Its force attracts, so the tip stays below L - x_s.
+                # The force attracts on this interval, so the tip stays below L - x_s.
                 high = max(spring.L - spring.base_m, h)
             return _root(tip, spring, b, h, high, h), True
         h = high
@@ -275,7 +275,7 @@ register_part(Plant, Part(_start, step))
 
 
 def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float, volts_per_m: float) -> Plant:
-    """Find the monotonic intervals of every branch.
+    """Build the cantilever over a sample, with the monotonic intervals of X on every branch.
 
     Args:
         tip: The force between tip and sample.
@@ -304,12 +304,12 @@ def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float
 
 
 def _limits(tip: TipSample, b: int) -> tuple[float, float]:
-    """Interval of h on which the branch exists; empty (lower above upper) where it does not."""
+    """Return the interval of h [m] on which branch b exists; lower above upper where the branch does not exist."""
     contact, meniscus = b >= 2, b % 2 == 1
     if meniscus and not tip.has_meniscus:
         return math.inf, -math.inf
     if tip.as_printed:
-        # Eq. 6 in print knows the retract law from the first contact to the break, and no meniscus inside contact.
+        # In the printed Eq. 6 the retract law holds from the first contact to the break, and contact has no meniscus.
         if contact:
             return -math.inf, tip.contact_end_m
         return tip.contact_onset_m, tip.meniscus_break_m if meniscus else math.inf
@@ -321,7 +321,7 @@ def _limits(tip: TipSample, b: int) -> tuple[float, float]:
 
 
 def _passages(tip: TipSample, b: int) -> tuple[int, int]:
-    """Branches behind the lower and the upper end of branch b."""
+    """Return the branches that the tip enters at the lower and at the upper end of branch b."""
     contact, meniscus = b // 2, b % 2
     if tip.as_printed:
         below = 2 + int(tip.has_meniscus)
@@ -373,7 +373,7 @@ def _corners(tip: TipSample, contact: bool) -> tuple[float, ...]:
 
 
 def _grid(tip: TipSample, low: float, high: float, contact: bool) -> list[float]:
-    """Distances from low to high at which extrema are looked for: fine where the force bends, corners included."""
+    """Return the distances [m] between which extrema are sought: fine where the force bends, corners included."""
     if contact:
         # Equal steps of sqrt(delta - delta_start), fine towards the end of the contact, and the cohesive branch.
         table = tip.table

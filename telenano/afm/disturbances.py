@@ -1,23 +1,24 @@
-"""What disturbs a real AFM (paper, 5.1.3): the part of it that does not depend on the motion.
+"""Disturbances of a real AFM (paper, 5.1.3) that do not depend on its motion.
 
-Each is seeded, and off unless it is switched on. What depends on the motion (hysteresis, creep, the converter) is in
-`disturbed`. A node draws the noise as it goes; a study in lockstep draws that of its whole run before, with the same
-step.
+Each is seeded, and off unless it is switched on. Hysteresis, creep, stage and converter depend on the motion: they are
+in `disturbed`. A node draws the noise step by step; a study in lockstep draws it for the whole run beforehand, with the
+same step.
 
-At the instrument's rate of a step a millisecond, with t its own time:
+At the instrument's rate of one step a millisecond, with t its own time:
 
     x_piezo = S(x + hysteresis(x) + creep(x)) + drift t + wander(t) + vibration(t)
-    x, y    = those of the stage - drift of the sample
+    x, y    = x, y of the stage - drift of the sample
     zeta    = zeta(x_piezo) + thermal + (white + 1/f + rounding of the converter) / gain of the read-out
 
-*Vibration*: a sum of sines between two frequencies, evenly spread over the logarithm, of equal amplitude and random
-phase; what lies above half the rate of the instrument folds back, as it does in a sampled signal. *Hysteresis*: play
-operators (Prandtl-Ishlinskii; Kuhnen, Eur. J. Control 9 (2003) 407): x + sum of w_i (p_i - x), p_i following x behind
-a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Stage*:
+*Vibration*: a sum of sines between two frequencies, evenly spaced on a logarithmic scale, of equal amplitude and random
+phase; frequencies above half the rate of the instrument fold back, as in any sampled signal. *Hysteresis*: play
+operators (Prandtl-Ishlinskii; Kuhnen, Eur. J. Control 9 (2003) 407): x + sum of w_i (p_i - x), where p_i follows x
+behind a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Stage*:
 S(s) = w^2 / (s^2 + 2 d w s + w^2), its first resonance, or the drive in front of it, behind hysteresis and creep (D.
-Croft, G. Shed, S. Devasia, J. Dyn. Syst. Meas. Control 123 (2001) 35); with d = 1/sqrt(2) it passes w at -3 dB.
-*Thermal noise*: <zeta^2> = k_B T / k, drawn at each step, since the cantilever is far faster. *1/f noise*: first-order
-noises, one an octave of frequency, of equal power. *Electrostatic*: the force of a voltage that stands or wanders.
+Croft, G. Shed, S. Devasia, J. Dyn. Syst. Meas. Control 123 (2001) 35); with d = 1/sqrt(2) it is at -3 dB at w.
+*Thermal noise*: <zeta^2> = k_B T / k, drawn anew each step, since the cantilever is far faster. *1/f noise*: a sum of
+first-order noises, one an octave of frequency, of equal power. *Electrostatic*: the force of a constant or wandering
+voltage.
 """
 
 import math
@@ -31,15 +32,15 @@ from telenano.settings.afm_disturbances import DisturbanceConfig, VibrationConfi
 BOLTZMANN_J_PER_K = 1.380649e-23
 
 _OCTAVES = 12
-# vibration is the first stream of its seed besides the normal numbers
+# Vibration uses the first random stream of the seed; the normal numbers use another one.
 _VIBRATION = 1
 
 
 class NoiseState(NamedTuple):
-    """Time [s]; 1/f parts, of unit variance; how many normal numbers were used; how far the voltage wandered.
+    """Time [s]; the parts of 1/f noise, of unit variance; count of normal numbers used; wandering part of the voltage.
 
-    wandered is of unit variance. sample: how far the sample has drifted in x and y [m], and by how much the speeds of
-    that have wandered [m/s]. base: how far the base has wandered in z [m], and its speed, of unit variance.
+    wandered: of unit variance. sample: drift of the sample in x and y [m], and the random-walk parts of its speeds in x
+    and y [m/s]. base: wander of the base in z [m], and its speed, of unit variance.
     """
 
     time_s: float
@@ -51,9 +52,10 @@ class NoiseState(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What is added in a step: to the base [m], to the deflection [m], to the read-out [V]; the voltage of the tip [V].
+    """Disturbances of one step: of the base [m], the deflection [m] and the read-out [V]; the voltage of the tip [V].
 
-    sample_x_m, sample_y_m: how far the sample has drifted. Where nothing is switched on, all of it is zero.
+    drift_m and vibration_m add to the base, voltage_v is the voltage of the tip, thermal_m adds to the deflection,
+    white_v and flicker_v add to the read-out; sample_x_m, sample_y_m: drift of the sample. Off means zero.
     """
 
     drift_m: float = 0.0
@@ -73,7 +75,7 @@ def noise_start() -> NoiseState:
 
 @lru_cache(maxsize=8)
 def _memory(dt: float) -> tuple[tuple[float, float], ...]:
-    """Return for each part of 1/f noise what is kept of it over dt [s], and what is added: corners from 0.1 Hz on."""
+    """Return, for each part of 1/f noise, its decay over dt [s] and the scale of the new draw; corners from 0.1 Hz."""
     kept = [math.exp(-2.0 * math.pi * 0.1 * 2.0**octave * dt) for octave in range(_OCTAVES)]
     return tuple((share, math.sqrt(1.0 - share * share)) for share in kept)
 
@@ -81,7 +83,7 @@ def _memory(dt: float) -> tuple[tuple[float, float], ...]:
 def noise_step(
     config: DisturbanceConfig, state: NoiseState, stiffness_n_per_m: float, dt: float
 ) -> tuple[NoiseState, Noise]:
-    """Draw what is added in a step, dt [s] after the last one, to an instrument with such a cantilever [N/m]."""
+    """Draw the disturbances of a step, dt [s] after the last one, for a cantilever of this stiffness [N/m]."""
     time_s, drawn, flicker, wandered = state.time_s + dt, state.drawn, state.flicker, state.wandered
     drift, base = config.drift, state.base
     drift_m = drift.speed_m_per_s * time_s if drift.enabled else 0.0
@@ -89,7 +91,7 @@ def noise_step(
     sample = _drifted(config, state, dt) if config.drift.enabled else state.sample
     drawn += 2 * (drift.enabled and drift.walk_m2_per_s3 > 0.0)
     if drift.enabled and drift.wander_m_per_s > 0.0:
-        # a speed of Ornstein and Uhlenbeck, whose first value is drawn from what it is in the long run
+        # The speed is an Ornstein-Uhlenbeck process; its first value is drawn from the stationary distribution.
         kept = math.exp(-dt / drift.wander_s) if state.time_s > 0.0 else 0.0
         speed = kept * base[1] + math.sqrt(1.0 - kept * kept) * normal_number(config.seed, drawn)
         base, drawn = (base[0] + drift.wander_m_per_s * speed * dt, speed), drawn + 1
@@ -121,7 +123,7 @@ def noise_step(
 
 
 def _drifted(config: DisturbanceConfig, state: NoiseState, dt: float) -> tuple[float, float, float, float]:
-    """Return how far the sample has drifted [m] after dt [s] more, and by how much its speeds have wandered [m/s]."""
+    """Return the drift of the sample in x and y [m] after dt [s] more, and the wandering parts of its speeds [m/s]."""
     drift, (x, y, more_x, more_y) = config.drift, state.sample
     x, y = x + (drift.x_m_per_s + more_x) * dt, y + (drift.y_m_per_s + more_y) * dt
     if drift.walk_m2_per_s3 > 0.0:

@@ -1,10 +1,10 @@
-"""The disturbed instrument: a part around another, with a piezo that lags and creeps and a read-out with its noise.
+"""The disturbed instrument: a part around another part, with a piezo that lags and creeps and a noisy read-out.
 
     x_piezo = S(x + hysteresis(x) + creep(x)) + drift + vibration
     zeta    = converter(zeta(x_piezo) + thermal + (white + 1/f) / gain of the read-out)
 
-What is reported of the base is what it was sent to: an open-loop piezo knows no better. The noise is an input
-(`disturbances`): a node draws it as it goes, and `NoisyParams` has that of a whole run in lockstep.
+The base position reported is the commanded one, as with a real open-loop piezo, which has no sensor. The noise is an
+input (`disturbances`): a node draws it step by step, and `NoisyParams` holds that of a whole run in lockstep.
 """
 
 import math
@@ -29,16 +29,16 @@ from telenano.settings.afm_disturbances import (
 
 Array = npt.NDArray[np.float64]
 
-# play operators of the hysteresis, and lags of the creep
+# Number of play operators of the hysteresis, and time constants of the creep.
 _PLAYS = 8
 _LAGS_S = (0.1, 1.0, 10.0, 100.0)
-# the noise of a run in lockstep has a value a millisecond, as that of a node has
+# The noise of a run in lockstep has one value a millisecond, like that of a node.
 _NOISE_STEP_S = 1e-3
 _NO_STAGE = StageConfig()
 
 
 class PiezoParams(NamedTuple):
-    """Plays r_i [m] and the weight of each; lags [s] and the share of each. What is switched off has none.
+    """Plays r_i [m] and the weight of each; lags [s] and the share of each; arrays are empty for effects that are off.
 
     stage_rad_per_s, stage_damping: resonance w of the stage, 0 for none, and its damping ratio d, 0 < d < 1.
     """
@@ -52,9 +52,9 @@ class PiezoParams(NamedTuple):
 
 
 class PiezoState(NamedTuple):
-    """Plays p_i and lags [m], which a step leaves alone where they are switched off.
+    """Play positions p_i and creep positions [m]; a step leaves those of an effect that is off unchanged.
 
-    The last two lags are of the stage: its place, and its place and its speed over w.
+    The last two elements of lags_m are of the stage: its position, and its position plus speed / w.
     """
 
     plays_m: Array
@@ -62,7 +62,7 @@ class PiezoState(NamedTuple):
 
 
 class ConverterParams(NamedTuple):
-    """A step of the converter [V], 0 without one; it reads from -range_v to range_v; gain before it [V/m]."""
+    """Step of the converter [V], 0 without one; its range, from -range_v to range_v [V]; gain before it [V/m]."""
 
     step_v: float
     range_v: float
@@ -70,7 +70,7 @@ class ConverterParams(NamedTuple):
 
 
 class DisturbedParams(NamedTuple):
-    """The part that is disturbed, the piezo that moves it, the stiffness of its cantilever [N/m], and the converter."""
+    """The disturbed part, the piezo that moves it, the stiffness of its cantilever [N/m], and the converter."""
 
     tip: Any
     piezo: PiezoParams
@@ -79,7 +79,7 @@ class DisturbedParams(NamedTuple):
 
 
 class DisturbedState(NamedTuple):
-    """Of the part that is disturbed, and of the piezo."""
+    """State of the disturbed part, and of the piezo."""
 
     tip: Any
     piezo: PiezoState
@@ -87,7 +87,7 @@ class DisturbedState(NamedTuple):
 
 @lru_cache(maxsize=8)
 def piezo_params(hysteresis: HysteresisConfig, creep: CreepConfig, stage: StageConfig = _NO_STAGE) -> PiezoParams:
-    """Return the constants of a piezo. Of the plays all have turned round by the middle of the range."""
+    """Return the constants of a piezo; a motion over half the range takes up every play."""
     radii = [0.25 * hysteresis.range_m * (i + 0.5) / _PLAYS for i in range(_PLAYS)] if hysteresis.enabled else []
     return PiezoParams(
         np.array(radii, np.float64),
@@ -106,7 +106,7 @@ def converter_params(config: ReadoutConfig, volts_per_m: float) -> ConverterPara
 
 
 def disturbed_params(config: DisturbanceConfig, tip: Any, cantilever: Plant) -> DisturbedParams:
-    """Return the constants of a part, tip, with this cantilever and these disturbances."""
+    """Return the constants of the part `tip`, read by this cantilever, under these disturbances."""
     return DisturbedParams(
         tip,
         piezo_params(config.hysteresis, config.creep, config.stage),
@@ -116,12 +116,12 @@ def disturbed_params(config: DisturbanceConfig, tip: Any, cantilever: Plant) -> 
 
 
 def piezo_at_rest(base_m: float) -> PiezoState:
-    """Return the state of a piezo that has been at base_m [m] for long."""
+    """Return the state of a piezo that has rested at base_m [m] for a long time."""
     return PiezoState(np.full(_PLAYS, base_m), np.full(len(_LAGS_S) + 2, base_m))
 
 
 def piezo_switched(state: PiezoState, before: DisturbanceConfig, after: DisturbanceConfig, base_m: float) -> PiezoState:
-    """Return the state of a piezo at base_m [m] under other settings; what is switched on begins at rest there."""
+    """Return the state of a piezo after a change of settings; effects newly switched on begin at rest at base_m [m]."""
     rest, lags_m = piezo_at_rest(base_m), state.lags_m.copy()
     if after.creep.enabled and not before.creep.enabled:
         lags_m[:-2] = rest.lags_m[:-2]
@@ -133,7 +133,7 @@ def piezo_switched(state: PiezoState, before: DisturbanceConfig, after: Disturba
 
 @compiled
 def piezo_step(params: PiezoParams, state: PiezoState, base_m: float, dt: float) -> tuple[PiezoState, float]:
-    """Return where the piezo really is [m] when it was sent to base_m [m], dt [s] after the last step."""
+    """Return the new state and the true position [m] of a piezo sent to base_m [m], dt [s] after the last step."""
     plays, lags, x = state.plays_m, state.lags_m, base_m
     radii, lags_s = params.play_radii_m, params.lags_s
     if len(radii) > 0:
@@ -161,9 +161,9 @@ def piezo_step(params: PiezoParams, state: PiezoState, base_m: float, dt: float)
 
 @compiled
 def _stage_step(w: float, d: float, x: float, v: float, target_m: float, dt: float) -> tuple[float, float]:
-    """Return place [m] and speed [m/s] of x'' + 2 d w x' + w^2 (x - target) = 0 after dt [s], exactly.
+    """Return position [m] and speed [m/s] of x'' + 2 d w x' + w^2 (x - target) = 0 after dt [s], exactly.
 
-    The command holds from the last sample to this one, so that a stage without a lag is where it is sent to at once.
+    The command acts from the last sample to this one, so that a stage without a lag reaches its target within the step.
     """
     free = w * math.sqrt(1.0 - d * d)
     kept, c, s = math.exp(-d * w * dt), math.cos(free * dt), math.sin(free * dt)
@@ -173,13 +173,13 @@ def _stage_step(w: float, d: float, x: float, v: float, target_m: float, dt: flo
 
 
 def converter_step_v(bits: int, range_v: float) -> float:
-    """Return a step [V] of a converter of this many bits from -range_v to range_v."""
+    """Return the step [V] of a converter of this number of bits from -range_v to range_v."""
     return 2.0 * range_v / float(1 << bits)
 
 
 @compiled
 def converted_v(volts: float, step_v: float, range_v: float) -> float:
-    """Return what a converter makes of a voltage [V] between -range_v and range_v.
+    """Return the voltage [V] that a converter with this step reads: rounded, and limited to its range.
 
     >>> converted_v(0.3, 0.125, 1.0), converted_v(7.0, 0.125, 1.0)
     (0.25, 0.875)
@@ -189,7 +189,7 @@ def converted_v(volts: float, step_v: float, range_v: float) -> float:
 
 @compiled
 def read_out(params: ConverterParams, noise: Noise, deflection_m: float) -> float:
-    """Return what the read-out says of a deflection [m]."""
+    """Return the deflection [m] that the read-out reports, with thermal noise and, behind a converter, its noise."""
     zeta = deflection_m + noise.thermal_m
     if params.step_v > 0.0:
         volts = params.volts_per_m * zeta + noise.white_v + noise.flicker_v
@@ -199,7 +199,7 @@ def read_out(params: ConverterParams, noise: Noise, deflection_m: float) -> floa
 
 @compiled
 def _read_as(sample: AfmSample, base_m: float, deflection_m: float, force_n: float, voltage_v: float) -> AfmSample:
-    """Return a sample as its cantilever is read: base [m], deflection [m], force [N] and voltage of the bridge [V]."""
+    """Return the sample with other readings: base [m], deflection [m], force [N] and voltage of the bridge [V]."""
     return AfmSample(
         base_m=base_m,
         deflection_m=deflection_m,
@@ -218,7 +218,7 @@ def _read_as(sample: AfmSample, base_m: float, deflection_m: float, force_n: flo
 def disturbed_step(
     params: DisturbedParams, state: DisturbedState, inputs: PlantInputs, noise: Noise, dt: float
 ) -> tuple[DisturbedState, AfmSample]:
-    """Send the piezo to the base position, step the part under it, and read it out with what the noise adds."""
+    """Send the piezo to the base position, step the part that it moves, and read the part out with the noise added."""
     piezo, x = piezo_step(params.piezo, state.piezo, inputs.base_m, dt)
     moved = PlantInputs(
         base_m=x + noise.drift_m + noise.vibration_m,
@@ -237,9 +237,9 @@ def disturbed_step(
 
 
 class GaugedParams(NamedTuple):
-    """A part that says no more than a force, as a spring does, and the cantilever that this is read by.
+    """A part that gives only a force, as a spring does, and the cantilever that reads this force.
 
-    stiffness_n_per_m: of the cantilever [N/m]; volts_per_m: gain of its read-out [V/m].
+    stiffness_n_per_m: stiffness of the cantilever [N/m]; volts_per_m: gain of its read-out [V/m].
     """
 
     tip: Any
@@ -255,7 +255,7 @@ def _gauged_step(params: GaugedParams, state: Any, inputs: PlantInputs, dt: floa
 
 
 def gauged(tip: Any, cantilever: Plant) -> GaugedParams:
-    """Return a part whose force this cantilever reads; it does not give way, so that the force is that of the part."""
+    """Return a part whose force this cantilever reads; its deflection does not move the tip and so keeps the force."""
     return GaugedParams(tip, cantilever.stiffness_n_per_m, cantilever.volts_per_m)
 
 
@@ -263,7 +263,7 @@ register_part(GaugedParams, Part(lambda params, inputs: part_start(params.tip, i
 
 
 class NoisyParams(NamedTuple):
-    """A disturbed instrument, and the noise of a whole run, each row the fields of `Noise` of a millisecond."""
+    """A disturbed instrument, and the noise of a whole run: a row a millisecond, the columns the fields of `Noise`."""
 
     instrument: DisturbedParams
     noise: Array
@@ -279,14 +279,14 @@ class NoisyState(NamedTuple):
 def noisy_params(
     config: DisturbanceConfig, cantilever: Plant, duration_s: float, tip: Any = None, *, is_gauged: bool = False
 ) -> NoisyParams:
-    """Draw the noise of a run of duration_s [s], the seed of `config` deciding all of it.
+    """Draw the noise of a run of duration_s [s]; the seed of `config` alone decides it.
 
     Args:
         config: The disturbances.
-        cantilever: The cantilever that is disturbed, over a plane where there is no other part.
+        cantilever: The disturbed cantilever.
         duration_s: The length of the run [s].
-        tip: The part that the cantilever reads; None is the cantilever itself.
-        is_gauged: Whether that part says a force alone.
+        tip: The part that the cantilever reads; None is the cantilever itself, over a plane.
+        is_gauged: Whether that part gives only a force.
     """
     read = cantilever if tip is None else gauged(tip, cantilever) if is_gauged else tip
     rows = _noise_rows(config, cantilever.stiffness_n_per_m, max(1, math.ceil(duration_s / _NOISE_STEP_S) + 1))
@@ -295,7 +295,7 @@ def noisy_params(
 
 @lru_cache(maxsize=8)
 def _noise_rows(config: DisturbanceConfig, stiffness_n_per_m: float, count: int) -> Array:
-    """Return the noise of a number of milliseconds, which the runs of a study share and none writes to."""
+    """Return the noise of `count` milliseconds, shape (count, 8); the runs of a study share it, none writes to it."""
     state, rows = noise_start(), []
     for _ in range(count):
         state, noise = noise_step(config, state, stiffness_n_per_m, _NOISE_STEP_S)
@@ -307,7 +307,7 @@ def _noise_rows(config: DisturbanceConfig, stiffness_n_per_m: float, count: int)
 def _noisy_step(params: NoisyParams, state: NoisyState, inputs: PlantInputs, dt: float) -> tuple[NoisyState, AfmSample]:
     time_s, rows = state.time_s + dt, params.noise
     row = rows[min(max(int(time_s / _NOISE_STEP_S + 0.5) - 1, 0), len(rows) - 1)]
-    # Nothing was drawn yet at the start.
+    # At the start nothing has been drawn yet.
     drawn = 1.0 if time_s > 0.0 else 0.0
     noise = Noise(
         drift_m=drawn * row[0],

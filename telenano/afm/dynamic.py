@@ -1,22 +1,22 @@
 """Dynamic cantilever: Eq. 4 in full, with base excitation, in fixed steps of a fraction of the drive's period.
 
-With the deflection zeta = h + x_s + s - L, the base x_s = x_b + x_d (moved slowly, and shaken by x_d = A_d cos(w t))
-and the height s of the surface under the tip, Eq. 4 reads
+With the deflection zeta = h + x_s + s - L, the base x_s = x_b + x_d (slow motion x_b, drive x_d = A_d cos(w t)) and the
+height s of the surface under the tip, Eq. 4 reads
 
     m zeta'' + 2 m b zeta' + k zeta = F(h) - B(h) h' + m x_s'',    b = pi f / Q,  m = k / (2 pi f)^2.
 
 A step is a Strang splitting: half an impulse of the tip-sample force, the exact motion of the driven damped spring
-without it, the other half. What is stiff or lightly damped is thus exact at any step (free amplitude, phase, Q), and
-the error is that of the force alone, second order in the step: the impulse of a step of dt misses dt^3/12 of the
-second derivative of the force along the way. Where the tip meets the sample a step is therefore halved until this
-error, times the greatest speed of the tip, stays below its share of TOLERANCE_J; away from the sample FAR_STEPS are
-taken at once. Where the force jumps inside a step (a meniscus forms or breaks, printed contact), the time of the
-crossing is found and the impulse corrected to second order: without that the energy lost in a cycle would depend on
-the grid.
+without it, the other half. The free motion (amplitude, phase, Q) is thus exact at any step, however stiff or lightly
+damped the spring is. Only the force has an error, second order in the step: the impulse of a step of dt misses dt^3/12
+of the second derivative of the force along the way. Where the tip meets the sample a step is therefore halved until
+this error, times the greatest speed of the tip, stays below its share of TOLERANCE_J; away from the sample FAR_STEPS
+are taken at once. Where the force jumps inside a step (a meniscus forms or breaks, printed contact), the time of the
+crossing is found and the impulse corrected to second order: otherwise the energy lost in a cycle would depend on the
+grid.
 
 Thermal noise is drawn KICKS_PER_PERIOD times in a period, deflection and velocity together, with the covariance that
 white noise gives the damped spring in that time (Ornstein and Uhlenbeck; M. C. Wang and G. E. Uhlenbeck, Rev. Mod.
-Phys. 17 (1945) 323, section 9). The spectral density of the free tip is thus right at any step, from zero on.
+Phys. 17 (1945) 323, section 9). The spectral density of the free tip is thus right at any step, from zero frequency on.
 
 Liquid damping acts inside the layer (E2): B = pi tau_l R (L_l - h) / L_l for a0 < h < L_l, and in contact
 B = pi tau_s R (a0 - h) / L_s.
@@ -33,16 +33,17 @@ from telenano.afm.contact.force_grid import Passages, grid_force, grid_slopes, p
 from telenano.afm.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
 from telenano.numerics.compiler import always_compiled, compiled
 
-# a step goes no further than this share of the way to the next jump of the force, or this far where that is nearer
+# Largest motion of the tip in a part of a step, as a share of the distance to the next jump of the force.
 _LOOK_AHEAD = 0.25
+# A part of a step may always move the tip by this distance, however near the jump is [m].
 _LEAST_WAY_M = 40e-12
-# the speed of an amplitude of this is the least that the error of an impulse is multiplied by
+# Lower bound of the amplitude [m] whose speed multiplies the error of an impulse.
 _LEAST_AMPLITUDE_M = 1e-9
 NO_NOISE: npt.NDArray[np.float64] = np.zeros(0)
 
 
 class DynamicState(NamedTuple):
-    """Motion of the tip, place of the base, branch of the force, step within the drive's period."""
+    """Motion of the tip, position of base and surface, branch of the force, step within the drive's period."""
 
     deflection_m: float
     velocity_m_per_s: float  # of the deflection
@@ -55,10 +56,11 @@ class DynamicState(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What was measured over some steps; amplitude and phase need whole periods.
+    """Measurement over some steps; amplitude and phase need whole periods.
 
-    in_phase_m and quadrature_m: components of zeta with cos and sin of the drive [m]; mean_deflection_m; greatest
-    force on the tip [N]; dissipated_j: energy that the sample took from the tip [J]; contact_share of the time.
+    in_phase_m and quadrature_m: components of zeta with cos and sin of the drive [m]; mean_deflection_m [m];
+    peak_force_n: greatest force on the tip [N]; dissipated_j: energy that the sample took from the tip [J];
+    contact_share: share of the time in contact.
     """
 
     in_phase_m: float
@@ -71,10 +73,10 @@ class Reading(NamedTuple):
 
 @compiled
 def lag_rad(in_phase_m: float, quadrature_m: float) -> float:
-    """Return by how much the deflection lags the drive, as the field counts it: pi/2 in free motion at the resonance.
+    """Return the phase lag of the deflection behind the drive [rad], pi/2 in free motion at the resonance.
 
-    More is attraction, less repulsion. The base is driven towards the sample and the deflection counts away from it,
-    which is the half turn that is taken out here.
+    A larger lag means attraction, a smaller one repulsion. The base is driven towards the sample and the deflection
+    counts away from it; this function removes that half turn.
     """
     return math.atan2(-quadrature_m, -in_phase_m)
 
@@ -89,19 +91,19 @@ def advance(
     steps: int,
     normals: npt.NDArray[np.float64],
 ) -> tuple[DynamicState, Reading]:
-    """Continue by `steps` steps, while base and surface move evenly to base_m and surface_m [m].
+    """Advance the motion by `steps` steps, while base and surface move evenly to base_m and surface_m [m].
 
     Args:
         plant: The cantilever over its sample.
         state: Its motion, at the start of a step.
-        base_m: Place of the base at the end [m].
+        base_m: Position of the base at the end [m].
         surface_m: Height of the surface under the tip at the end [m].
         drive_m: Amplitude of the base's vibration [m].
-        steps: Steps of the plant's drive; one is divided further where the tip meets the sample.
-        normals: Standard normal numbers for thermal noise, two for each eighth of a period, or none at all.
+        steps: Number of steps of the plant's drive; a step is divided further where the tip meets the sample.
+        normals: Standard normal numbers for thermal noise, two for each eighth of a period; empty for no noise.
 
     Raises:
-        ValueError: If there are fewer normal numbers.
+        ValueError: There are some normal numbers, but too few.
     """
     step_s, drive, far = plant.step_s, plant.drive, plant.far
     attraction, charge, contact_m = (
@@ -118,7 +120,7 @@ def advance(
     viscous = viscosity.liquid_kg_per_s > 0.0 or viscosity.sample_kg_per_s_m > 0.0
     periods, whole = drive.shape[0], 1 << (flows.shape[0] - 1)
     every = periods // KICKS_PER_PERIOD
-    # compiled code checks no index: both tables are looked up within their length
+    # Compiled code checks no index, so both tables must be long enough.
     if normals.size > 0 and normals.size < 2 * (steps // every):
         raise ValueError("thermal noise needs two normal numbers for each eighth of a period")
     z, v = state.deflection_m, state.velocity_m_per_s
@@ -128,9 +130,9 @@ def advance(
     base_velocity = base_step / step_s
     towards = base_velocity + surface_step / step_s
     amplitude_m = max(drive_m * math.hypot(plant.steady_in_phase, plant.steady_quadrature), _LEAST_AMPLITUDE_M)
-    # the change of the force, over the square of a step, that its error may have: [N/s^2] times s^2
+    # Allowed change of the force [N]: its second derivative [N/s^2] times the square of a step [s^2].
     bound = plant.finer.error_w / (2.0 * math.pi * plant.drive_hz * amplitude_m)
-    # the base takes up its new speed at once, the tip does not
+    # The base takes its new speed at once; the tip does not.
     v += base_velocity - state.base_velocity_m_per_s
     h = rest + z - base - surface - drive_m * drive[p, 2]
     contact, meniscus = passed(passages, h, contact, meniscus)
@@ -142,7 +144,7 @@ def advance(
     i, fine_until = 0, 0
     while i < steps:
         if h > far_m and i >= fine_until and i + FAR_STEPS <= steps and normals.size == 0:
-            # away from the sample the force is weak and smooth: several steps at once
+            # Away from the sample the force is weak and smooth: take several steps at once.
             w = v + force * half_far
             z_far = far_zz * z + far_zv * w + drive_m * far[p, 0]
             v_far = far_vz * z + far_vv * w + drive_m * far[p, 1]
@@ -153,7 +155,7 @@ def advance(
             h_far = rest + z_far - moved_base - moved_surface - drive_m * drive[q, 2]
             falling = w - towards - drive_m * drive[p, 4] < 0.0
             rising = v_far - towards - drive_m * drive[q, 4] > 0.0
-            # A tip that turns on the way may have come nearer than at both ends.
+            # A tip that turns within these steps may have come nearer than at either end.
             if h_far > far_m and not (falling and rising):
                 in_phase += far[p, 2] * z + far[p, 3] * w + far[p, 4] * drive_m
                 quadrature += far[p, 5] * z + far[p, 6] * w + far[p, 7] * drive_m
@@ -243,9 +245,9 @@ def advance(
 def _viscous_change(
     viscosity: Viscosity, h: float, speed: float, slope: float, bend: float, force_n: float, mass_kg: float
 ) -> float:
-    """Return the second derivative along the way of F(h) - B(h) h' [N/s^2].
+    """Return a bound of the second derivative in time of F(h) - B(h) h' [N/s^2].
 
-    slope and bend are dF/dh and d2F/dh2, and force_n is that of sample and spring.
+    slope and bend are dF/dh [N/m] and d2F/dh2 [N/m^2], speed is h' [m/s], and force_n the force of sample and spring.
     """
     b = damping_at(viscosity, h)
     if h <= viscosity.contact_distance_m:
@@ -259,7 +261,7 @@ def _viscous_change(
 
 @always_compiled
 def _way_m(passages: Passages, h: float, contact: bool, meniscus: bool) -> float:
-    """Return how far a part of a step may go from h [m]: a share of the way to the next jump of the force [m]."""
+    """Return the longest way [m] of a part of a step from h [m]: a share of the distance to the next jump."""
     jump = passages.end_m if contact else passages.onset_m
     bridge = passages.breaks_m if meniscus else passages.forms_m
     return max(_LOOK_AHEAD * min(abs(h - jump), abs(h - bridge)), _LEAST_WAY_M)
@@ -267,20 +269,20 @@ def _way_m(passages: Passages, h: float, contact: bool, meniscus: bool) -> float
 
 @always_compiled
 def _level(flows: npt.NDArray[np.float64], change: float, speed: float, way_m: float, bound: float, part: int) -> int:
-    """Return how often a step has to be halved.
+    """Return how many times a step has to be halved.
 
     Args:
-        flows: Those of `Finer`.
-        change: Second derivative of the force along the way [N/s^2].
-        speed: Of the tip against the sample [m/s].
-        way_m: How far the tip may go in one part [m].
-        bound: What `change` times the square of the duration may be [N].
-        part: The place within the step, in shortest parts; a part begins at a multiple of its own length.
+        flows: The table `flows` of `Finer`.
+        change: Second derivative of the force in time [N/s^2].
+        speed: Speed of the tip against the sample [m/s].
+        way_m: Longest way of the tip in one part [m].
+        bound: Upper bound of `change` times the square of the duration [N].
+        part: Position within the step, in shortest parts; a part begins at a multiple of its own length.
     """
     level, last = 0, flows.shape[0] - 1
     while level < last:
         dt = flows[level, 4]
-        # a NaN is passed on to the shortest part
+        # NaN fails every comparison and so leads to the shortest part.
         if change * dt * dt <= bound and speed * dt <= way_m and part % (1 << (last - level)) == 0:
             break
         level += 1
@@ -298,7 +300,7 @@ def _jumps(
     after_m: float,
     start_m: float,
 ) -> tuple[float, float, float]:
-    """Return impulse, shift and work of the jumps between two branches, as `_corrected` has them."""
+    """Return the sums of `_corrected` (impulse, shift, work) over the jumps between two branches."""
     impulse, shift, work = 0.0, 0.0, 0.0
     if touches != contact:
         at = passages.onset_m if touches else passages.end_m
@@ -317,11 +319,11 @@ def _jumps(
 def _corrected(
     at_m: float, jump_n: float, slope_n_per_m: float, before_m: float, after_m: float, start_m: float
 ) -> tuple[float, float, float]:
-    """Return what a jump of the force, or of its gradient, inside a step needs: impulse, shift, work [J].
+    """Return the correction for a jump of the force, or of its gradient, inside a step: impulse, shift, work [J].
 
-    The half impulses count the jump for half of the step; it acted from the crossing on. start_m, the way of a step at
-    the speed of its start, gives with both ends the time of the crossing to second order. Impulse and shift are in
-    units of step and squared step over the mass.
+    The half impulses count the jump for half of the step, but it acts from the crossing on. start_m is the way of the
+    step at its initial speed; with both ends it gives the time of the crossing to second order. Impulse and shift [N]
+    become a velocity and a way when multiplied by dt / m and dt^2 / m.
     """
     way = after_m - before_m
     if way == 0.0:
@@ -338,24 +340,24 @@ def _corrected(
     return late, 0.5 * jump_n * (1.0 - time) ** 2, work
 
 
-# compiled here, and plain Python where nodes without a compiler call it
+# Compiled here; nodes without a compiler call the plain Python function.
 _electrostatic = always_compiled(electrostatic_force_n)
 
 
 @always_compiled
 def damping_at(viscosity: Viscosity, h: float) -> float:
-    """B [kg/s] of liquid layer or sample (Eq. 4, E2)."""
+    """Damping coefficient B [kg/s] of liquid layer or sample at h [m] (Eq. 4, E2)."""
     if h <= viscosity.contact_distance_m:
         return viscosity.sample_kg_per_s_m * (viscosity.contact_distance_m - h)
     return viscosity.liquid_kg_per_s * max(1.0 - h / viscosity.liquid_thickness_m, 0.0)
 
 
 def steady_state(plant: DynamicPlant, base_m: float, drive_m: float) -> DynamicState:
-    """Return the state of a tip that vibrates steadily far from any sample: what a scan or a curve begins with."""
+    """Return the state of a tip that vibrates steadily far from any sample, with which a scan or a curve begins."""
     velocity = plant.steady_quadrature * 2.0 * math.pi * plant.drive_hz
     return DynamicState(plant.steady_in_phase * drive_m, velocity * drive_m, base_m, 0.0, 0.0, False, False, 0)
 
 
 def free_amplitude_m(plant: DynamicPlant, drive_m: float) -> float:
-    """Return the amplitude of zeta without a sample [m]."""
+    """Return the amplitude of zeta without a sample [m], for a base that vibrates with amplitude drive_m [m]."""
     return math.hypot(plant.steady_in_phase, plant.steady_quadrature) * drive_m

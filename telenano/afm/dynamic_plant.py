@@ -1,6 +1,6 @@
 """The constants of a dynamic cantilever: its exact motion over a step, its drive, its noise, the force of its sample.
 
-What they are for is told where it moves, in `telenano.afm.dynamic`.
+The integrator that uses them, with its method, is in `telenano.afm.dynamic`.
 """
 
 import math
@@ -13,16 +13,16 @@ from telenano.afm.cantilever import Plant
 from telenano.afm.contact.force_grid import ForceGrid, Passages, build_force_grid
 
 BOLTZMANN_J_PER_K = 1.380649e-23
-# draws of thermal noise in a period, and the standard normal numbers that they take
+# Draws of thermal noise in a period, and the standard normal numbers that they use.
 KICKS_PER_PERIOD = 8
 NORMALS_PER_PERIOD = 2 * KICKS_PER_PERIOD
-# steps taken at once away from the sample
+# Steps taken at once away from the sample.
 FAR_STEPS = 8
-# the most of the shortest steps that a period has
+# The largest number of shortest steps in a period.
 FINEST = 1536
-# the errors of the steps through the force of the sample change the energy of a period by less than this, 0.06 eV
+# Bound of the energy error of a period that steps through the force of the sample may cause: 0.06 eV.
 TOLERANCE_J = 0.06 * 1.602176634e-19
-# the share of a period in which a tip that taps meets that force
+# The share of a period in which a tapping tip meets that force.
 _MEETING = 0.1
 _FAR_M = 8e-9
 
@@ -37,7 +37,7 @@ class Damping(NamedTuple):
 
 
 class Viscosity(NamedTuple):
-    """The same for the innermost loop: B = liquid (1 - h / L_l) below L_l, sample (a0 - h) below a0."""
+    """Damping in the form of the innermost loop: B = liquid (1 - h / L_l) below L_l, sample (a0 - h) below a0."""
 
     liquid_kg_per_s: float
     liquid_thickness_m: float
@@ -46,7 +46,7 @@ class Viscosity(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """Exact motion of the spring without drive and sample: what zeta and zeta' become of zeta (z) and zeta' (v)."""
+    """Exact motion over a step without drive and sample: the matrix from zeta (z) and zeta' (v) to the new values."""
 
     zz: float
     zv: float
@@ -55,15 +55,15 @@ class Flow(NamedTuple):
 
 
 class Finer(NamedTuple):
-    """A step and its halves, quarters and further binary parts, for the way through the force of the sample.
+    """A step and its halves, quarters and further binary parts, for motion through the force of the sample.
 
     Attributes:
         flows: Shape (levels, 5): zz, zv, vz, vv of `Flow` and the duration [s]; row 0 is the whole step.
-        pushes: Shape (n (2^levels - 1), 2): what unit base amplitude adds to zeta [1] and zeta' [1/s] in a part of a
-            step; the parts of level l begin at row n (2^l - 1).
+        pushes: Shape (n (2^levels - 1), 2): increments of zeta [1] and zeta' [1/s] for unit base amplitude in a part of
+            a step; the parts of level l begin at row n (2^l - 1).
         turns: Shape (n 2^(levels - 1), 3): cos, sin and velocity [1/s] of the drive at the start of each of the
             shortest parts.
-        error_w: Error of the energy that is allowed in a time, times 12 [W].
+        error_w: Allowed error of the energy per unit of time, times 12 [W].
     """
 
     flows: npt.NDArray[np.float64]
@@ -86,10 +86,10 @@ class Kick(NamedTuple):
 class DynamicPlant(NamedTuple):
     """Cantilever that vibrates over a sample; made by `build_dynamic`.
 
-    `drive` (n, 5): at each step of a period what unit base amplitude adds to zeta [1] and zeta' [1/s] over the step,
-    then cos and sin of the drive's phase at its start, and its velocity [1/s] there. `far` (n, 11): the same two for
-    FAR_STEPS at once, then the sums over those steps of zeta cos, zeta sin and zeta, each as its parts of zeta, zeta'
-    and base amplitude at their start.
+    `drive` (n, 5), a row for each step of a period: increments of zeta [1] and zeta' [1/s] over the step for unit base
+    amplitude, then cos and sin of the drive's phase and its velocity [1/s] at the start of the step. `far` (n, 11): the
+    two increments over FAR_STEPS, then the sums over those steps of zeta cos, zeta sin and zeta, each as three
+    coefficients, of zeta, zeta' and base amplitude at the first step.
     """
 
     passages: Passages
@@ -124,7 +124,7 @@ def build_dynamic(
     like: DynamicPlant | None = None,
     finest: int = FINEST,
 ) -> DynamicPlant:
-    """Prepare the exact motion of the driven spring over one step.
+    """Build a dynamic cantilever: the exact motion of the driven spring over one step, and the force of its sample.
 
     Args:
         plant: The cantilever with its tip.
@@ -132,10 +132,10 @@ def build_dynamic(
         quality: The quality factor Q, above 1/2, because the spring has to oscillate.
         drive_hz: The frequency of the drive [Hz].
         damping: The damping between tip and sample.
-        steps_per_period: The steps in a period of the drive, a multiple of 8.
-        temperature_k: The temperature of thermal noise [K], which acts where normal numbers are given.
+        steps_per_period: The steps in a period of the drive, a multiple of 8, 16 or more.
+        temperature_k: The temperature of thermal noise [K]; it acts only where `advance` gets normal numbers.
         like: A dynamic cantilever with the same spring, tip and sample, whose grid of the force is reused.
-        finest: The most steps of a period where a step is divided because the tip meets the sample.
+        finest: The largest number of steps a period where steps are divided because the tip meets the sample.
 
     Raises:
         ValueError: A value is impossible; the message names it and its unit.
@@ -163,7 +163,7 @@ def build_dynamic(
     drive = np.column_stack((finer.pushes[:n], finer.turns[::every]))
     flow = _flow(w0, b, dt)
     tip = plant.tip
-    # before this distance nothing begins or ends, and beyond it van der Waals' force is some pN
+    # Beyond this distance no contact, meniscus or liquid layer begins, and the van der Waals force is a few pN.
     far_m = 1e-9 + max(_FAR_M, tip.meniscus_break_m if tip.has_meniscus else 0.0, damping.liquid_thickness_m)
     far_flow, far = _together(flow, drive)
     grid, passages = build_force_grid(tip, far_m + 20e-9) if like is None else (like.grid, like.passages)
@@ -188,9 +188,9 @@ def _flow(w0: float, b: float, dt: float) -> Flow:
 
 
 def _finer(response: complex, w: float, w0: float, b: float, n: int, dt: float, most: int) -> Finer:
-    """Return a step of dt [s], of which a period has n, and its binary parts, of which it has up to `most`.
+    """Return a step of dt [s], of which a period has n, and its binary parts, of which a period has up to `most`.
 
-    `response` is that of zeta to the base.
+    `response` is the complex amplitude of zeta for unit base amplitude; w, w0 and b are in 1/s.
     """
     levels = 1
     while n << levels <= most:
@@ -215,7 +215,7 @@ def _finer(response: complex, w: float, w0: float, b: float, n: int, dt: float, 
 
 
 def _kick(flow: Flow, stiffness_n_per_m: float, mass_kg: float, temperature_k: float) -> Kick:
-    """Return the thermal noise of the time of a flow: what is missing to the variances k_B T / k and k_B T / m.
+    """Return the thermal noise over the time of a flow, which restores the variances k_B T / k and k_B T / m.
 
     The covariance that white noise adds in that time is S - F S F^T, with the flow F and the stationary S.
     """
@@ -237,7 +237,7 @@ def _together(flow: Flow, drive: npt.NDArray[np.float64]) -> tuple[Flow, npt.NDA
     far = np.zeros((n, 11))
     after = flow
     for start in range(n):
-        # zeta and zeta' as (part of zeta, part of zeta', part of the base amplitude)
+        # zeta and zeta', each as coefficients of the initial zeta, the initial zeta' and the base amplitude.
         z, v = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
         for step in range(FAR_STEPS):
             row = drive[(start + step) % n]

@@ -1,9 +1,9 @@
-"""The part of the dynamic cantilever of `dynamic`, in the time of the node (ADR 0010); made only where numba is.
+"""The dynamic cantilever of `dynamic` as a part that runs in the time of the node (ADR 0010); it needs numba.
 
-The cantilever goes through the time that passes, in whole periods of its drive. Most of a millisecond is known before
-the next command, since the base stands: `settle` goes through that while nothing waits for it. A step has what is left:
-in the first half of it the base moves to where it is sent, and the second half is what the deflection, and of a tip
-that is driven amplitude and phase, are the mean of. Thermal noise are impulses on the tip.
+The simulation advances in whole periods of the drive. Most of a millisecond can be simulated before the next command
+comes, because the base stands still: `settle` does so while nothing waits for it. A step simulates the rest: in its
+first half the base moves to the commanded position, and over its second half deflection and, for a driven tip,
+amplitude and phase are averaged. Thermal noise acts as impulses on the tip.
 """
 
 import math
@@ -21,23 +21,23 @@ from telenano.afm.part import Motion, Part, register_part
 from telenano.extend.samples import AfmSample, Oscillation, PlantInputs
 from telenano.numerics.compiler import always_compiled
 
-# The motion of this time, of the millisecond between two exchanges, is simulated while nothing waits for it.
+# This much of the millisecond between two exchanges is simulated while nothing waits for it [s].
 _AHEAD_S = 0.9e-3
-# It is simulated in slices of this number of steps, some 100 us, so that what shares the processor can come in between.
+# `settle` simulates this number of steps at once, some 100 us, so that other tasks of the processor can run in between.
 _SLICE_STEPS = 4500
-# simulated at once, however late the process is: a machine that is too slow falls behind, and continues
+# The longest time simulated in one step [s], however late the process is: a machine that is too slow falls behind.
 _MOST_S = 2e-3
 _LEAST_PERIODS = 8
-# a tip that is not driven has no phase to be met: it comes to rest at any step
+# Steps a period of a tip that is not driven: without a phase to resolve, it comes to rest at any step.
 _RESTING_STEPS = 32
 # The angle of the contact's own motion in a step [rad]; the impulses are unstable beyond 2.
 _MOST_ANGLE_A_STEP = 1.5
-# This counter of Philox is free: the other numbers of the seed use 0 and 1.
+# The Philox counter of the thermal impulses; the other random numbers of the seed use 0 and 1.
 _KICKS = 2
 
 
 class Exchange(NamedTuple):
-    """Steps in which base and surface move evenly to where they are sent, and steps after that, in which is read."""
+    """Number of steps in which base and surface move evenly to their targets, then of steps that are averaged."""
 
     moving: int
     reading: int
@@ -53,9 +53,9 @@ def exchanged(
     steps: Exchange,
     normals: npt.NDArray[np.float64],
 ) -> tuple[DynamicState, Reading, float, float]:
-    """Return the state after an exchange, what was read, and of all of it what the sample took and how long it touched.
+    """Return the state after an exchange, the reading of its second part, and two values of the whole exchange.
 
-    These two are an energy [J] and a share of the time.
+    These are the energy that the sample took from the tip [J], and the share of the time in contact.
     """
     split = steps.moving * NORMALS_PER_PERIOD // plant.drive.shape[0] if normals.size > 0 else 0
     taken, touched = 0.0, 0.0
@@ -68,10 +68,10 @@ def exchanged(
 
 
 def least_steps(plant: DynamicPlant) -> int:
-    """Return the fewest steps a period with which a tip in the steepest force of its sample does not gain energy.
+    """Return the least number of steps a period at which a tip in the steepest force of its sample gains no energy.
 
-    In the stiffest contact of the grid it swings at w0 sqrt(1 + c / k), and impulses of the force are stable as far as
-    two steps a radian (Verlet). Attraction is steepest, 2 A / h^3, where contact begins.
+    In the stiffest contact of the grid, c, the tip swings at w0 sqrt(1 + c / k), and impulses of the force are stable
+    for steps of up to 2 rad (Verlet). Attraction is steepest, 2 A / h^3, where contact begins.
     """
     grid, k = plant.grid, plant.stiffness_n_per_m
     contact_n_per_m = float(np.abs(grid.cubics[2:, :, 1]).max()) * grid.cells_per_m
@@ -92,7 +92,10 @@ def require_steps(plant: DynamicPlant) -> None:
 
 
 def settled_tip(plant: DynamicPlant, begin_m: float, settle: int) -> Callable[[float], float]:
-    """Return what measures the mean deflection [m] of a tip that has settled for a number of steps at a base [m].
+    """Return a function from a base [m] to the mean deflection [m] of an undriven tip that has settled there.
+
+    The tip begins at begin_m [m]; each call moves on from the last one, settles for `settle` steps, and averages over
+    one period.
 
     Raises:
         ValueError: The shortest parts of a step are too long for a tip in contact.
@@ -110,25 +113,25 @@ def settled_tip(plant: DynamicPlant, begin_m: float, settle: int) -> Callable[[f
 
 
 def resting_steps(driven: DynamicPlant) -> int:
-    """Return the steps a period of a tip that is not driven: as few as its contact allows; none of them is divided."""
+    """Return the steps a period of an undriven tip, which are never divided: as few as its contact allows."""
     return max(_RESTING_STEPS, least_steps(driven))
 
 
 def with_exact_rest(plant: DynamicPlant) -> DynamicPlant:
-    """Return a cantilever whose impulses hold a tip exactly where the force would.
+    """Return a cantilever whose impulses hold a resting tip exactly where a constant force would.
 
-    Between two impulses of a force F the spring swings by the angle w0 dt, so that a tip at rest would be found at
-    (w0 dt / 2) cot(w0 dt / 2) of F / k: 0.3 % less at 32 steps a period. The impulses have a mass that makes up for it.
+    Between two impulses of a force F the spring swings by the angle w0 dt, so that the tip would rest at F / k times
+    (w0 dt / 2) cot(w0 dt / 2), 0.3 % too little at 32 steps a period. The mass in the impulses is scaled to correct it.
     """
     half = 0.5 * math.sqrt(plant.stiffness_n_per_m / plant.mass_kg) * plant.step_s
     return plant._replace(mass_kg=plant.mass_kg * half / math.tan(half))
 
 
 class DynamicParams(NamedTuple):
-    """The quasi-static cantilever, whose rest and read-out it has; the driven and the resting one; what a drive gives.
+    """The quasi-static cantilever, for rest distance and read-out; the dynamic one, driven and resting.
 
-    free_gain is the amplitude without a sample of a unit amplitude of the base. Both cantilevers are built for impulses
-    of 1 K.
+    free_gain is the amplitude of the tip without a sample for unit amplitude of the base. Both dynamic cantilevers are
+    built for thermal impulses at 1 K.
     """
 
     plant: Plant
@@ -138,10 +141,10 @@ class DynamicParams(NamedTuple):
 
 
 class DynamicTip(NamedTuple):
-    """The motion, and whether it is driven; time that is still to be gone through [s]; calls that drew impulses.
+    """Motion; whether it is driven; time still to be simulated [s]; number of simulated pieces, which seeds impulses.
 
-    in_phase_m and quadrature_m of the deflection and dissipated_j a period [J] are those of the last step; taken_j and
-    periods are the energy and the periods since then.
+    in_phase_m and quadrature_m of the deflection [m] and the energy dissipated_j a period [J] are those of the last
+    step; taken_j [J] and periods are the energy taken by the sample and the periods simulated since then.
     """
 
     motion: DynamicState
@@ -156,7 +159,7 @@ class DynamicTip(NamedTuple):
 
 
 def dynamic_params(plant: Plant, driven: DynamicPlant, resting: DynamicPlant) -> DynamicParams:
-    """Return the constants of a dynamic cantilever; ValueError where its period has too few steps."""
+    """Return the constants of a dynamic cantilever; raise ValueError if its period has too few steps."""
     require_steps(driven)
     return DynamicParams(plant, driven, with_exact_rest(resting), free_amplitude_m(driven, 1.0))
 
@@ -169,10 +172,10 @@ def _start(params: DynamicParams, inputs: PlantInputs) -> DynamicTip:
 
 
 def _tuned(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tuple[DynamicPlant, DynamicTip]:
-    """Return the cantilever that these inputs make, and the state at the beginning of a period where it is another."""
+    """Return the cantilever for these inputs, and the state; a change of drive puts it at the beginning of a period."""
     is_driven = inputs.amplitude_m > 0.0
     if is_driven != state.is_driven:
-        # The steps have changed, so it begins a period.
+        # The number of steps a period has changed, so a new period begins.
         state = state._replace(is_driven=is_driven, motion=state.motion._replace(phase_step=0))
     plant = params.driven if is_driven else params.resting
     if inputs.voltage_v != 0.0:
@@ -182,7 +185,7 @@ def _tuned(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tup
 
 
 class _Way(NamedTuple):
-    """Where base and surface go [m], in which steps and periods."""
+    """Targets of base and surface [m], the steps to them, and the number of periods that these are."""
 
     base_m: float
     surface_m: float
@@ -193,7 +196,7 @@ class _Way(NamedTuple):
 def _gone_on(
     params: DynamicParams, plant: DynamicPlant, state: DynamicTip, inputs: PlantInputs, way: _Way
 ) -> tuple[DynamicTip, Reading, float]:
-    """Return the state after a way, what was read at its end, and for which share of it the tip touched."""
+    """Return the state after a way, the reading of its second part, and the share of the time in contact."""
     motion, reading, taken_j, touched = exchanged(
         plant,
         state.motion,
@@ -213,7 +216,7 @@ def _gone_on(
 
 
 def _kicks(inputs: PlantInputs, calls: int, periods: int) -> npt.NDArray[np.float64]:
-    """Return the thermal impulses of this number of periods; the plant was built for 1 K."""
+    """Return the normal numbers of the thermal impulses of some periods, scaled from the 1 K of the plant."""
     if inputs.temperature_k <= 0.0:
         return NO_NOISE
     source = np.random.Philox(key=inputs.seed, counter=[0, 0, calls, _KICKS])
@@ -230,7 +233,7 @@ def _settle(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tu
         due_s = state.due_s - periods * period_s
         way = _Way(state.motion.base_m, state.motion.surface_m, Exchange(0, periods * n), periods)
         state = _gone_on(params, plant, state, inputs, way)[0]._replace(due_s=due_s)
-    # A small rest is left for the next command.
+    # A small remainder is left for the step of the next command.
     return state, ahead_s - periods * period_s > 0.5 * slice_s
 
 
@@ -239,7 +242,7 @@ def _step(params: DynamicParams, state: DynamicTip, inputs: PlantInputs, dt: flo
     base, height, due_s, period_s = inputs.base_m, inputs.height_m, state.due_s + dt, 1.0 / plant.drive_hz
     most = max(int(_MOST_S / period_s), _LEAST_PERIODS)
     periods = min(max(int(due_s / period_s), _LEAST_PERIODS), most)
-    # Neither a debt that grows nor a lead is kept.
+    # Neither a growing delay nor a large lead is carried over.
     due_s = min(max(due_s - periods * period_s, -_MOST_S), period_s)
     n, moving = int(plant.drive.shape[0]), periods // 2
     way = _Way(base, height, Exchange(moving * n, (periods - moving) * n), periods)

@@ -1,11 +1,11 @@
-"""Feeling a measured channel: a table makes the force of the hand out of a frequency shift, a current, an amplitude.
+"""Feeling a measured channel: a table turns a frequency shift, a current or an amplitude into the force of the hand.
 
-What is felt then is no force on the tip, and the rig states it wherever it shows it. The rows of a table go from far to
-near. Value and force are monotone in it, because a hand on a reversed slope would be driven instead of held back. A
-frequency shift is not monotone over the height: it has a minimum. So a table holds on one branch, from its first row
-to its last, and the tip is retracted when it leaves the branch: by a value beyond the last row, by one that is no
-number, or by one that goes back by more than `tolerance` while the base continues. A change in x or y begins that
-comparison again, because the value changes with the place.
+The operator then feels no force on the tip, and the rig says so wherever it shows that force. The rows of a table go
+from far to near. Value and force must be monotone, because a reversed slope would drive the hand instead of holding it
+back. A frequency shift is not monotone over the height: it has a minimum. So a table is valid on one branch, from its
+first row to its last, and the tip is retracted when it leaves the branch: on a value beyond the last row, on one that
+is no finite number, or on one that goes back by more than `tolerance` while the base continues. A change in x or y
+restarts that comparison, because the value changes with the place.
 """
 
 import math
@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 from telenano.extend.stage import Place
 
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]
-# These names say what has changed or ended the force of the table.
+# Causes that changed or ended the force of the table, as `LimitedForce.clamp` names them.
 SATURATED = "saturated"
 BOUNDS = "bounds"
 RATE = "rate"
@@ -23,9 +23,10 @@ LEFT = "left"
 
 
 class FeltParams(NamedTuple):
-    """Sense of the value on the way to the sample, 1 or -1; sense times value, rising, and force of each row.
+    """Sign of the change of the value towards the sample, 1 or -1; sign times value, rising, and force of each row.
 
-    Then tolerance, rate [N/s] and bounds [N]; values in the SI unit of the channel, forces in N.
+    Then the tolerance of the value, the limit of the rate [N/s] and the bounds [N] of the force; values are in the SI
+    unit of the channel, forces in N.
     """
 
     sense: float
@@ -38,9 +39,9 @@ class FeltParams(NamedTuple):
 
 
 class FeltState(NamedTuple):
-    """Force felt last [N]; whether the branch was left; base [m] and value to compare with, infinite before the first.
+    """Last force felt [N]; whether the branch was left; base [m] and value to compare with, infinite before the first.
 
-    place: of the tip then.
+    place: place of the tip at that value.
     """
 
     force_n: float = 0.0
@@ -51,7 +52,7 @@ class FeltState(NamedTuple):
 
 
 class FeltInputs(NamedTuple):
-    """Value of the channel [SI unit], base [m], place of the tip, and whether it is retracted, which begins again."""
+    """Value of the channel [SI unit], base [m], place of the tip, and whether it is retracted, which restarts all."""
 
     value: float
     base_m: float
@@ -60,14 +61,17 @@ class FeltInputs(NamedTuple):
 
 
 class LimitedForce(NamedTuple):
-    """Force [N], and what changed or ended it: `saturated`, `bounds`, `rate`, `left`; empty for nothing."""
+    """Force [N], and the cause that changed or ended it: `saturated`, `bounds`, `rate`, `left`; empty for none."""
 
     force_n: float
     clamp: str
 
 
 def felt_step(params: FeltParams, state: FeltState, inputs: FeltInputs, dt: float) -> tuple[FeltState, LimitedForce]:
-    """Return the force that a value is felt as, dt [s] after the last one; once the branch is left, none."""
+    """Return the force felt for a value, dt [s] after the last one; once the branch is left it goes to 0 N.
+
+    A branch that was left stays left until the tip is retracted.
+    """
     near = params.sense * inputs.value
     anchor, back = _compared(state, inputs, near)
     is_on = math.isfinite(near) and near <= params.nearness[-1] and not back > params.tolerance
@@ -84,13 +88,13 @@ def felt_step(params: FeltParams, state: FeltState, inputs: FeltInputs, dt: floa
 
 
 def _compared(state: FeltState, inputs: FeltInputs, near: float) -> tuple[tuple[float, float, Place], float]:
-    """Return what the next value is compared with, and how far this one goes back against the motion of the base."""
+    """Return the reference for the next value, and how far this value goes back against the motion of the base."""
     here = (inputs.base_m, near, inputs.place)
     if not math.isfinite(state.base_m) or inputs.place != state.place or inputs.is_retracted or not math.isfinite(near):
         return here, 0.0
     way, rise = inputs.base_m - state.base_m, near - state.nearness
     back = -rise if way > 0.0 else rise if way < 0.0 else 0.0
-    # Only a value that goes with the base moves the comparison on: noise cannot carry it over a turning point.
+    # Only a value that goes with the base becomes the new reference: so noise cannot carry it over a turning point.
     return (here if back < 0.0 else (state.base_m, state.nearness, state.place)), back
 
 

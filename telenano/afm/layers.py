@@ -1,12 +1,13 @@
-"""What lies on a sample and a tip meets there: layers, which packages bring (entry points `telenano.layers`).
+"""Layers on a sample, such as particles, that the tip meets; packages bring them (entry points `telenano.layers`).
 
 A layer is a part around the tip over the surface (`part`). It has settings, the section of its name in
-`afm_node.sample`, and a state of its own. It may hold the tip up or push it aside, and change what is measured:
+`afm_node.sample`, and a state of its own. It may hold the tip up or push it aside, and change the measurement:
 
     DUST = Layer("dust", DustConfig, lambda settings: Height(1e-8, 1e-7, "the dust"), dust_around)
 
-What is so in it and no instrument knows, such as where its grains really are, is its *truth*: `Part.truths` of its part
-gives it by the name of the layer, and `fields` makes a message of it for recordings, which no planner reads.
+The *truth* of a layer is the part of its state that no instrument can measure, such as the true places of its grains:
+`Part.truths` gives it by the name of the layer, and `fields` makes a message of it for recordings, which no planner
+reads.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,11 +18,12 @@ from telenano.afm.sample.surface import Surface
 
 
 class Ground(NamedTuple):
-    """What a layer lies on, and what is over it.
+    """The surface under a layer, and the tip and cantilever over it.
 
-    surface: as the sphere of the tip sees it, a plane at height 0 where is_plane; sides_m: width and depth [m];
-    tip_radius_m: of its apex [m]; stiffness_n_per_m, lateral_n_per_m: of the cantilever along z and across [N/m];
-    rest_distance_m: of the tip without force, with the base at 0 [m]; volts_per_m: of its read-out [V/m].
+    surface: as the sphere of the tip sees it, a plane at height 0 where is_plane; sides_m: its width and depth [m];
+    tip_radius_m: radius of the apex [m]; stiffness_n_per_m, lateral_n_per_m: stiffness of the cantilever along z and
+    across [N/m]; rest_distance_m: distance of the tip without force, with the base at 0 [m]; volts_per_m: gain of the
+    read-out [V/m].
     """
 
     surface: Surface
@@ -35,7 +37,7 @@ class Ground(NamedTuple):
 
 
 class Height(NamedTuple):
-    """How far a layer stands above the surface, and how high a retracted tip has to be [m]; in words what it clears."""
+    """Height of a layer above the surface, least height of a retracted tip [m], and the name of what it must clear."""
 
     height_m: float
     clear_m: float
@@ -44,17 +46,18 @@ class Height(NamedTuple):
 
 @dataclass(frozen=True)
 class Layer:
-    """What lies on a sample.
+    """A layer on a sample.
 
     Args:
         name: The name of its section in `afm_node.sample`.
         config: The model of that section, a class of `telenano.settings.Settings`.
-        height: Returns, of the settings, how far it stands above the surface.
-        around: Returns, of settings, the parameters of a part and the ground under it, those of the layer around that
-            part; it registers its own part (`part.register_part`) before. ValueError names the key at fault.
+        height: Function from the settings to the height of the layer above the surface.
+        around: Function from the settings, the parameters of the inner part and the ground to the parameters of the
+            layer around that part. The layer's own part must be registered before (`part.register_part`). It raises
+            ValueError that names the key at fault.
         topic: The topic on which its truth is published for recordings, often while it changes; empty for none.
-        fields: Returns, of its truth, the fields of the message.
-        changes: Returns whether its truth changes.
+        fields: Function from its truth to the fields of the message.
+        changes: Function from its truth to whether it is changing.
     """
 
     name: str
@@ -67,7 +70,10 @@ class Layer:
 
 
 def checked_layer(name: str, value: Any) -> Layer:
-    """Return the layer that an entry of a package is; TypeError or ValueError says what is wrong with it."""
+    """Return the layer of an entry point; raise TypeError or ValueError, with the reason, if it is none.
+
+    `name` is the name of the entry point, which the layer must have too.
+    """
     if not isinstance(value, Layer):
         raise TypeError(f"is a {type(value).__name__}, must be a Layer")
     if value.name != name:

@@ -1,6 +1,6 @@
 """A tip over a surface with heights and friction: a part around a cantilever, quasi-static or dynamic.
 
-The tip follows the stage: what friction holds it back moves it less than a pixel.
+The tip is taken to be where the stage is, because friction holds it back by less than a pixel.
 """
 
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from telenano.afm.sample.surface import PLANE, Surface, height_over_middle
 from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics.compiler import compiled
 
-# Only the slopes matter here.
+# Without friction only the slopes of the surface make a lateral force.
 _SMOOTH = FrictionParams(0.0, 0.0, 1.0, 1.0)
 
 
@@ -24,7 +24,7 @@ class OverSurfaceParams(NamedTuple):
 
 
 class OverSurfaceState(NamedTuple):
-    """Of the cantilever; place at the last step [m]; how far friction holds the tip back."""
+    """State of the cantilever; place of the tip at the last step [m]; how far friction holds the tip back."""
 
     tip: Any
     x_m: float
@@ -33,7 +33,10 @@ class OverSurfaceState(NamedTuple):
 
 
 def over_surface(tip: Any, surface: Surface | None, friction: FrictionParams | None) -> Any:
-    """Return the parameters of a cantilever over a surface, None for a plane; its own over a plane without friction."""
+    """Return the parameters of the cantilever `tip` over a surface, None for a plane, with friction, None for none.
+
+    Over a plane without friction these are the cantilever's own parameters.
+    """
     if surface is None and (friction is None or friction.coefficient <= 0.0):
         return tip
     return OverSurfaceParams(tip, surface or PLANE, friction or _SMOOTH)
@@ -53,7 +56,7 @@ def _step(
         sample.force_n,
         slope_x,
         slope_y,
-        # a tapping tip lets go in each period
+        # A tapping tip loses contact in each period, so no friction builds up.
         sample.in_contact and inputs.amplitude_m == 0.0,
     )
     return OverSurfaceState(tip, inputs.x_m, inputs.y_m, held), AfmSample(

@@ -1,10 +1,10 @@
-"""What a simulated instrument is composed of: parts, each a pure step with parameters, a state and inputs.
+"""Parts of a simulated instrument, each a pure step with parameters, a state and inputs.
 
     step(params, state, inputs, dt) -> (state, AfmSample)
 
-A part is chosen by the class of its parameters. Parts contain each other: a disturbed instrument has a tip over a
-surface, and that has a cantilever, which is quasi-static or dynamic. `step.step` puts the guard in front of any part
-for a study in lockstep, and `sim.SimulatedInstrument` makes the driver of a node of it. Both call the same steps.
+The class of the parameters selects the part. Parts contain each other: a disturbed instrument has a tip over a surface,
+and that has a cantilever, which is quasi-static or dynamic. `step.step` puts the guard in front of any part for a study
+in lockstep, and `sim.SimulatedInstrument` makes a node's driver of it. Both call the same steps.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,13 +16,13 @@ from telenano.numerics.compiler import chosen_step, compiled
 
 @compiled
 def inputs_at(base_m: float, x_m: float, y_m: float) -> PlantInputs:
-    """Return the inputs of a place [m] where nothing else acts: compiled code fills in no defaults of a tuple."""
+    """Return inputs at a place [m] where nothing else acts; compiled code cannot use the defaults of a named tuple."""
     return PlantInputs(base_m, x_m, y_m, 0.0, 0.0, 0.0, 0.0, 0)
 
 
 @compiled
 def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
-    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m]."""
+    """Return the inputs with the surface higher by raised_m [m] and the base further away by away_m [m]."""
     return PlantInputs(
         base_m=inputs.base_m - away_m,
         x_m=inputs.x_m,
@@ -36,9 +36,9 @@ def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInp
 
 
 class Motion(NamedTuple):
-    """What a part has besides whose tip moves between two steps.
+    """Further functions of a part whose tip moves between two steps.
 
-    settle(params, state, inputs) -> (state, whether there is more to do): goes through a share of the motion that is
+    settle(params, state, inputs) -> (state, whether there is more to do): simulates a share of the motion that is
     known before the next step. oscillation(state) -> Oscillation at the last step, zeros without a drive.
     """
 
@@ -49,12 +49,12 @@ class Motion(NamedTuple):
 class Part(NamedTuple):
     """The functions of a part.
 
-    start(params, inputs) gives the state of a part that has been there for long. lateral: whether x and y mean anything
-    to it. motion(params) gives what a part has whose tip moves between two steps, None for one that does not.
-    truths(params, state) gives what is so in it and no instrument knows, by the name of its layer (`layers`): a
-    simulation is judged by it, and no planner reads it. within: the field of its parameters, and of its state, that has
-    another part, whose motion and truths it has as well. inputs_within(params, state, inputs): what acts on that part
-    between two steps; None where the inputs themselves do.
+    start(params, inputs) returns the state of a part that has long been at rest there. lateral: whether the part uses x
+    and y. motion(params) returns the `Motion` of a part whose tip moves between two steps, None for other parts.
+    truths(params, state) returns the state that no instrument can measure, by the name of its layer (`layers`): tests
+    judge a simulation by it, and no planner reads it. within: the field of the parameters, and of the state, that holds
+    an inner part, whose motion and truths count as its own. inputs_within(params, state, inputs): the inputs of that
+    inner part between two steps; None if they are the same.
     """
 
     start: Callable[[Any, PlantInputs], Any]
@@ -70,7 +70,7 @@ _PARTS: dict[type, Part] = {}
 
 
 def register_part(kind: type, part: Part) -> None:
-    """Let a part be chosen by the class of its parameters; TypeError, if another part has this class already."""
+    """Register a part under the class of its parameters; raise TypeError if another part has this class already."""
     if _PARTS.get(kind, part) != part:
         raise TypeError(f"another part has the parameters {kind.__module__}.{kind.__name__} already")
     _PARTS[kind] = part
@@ -87,7 +87,7 @@ def part_start(params: Any, inputs: PlantInputs) -> Any:
 
 
 def truths_of(params: Any, state: Any) -> Mapping[str, Any]:
-    """Return what is so in the part with these parameters and no instrument knows, by the name of the layer."""
+    """Return the truths of the part with these parameters and of its inner parts, by the name of the layer."""
     part = part_of(params)
     inner = truths_of(getattr(params, part.within), getattr(state, part.within)) if part.within else {}
     return inner if part.truths is None else {**inner, **part.truths(params, state)}
@@ -110,5 +110,5 @@ def motion_of(params: Any) -> Motion | None:
     return Motion(settle, lambda state: inner.oscillation(getattr(state, within)))
 
 
-# The parameters choose the step of their part, in plain Python and in compiled code.
+# `part_step(params, ...)` calls the step that is registered for the class of params, in plain Python and compiled code.
 part_step = chosen_step(lambda kind: _PARTS[kind].step)

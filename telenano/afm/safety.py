@@ -1,40 +1,42 @@
-"""Safety chain of the AFM: what may be sent to the base, whatever the controller commands. Guards any driver.
+"""Safety chain of the AFM: limits the base position sent to any driver, whatever the controller commands.
 
-Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. One tick is decided in this order:
+Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. A tick is decided in this order:
 
-1. e-stop pressed: ESTOP from every mode. It retracts, and stays when released, until armed.
-2. device lost, repulsive force above the limit, or a force that is no number, in FOLLOW or HOLD: RETRACTING.
-3. no command for longer than the deadline: FOLLOW -> HOLD (the base stays); for hold_time longer: RETRACTING.
-4. a fresh command: retract -> RETRACTING, hold -> HOLD, position -> FOLLOW. An action code that is not known is a hold.
-   From HOLD the base takes up its speed gradually: while it stood the reference may have gone on, and the tip must not
-   jump after it.
-5. RETRACTING ends in RETRACTED; both are left by arming only.
+1. E-stop pressed: ESTOP from every mode. The base retracts; the mode remains after the release, until armed.
+2. In FOLLOW or HOLD, device lost, repulsive or lateral force above its limit, or a force that is no finite number:
+   RETRACTING.
+3. No command for longer than the deadline: FOLLOW -> HOLD (the base stays); for hold_time longer: RETRACTING.
+4. A fresh command: retract -> RETRACTING, hold -> HOLD, position -> FOLLOW. An unknown action code counts as hold.
+   After HOLD the speed limit of the base rises gradually: the reference may have moved on while the base stood, and the
+   tip must not jump after it.
+5. RETRACTING ends in RETRACTED, which only arming (or an e-stop) leaves.
 
-A command counts as fresh by the hand behind it: `command_age_s` is the age of the newest command that descends from a
-sample in which the hand was armed. So the tip follows no hand that is stopped, lost or silent, whoever arms the tip and
-in whatever order the devices are armed. A program of the instrument has no hand, and its references have no age.
+Whether a command is fresh depends on the hand behind it: `command_age_s` is the age of the newest command that descends
+from a sample in which the hand was armed. So the tip follows no hand that is stopped, lost or silent, no matter who
+arms the tip and in which order the devices are armed. A program of the instrument has no hand: its references have no
+age.
 
-Arming is a wish: it is accepted with a device that is there and the base retracted, in RETRACTED, or in ESTOP once
-released; otherwise the outputs carry the reason of the refusal. The tip stays in RETRACTED, for the reason ARMED, until
-a fresh position command comes, and FOLLOW begins with that. A stop, a retraction or the loss of the device ends the
-wish.
+Arming is a request. The chain accepts it if the device is present and the base retracted, in RETRACTED or in a released
+ESTOP; otherwise the outputs carry the reason of the refusal. After that the tip stays in RETRACTED with the reason
+ARMED until a fresh position command comes, which begins FOLLOW. An e-stop, a retract command or the loss of the device
+cancels the request.
 
-Arming starts nothing. The references of a hand (`of_hand`) count from where the base is when FOLLOW begins: the base is
-at reference - offset, and the offset is chosen so that it stays there. Only the word for it (`goes`) lets the base go
-towards the sample by itself, as far as `place_m`:
+Arming moves nothing. The references of a hand (`of_hand`) count from the position of the base when FOLLOW begins: the
+base is at reference - offset, and the offset is chosen so that the base stays there. Only the permission `goes` lets
+the base move towards the sample by itself, as far as `place_m`; this motion is called a way:
 
-- at `speed_m_per_s` to its rest point (z = 0), and no nearer than a clearance in front of the surface it last met;
-- further, where the place lies beyond, at the speed of the paper's approach (Fig. 12), until it feels the sample.
+- at `speed_m_per_s` to its rest point (z = 0), but no nearer than a clearance in front of the surface it last met;
+- if the place lies further, from there at the speed of the paper's approach (Fig. 12), until the tip feels the sample.
 
-A way ends by another command, and one to a stated place by a hand that moves or presses too: the base stays where it is
-then (`ended`). A place that is not finite is where the hand stands, as at the start of a session: the base goes there
-with the hand.
+Another command ends a way; a hand that moves or presses also ends one to a stated place. The base then stays where it
+is (`ended`). A place that is not finite means the position of the hand, as at the start of a session: the base goes
+there and moves with the hand.
 
-The law sees the base where it would be without the offset, so the offset is to it a sample that lies deeper by as much.
-The references of a program (`of_hand` false) are places of the base, and no offset acts on them.
+The law sees the base without the offset, so that the offset looks to it like a sample that lies deeper by as much. The
+references of a program (`of_hand` false) are positions of the base, without an offset.
 
-`reason` is why the last transition happened. The arrival in RETRACTED keeps the reason of the retraction, so that it
-can still be read when the operator comes back.
+`reason` is the cause of the last transition. The arrival in RETRACTED keeps the reason of the retraction, so that the
+operator can still read it later.
 """
 
 import math
@@ -52,7 +54,7 @@ ACTION_NAMES: dict[int, str] = {ACTION_POSITION: "position", ACTION_HOLD: "hold"
 REASON_START, REASON_ARMED, REASON_ESTOP, REASON_FORCE_LIMIT, REASON_FORCE_INVALID, REASON_COMMAND_DEADLINE = range(6)
 REASON_HOLD_EXPIRED, REASON_COMMANDS_RESUMED, REASON_HOLD_REQUESTED, REASON_RETRACT_REQUESTED = range(6, 10)
 REASON_DEVICE_LOST, REASON_LATERAL_LIMIT = range(10, 12)
-# These are the names of the constants.
+# The names are those of the constants, in lower case and without the prefix.
 REASON_NAMES: dict[int, str] = {
     code: name.removeprefix("REASON_").lower() for name, code in [*globals().items()] if name.startswith("REASON_")
 }
@@ -70,10 +72,10 @@ ARM_REFUSAL_NAMES: dict[int, str] = {
 LIMITED_BY_RANGE = 1  # bits of `limited`
 LIMITED_BY_SPEED = 2
 
-# How a way of the base to a place has ended.
+# The ends of a way of the base to a place.
 NOT_ENDED, ENDED_THERE, ENDED_BY_COMMAND, ENDED_BY_MOTION, ENDED_BY_FORCE = range(5)
 ENDED_BY_SILENCE, ENDED_BY_CONTACT = range(5, 7)
-# What ends a way before the base is there, in words.
+# The causes that end a way before the base is there, in words.
 ENDINGS: dict[int, str] = {
     ENDED_BY_COMMAND: "another command came",
     ENDED_BY_MOTION: "the hand moved",
@@ -82,30 +84,30 @@ ENDINGS: dict[int, str] = {
     ENDED_BY_CONTACT: "the tip felt the sample",
 }
 
-# The speed beyond the rest point of the base, or in front of a surface: of the approach of Fig. 12 for 1 N at the hand
-# [m/s].
+# The speed beyond the rest point of the base, or close to a surface [m/s]: that of the approach of Fig. 12 for 1 N at
+# the hand.
 LET_IN_M_PER_S = 15e-9
-# A tip that is pressed or pulled with more than this has met the sample [N].
+# A force on the tip above this, of either sign, means that the tip has met the sample [N].
 SMALL_FORCE_N = 1e-9
 # The pull of the water film begins within this distance of a surface [m]; a meniscus breaks at 4 nm in Table 2.
 CLEARANCE_M = 5e-9
-# A reference that goes further than this while the base is on its way is of a hand that moves [m]: 1 mm at the hand.
+# A reference that moves further than this during a way shows that the hand moves [m]: it is 1 mm at the hand.
 MOVED_M = 1.5e-9
-# A hand that presses or pulls with more than this is no hand at rest [N].
+# A force of the hand above this, of either sign, shows that the hand is not at rest [N].
 PRESSED_N = 0.5
-# A word to go is void when no armed hand has come for this time [s]: who arms the hand later means no more than that.
+# The permission to go lapses if no armed hand comes within this time [s]: arming the hand later is no such permission.
 WORD_WAITS_S = 5.0
-# Places of the base that differ by less are the same [m].
+# Positions of the base that differ by less count as equal [m].
 _SAME_M = 1e-12
 
 
 class SafetyState(NamedTuple):
     """Mode (MODE_*), base position last commanded [m] and reason (REASON_*) of the last transition.
 
-    slower_m_per_s: what the base is still kept below its speed limit after a hold [m/s]. offset_m: how far the base is
-    away from the sample of the reference of a hand [m]; surface_m: where the base last met a surface [m], infinite for
-    never. goes: the base goes to place_m [m], or will when FOLLOW begins; from_m: the reference when it began [m];
-    waited_s: for how long its word has waited for a hand [s].
+    slower_m_per_s: reduction of the speed limit that is left after a hold [m/s]. offset_m: reference of the hand minus
+    base [m]; surface_m: base position at which the tip last met a surface [m], infinite for never. goes: the base goes
+    to place_m [m] at speed_m_per_s [m/s], or will when FOLLOW begins; from_m: the reference when it began [m];
+    waited_s: time for which the permission to go has waited for a hand [s].
     """
 
     mode: int
@@ -122,14 +124,14 @@ class SafetyState(NamedTuple):
 
 
 class SafetyInputs(NamedTuple):
-    """One tick of inputs.
+    """The inputs of one tick.
 
-    reference_m: base position asked for [m]; command_age_s: age of that command, and of the armed hand behind it [s],
-    infinite if none ever came; action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured
-    [N], repulsive positive; device_lost: nothing is known of the tip, and nothing reaches the base; lateral_n: force
-    across the tip [N]. of_hand: the reference is that of a hand, and no place of the base. goes, with arm_requested:
-    the base may go to place_m [m] at speed_m_per_s [m/s], where infinite means that of the hand, and the speed limit.
-    interrupted: another command has come. hand_force_n: what the hand presses with [N].
+    reference_m: requested base position [m]; command_age_s: age of that command, and of the armed hand behind it [s],
+    infinite if none ever came; action: ACTION_*; arm_requested: arming is requested in this tick; estop: the e-stop is
+    pressed; force_n: tip force last measured [N], repulsive positive; device_lost: the tip is not measured and the base
+    not reached; lateral_n: force across the tip [N]. of_hand: the reference is that of a hand, not a base position.
+    goes, with arm_requested: the base may go to place_m [m], infinite for the position of the hand, at speed_m_per_s
+    [m/s], infinite for the speed limit. interrupted: another command has come. hand_force_n: force of the hand [N].
     """
 
     reference_m: float
@@ -149,10 +151,9 @@ class SafetyInputs(NamedTuple):
 
 
 class SafetyOutputs(NamedTuple):
-    """Base position to apply [m], mode, `limited` (bits LIMITED_BY_*, 0 for none), reason, why arming was refused.
+    """Base position to apply [m], mode, `limited` (bits LIMITED_BY_*, 0 for none), reason, arm_refusal (ARM_*).
 
-    offset_m: how far the base is away from the sample of the hand's reference [m]; ended: how a way to a place has
-    ended in this tick (ENDED_*).
+    offset_m: reference of the hand minus base [m]; ended: end of a way in this tick (ENDED_*, NOT_ENDED for none).
     """
 
     base_m: float
@@ -173,7 +174,7 @@ def initial_safety_state(params: SafetyParams) -> SafetyState:
 def safety_step(
     params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float
 ) -> tuple[SafetyState, SafetyOutputs]:
-    """Decide mode and base position of one tick of dt [s].
+    """Decide mode and base position of one tick of dt [s]; return the state after it, and the outputs.
 
     Raises:
         ValueError: dt is not positive and finite.
@@ -221,27 +222,27 @@ def safety_step(
 
 @compiled
 def is_wished(mode: int, reason: int) -> bool:
-    """Return whether the tip was armed, and waits, withdrawn, for a command that it may follow."""
+    """Return whether the tip is armed but still retracted, waiting for a fresh command to follow."""
     return mode == MODE_RETRACTED and reason == REASON_ARMED
 
 
 def is_armed(mode: int, reason: int) -> bool:
-    """Return whether the tip was armed, and that has not ended: it follows, is held, or waits for a command."""
+    """Return whether the tip is armed: it follows, is held, or waits for a command."""
     return mode in (MODE_FOLLOW, MODE_HOLD) or is_wished(mode, reason)
 
 
 @compiled
 def is_placed(allowed: SafetyOutputs) -> bool:
-    """Return whether the commanded base has reached its reference after every limit: no speed limit holds it back.
+    """Return whether the commanded base has reached its reference, up to the limits of range: it is not speed-limited.
 
-    What the base does behind the command, such as drift and creep, is no part of it.
+    Only the command counts, not drift and creep of the real base behind it.
     """
     return allowed.mode == MODE_FOLLOW and allowed.limited & LIMITED_BY_SPEED == 0
 
 
 @compiled
 def nearest_m(surface_m: float) -> float:
-    """Return how near the base goes to the sample at the speed of a way [m], for a surface that it last met [m]."""
+    """Return the base position [m] up to which a way goes at full speed, for the surface that the base last met [m]."""
     return min(0.0, surface_m - CLEARANCE_M)
 
 
@@ -252,7 +253,10 @@ def way_s(
     surface_m: float = math.inf,
     speed_m_per_s: float = math.inf,
 ) -> float:
-    """Return how long the commanded base takes from base_m to a place [s], where nothing ends its way."""
+    """Return the time [s] that the commanded base takes from base_m to place_m [m] if nothing ends its way.
+
+    surface_m is the base position [m] at which the tip last met a surface, speed_m_per_s the speed of the way [m/s].
+    """
     target = min(max(place_m, params.base_min_m), params.base_max_m)
     quick_m = max(min(target, nearest_m(surface_m)), min(base_m, target))
     speed = min(speed_m_per_s, params.base_speed_m_per_s)
@@ -261,7 +265,7 @@ def way_s(
 
 @compiled
 def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool, waited_s: float) -> SafetyState:
-    """Return the state with other values of what a tick changes of a way."""
+    """Return the state with new values of the fields of a way that a tick changes."""
     return SafetyState(
         state.mode,
         state.base_m,
@@ -279,7 +283,7 @@ def _changed(state: SafetyState, offset_m: float, surface_m: float, goes: bool, 
 
 @compiled
 def _worded(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
-    """Return the state with the word of an arming: where the base may go."""
+    """Return the state with the permission to go that came with an arming: place and speed."""
     return SafetyState(
         state.mode,
         state.base_m,
@@ -297,9 +301,10 @@ def _worded(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
 
 @compiled
 def _begun(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
-    """Return the state with which the base begins to follow a hand, or to go to a place: it stays where it is.
+    """Return the state in which the base begins to follow a hand, or a way to a place, without a jump of the base.
 
-    A withdrawn base that goes where the hand is goes there, or to where the hand is let in from, with the hand.
+    A retracted base that may go to the position of the hand gets the offset of that position instead, or of the nearest
+    position that a way reaches at full speed.
     """
     offset = inputs.reference_m - state.base_m
     if state.goes and not math.isfinite(state.place_m) and state.mode != MODE_FOLLOW:
@@ -323,9 +328,9 @@ def _begun(state: SafetyState, inputs: SafetyInputs) -> SafetyState:
 def _next_way(
     params: SafetyParams, state: SafetyState, inputs: SafetyInputs, mode: int, reason: int, dt: float
 ) -> tuple[SafetyState, int]:
-    """Return the state with offset and way of this tick, and how a way has ended in it."""
+    """Return the state with offset and way of this tick, and the end of a way in it (ENDED_*)."""
     if mode == MODE_HOLD:
-        # A base that goes to the place of the hand goes on when its commands come again, unless a command ends that.
+        # A way to the position of the hand continues when its commands come again, unless a command ends it.
         ended = NOT_ENDED
         if state.goes and (inputs.interrupted or (inputs.arm_requested and not inputs.goes)):
             ended = ENDED_BY_COMMAND
@@ -336,7 +341,7 @@ def _next_way(
         reference = inputs.reference_m if math.isfinite(inputs.reference_m) else state.from_m
         return _changed(state, reference - state.base_m, state.surface_m, False, 0.0), ended
     if mode != MODE_FOLLOW or not inputs.of_hand:
-        # A wish keeps its word until another command comes, and for as long as a person waits for it.
+        # An arming request keeps its permission to go until another command comes, or WORD_WAITS_S have passed.
         waited = state.waited_s + dt if state.goes else 0.0
         goes = state.goes and not inputs.interrupted and is_wished(mode, reason) and waited <= WORD_WAITS_S
         return _changed(state, 0.0, state.surface_m, goes, waited if goes else 0.0), NOT_ENDED
@@ -358,18 +363,18 @@ def _next_way(
 
 @compiled
 def _is_on_the_way(way: SafetyState, base_m: float) -> bool:
-    """Return whether a base that goes is not where it is placed: at a stated place, or where a hand is let in from."""
+    """Return whether a base that goes has not arrived: at a stated place, or where full speed ends before the hand."""
     return math.isfinite(way.place_m) or (way.offset_m > 0.0 and base_m < nearest_m(way.surface_m) - _SAME_M)
 
 
 @compiled
 def _ending(state: SafetyState, inputs: SafetyInputs) -> int:
-    """Return by which input a way ends now."""
+    """Return the input that ends a way in this tick (ENDED_BY_*), or NOT_ENDED."""
     if inputs.interrupted or (inputs.arm_requested and not inputs.goes):
         return ENDED_BY_COMMAND
     if not math.isfinite(state.place_m):
         return NOT_ENDED
-    # Written so that a reference or a force that is no number ends it too.
+    # The comparisons are written so that a reference or a force that is NaN also ends the way.
     if not abs(inputs.reference_m - state.from_m) <= MOVED_M:
         return ENDED_BY_MOTION
     return NOT_ENDED if abs(inputs.hand_force_n) <= PRESSED_N else ENDED_BY_FORCE
@@ -377,14 +382,14 @@ def _ending(state: SafetyState, inputs: SafetyInputs) -> int:
 
 @compiled
 def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float) -> tuple[float, int]:
-    """Return the offset of this tick of a way, and whether and how the way has ended with it."""
+    """Return the offset [m] of this tick of a way, and the end of the way (ENDED_*, NOT_ENDED)."""
     reference, offset = inputs.reference_m, state.offset_m
     goal = 0.0
     if math.isfinite(state.place_m):
         goal = reference - min(max(state.place_m, params.base_min_m), params.base_max_m)
     speed = min(state.speed_m_per_s, params.base_speed_m_per_s)
     if reference - offset > state.base_m + params.base_speed_m_per_s * dt:
-        # The base has still to come to where the offset lets it be.
+        # The base has not yet reached reference - offset.
         return offset, NOT_ENDED
     if offset < goal:
         offset = min(offset + speed * dt, goal)
@@ -401,13 +406,13 @@ def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: flo
 
 @compiled
 def _fresh(params: SafetyParams, inputs: SafetyInputs) -> bool:
-    # Written so that an age or a reference that is no number counts as no command.
+    # The comparison is written so that an age or a reference that is NaN counts as no command.
     return inputs.command_age_s <= params.command_deadline_s and math.isfinite(inputs.reference_m)
 
 
 @compiled
 def _next_mode(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -> tuple[int, int]:
-    """Mode after this tick, arming and the arrival in RETRACTED apart, and its reason."""
+    """Return the mode after this tick, without arming and the arrival in RETRACTED, and its reason."""
     mode, reason = state.mode, state.reason
     if inputs.estop:
         return MODE_ESTOP, REASON_ESTOP
@@ -447,7 +452,7 @@ def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs)
 
 @compiled
 def _slower(params: SafetyParams, state: SafetyState, mode: int, dt: float) -> float:
-    """Return by how much the speed of this tick stays below the limit: nearly all of it after a hold, then less."""
+    """Return the reduction of the speed limit in this tick [m/s]: nearly all of it after a hold, then less."""
     if mode != MODE_FOLLOW:
         return 0.0
     before = params.base_speed_m_per_s if state.mode == MODE_HOLD else state.slower_m_per_s
@@ -462,7 +467,7 @@ def _next_base(
     if mode == MODE_HOLD:
         return base_m, 0
     if mode != MODE_FOLLOW:
-        # A base that is further away than the retract position stays there: retracting never goes towards the sample.
+        # A base further away than the retract position stays there: retracting never moves towards the sample.
         return max(base_m - params.retract_speed_m_per_s * dt, min(base_m, params.retract_position_m)), 0
     target = min(max(reference_m, params.base_min_m), params.base_max_m)
     limited = LIMITED_BY_RANGE if target != reference_m else 0

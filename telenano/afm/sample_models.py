@@ -1,7 +1,7 @@
-"""Samples that installed packages bring (entry points `telenano.samples`): parts in the place of cantilever and sample.
+"""Samples from installed packages (entry points `telenano.samples`): parts that replace cantilever and sample.
 
-A sample is told where the base and the tip are, and how much time has passed, and answers with what the instrument
-measures there. It may have a state of its own: of hysteresis, of particles that the tip pushes, of plastic deformation.
+A sample model gets the positions of base and tip and the time passed, and returns the measurement of the instrument
+there. It may have a state of its own: of hysteresis, of particles that the tip pushes, of plastic deformation.
 """
 
 import inspect
@@ -15,7 +15,10 @@ Step = Callable[..., Any]
 
 
 def checked_sample(name: str, value: Any) -> SampleModel:
-    """Return the sample that an entry of a package is; TypeError or ValueError says what is wrong with it."""
+    """Register and return the sample of an entry point; raise TypeError or ValueError, with the reason, if it is none.
+
+    `name` is the name of the entry point, which the sample must have too.
+    """
     if not isinstance(value, SampleModel):
         raise TypeError(f"is a {type(value).__name__}, must be a SampleModel")
     if value.name != name:
@@ -29,7 +32,7 @@ def checked_sample(name: str, value: Any) -> SampleModel:
 
 
 def register_sample(model: SampleModel) -> None:
-    """Let a sample be chosen as the part behind the guard, by the class of its parameters."""
+    """Register a sample as a part under the class of its parameters, so that it can stand behind the guard."""
 
     def start(params: Any, inputs: PlantInputs) -> Any:
         return model.start(params, inputs.base_m)

@@ -1,4 +1,4 @@
-"""The driver of every simulated instrument: any part (`part`) behind the driver protocol of the node."""
+"""The driver of every simulated instrument: it puts any part (`part`) behind the driver protocol of the node."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -34,9 +34,10 @@ _QUIET = DisturbanceConfig()
 class InstrumentState(msgspec.Struct, array_like=True):
     """The whole state of a simulated instrument.
 
-    inputs: of the last step, with the place of the tip, the drive and the thermal noise of the next one; part: None
-    while the instrument is closed; disturbances, and what they remember, the piezo being None while nothing disturbs;
-    elapsed_s: time since the last step [s]; lateral_n: force on the tip in x and y at the last step [N].
+    inputs: inputs of the last step, but place of the tip, drive and thermal noise of the next one; disturbances: their
+    settings; noise: state of their random numbers; part: state of the part, None while the instrument is closed; piezo:
+    state of the piezo, None until a disturbance acts; elapsed_s: time since the last step [s]; lateral_n: force on the
+    tip in x and y at the last step [N].
     """
 
     inputs: PlantInputs
@@ -52,13 +53,13 @@ class SimulatedInstrument:
     """An `AfmDriver` whose device is a part.
 
     Args:
-        params: The parameters, whose plant is simulated and whose retract position is the safe state.
-        relief: What is known of the heights; None for nothing.
-        cantilever: The cantilever of an instrument that can be disturbed.
+        params: The parameters: the plant to simulate, and the limits, whose retract position is the safe state.
+        relief: The known heights of the surface; None if nothing is known.
+        cantilever: The cantilever of an instrument that can be disturbed; None for one that cannot.
         disturbances: The disturbances of the instrument.
-        about: What a person should know of the sample when the tip is armed, in words.
-        channel: What the part measures besides the deflection, a channel of `felt`; empty for nothing.
-        is_gauged: Whether the part says a force alone, which the cantilever reads where it is disturbed.
+        about: A remark on the sample for the person who arms the tip.
+        channel: The channel of `felt` that the part measures besides the deflection; empty for none.
+        is_gauged: Whether the part gives only a force, which the cantilever reads while it is disturbed.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class SimulatedInstrument:
         return self.state.lateral_n
 
     def vibrate(self, amplitude_m: float) -> None:
-        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 lets the tip come to rest.
+        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 stops the drive.
 
         Raises:
             ValueError: The amplitude is negative or not finite.
@@ -142,7 +143,7 @@ class SimulatedInstrument:
 
     @property
     def channels(self) -> dict[str, float]:
-        """Return what was measured at the last exchange besides the deflection: values in SI units by channel."""
+        """Return the channels measured at the last exchange besides the deflection, in SI units, by name."""
         values = {}
         if self._motion is not None:
             values = {"amplitude": self.oscillation.amplitude_m, "phase": self.oscillation.phase_rad}
@@ -155,7 +156,7 @@ class SimulatedInstrument:
         return None if self._cantilever is None else self.state.disturbances
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Take other disturbances from now on; those that continue keep their state."""
+        """Use other disturbances from now on; those that continue keep their state."""
         state = self.state
         if not state.disturbances.any_enabled:
             # Creep and hysteresis begin at rest, where the base is when they are switched on.
@@ -171,19 +172,19 @@ class SimulatedInstrument:
         return isinstance(self._params.plant, SpringParams)
 
     def take_spring(self, stiffness_n_per_m: float) -> None:
-        """Take another stiffness of the environment [N/m], which must be a spring."""
+        """Change the stiffness of the environment [N/m], which must be a spring."""
         plant = self._params.plant
         changed = spring_params(stiffness_n_per_m, plant.rest_distance_m, plant.bilateral)
         self._params = self._params._replace(plant=changed)
 
     def restore_sample(self) -> None:
-        """Take a sample as it was in the beginning: what lies on it is where it lay, and nothing is remembered."""
+        """Restore the sample to its initial state: particles at their first places, and no history."""
         state = self.state
         if state.part is not None:
             state.part = part_start(self._params.plant, state.inputs)
 
     def elapse(self, dt: float) -> None:
-        """Note the time [s] of the next exchange."""
+        """Add dt [s] to the time that the next exchange simulates."""
         self.state.elapsed_s += dt
 
     @property
@@ -231,7 +232,7 @@ class SimulatedInstrument:
     def _disturbed(self, cantilever: Plant, inputs: PlantInputs) -> AfmSample:
         state, config = self.state, self.state.disturbances
         tip = gauged(self._params.plant, cantilever) if self._is_gauged else self._params.plant
-        # thermal noise of a cantilever that moves are impulses on its tip
+        # For a dynamic cantilever the thermal noise acts as impulses on its tip instead.
         drawn = config if self._motion is None else config.model_copy(update={"thermal": _QUIET.thermal})
         noise_state, noise = noise_step(drawn, state.noise, cantilever.stiffness_n_per_m, state.elapsed_s)
         piezo = piezo_at_rest(inputs.base_m) if state.piezo is None else state.piezo
@@ -243,7 +244,7 @@ class SimulatedInstrument:
         return sample
 
     def retract(self) -> bool:
-        """Retract to the safe position at once: the base has no way to go."""
+        """Retract to the safe position at once, since a simulated base needs no time; return True."""
         if self.state.part is not None:
             self.exchange(self.safe_position_m)
         return True
@@ -254,7 +255,7 @@ class SimulatedInstrument:
 
 
 def _thermal(inputs: PlantInputs, config: DisturbanceConfig, *, moves: bool) -> PlantInputs:
-    """Return the inputs with the thermal impulses of a cantilever that moves."""
+    """Return the inputs with temperature and seed of the thermal impulses, 0 K unless the cantilever is dynamic."""
     temperature_k = config.thermal.temperature_k if moves and config.thermal.enabled else 0.0
     return inputs._replace(temperature_k=temperature_k, seed=config.seed)
 
@@ -275,9 +276,9 @@ def simulated_afm(
         surface: The surface as the tip sees it; None is a plane at height 0.
         friction: The parameters of friction; None is without friction.
         disturbances: The disturbances, which may be switched on while it runs.
-        tip: A dynamic cantilever instead of the quasi-static one.
-        layer: What lies on the surface: a function of the part over it and the surface.
-        above_m: How far that stands above the surface at most [m].
+        tip: The parameters of a dynamic cantilever; None for the quasi-static one.
+        layer: Function from the part over the surface and the surface to the part with a layer; None for no layer.
+        above_m: The greatest height of the layer above the surface [m].
     """
     part = over_surface(params.plant if tip is None else tip, surface, friction)
     if layer is not None:

@@ -1,6 +1,6 @@
-"""The linear environment of the theory of delay, F = K (x_s - L): a part in the place of cantilever and sample.
+"""The linear environment of the theory of delay, F = K (x_s - L): a part that replaces cantilever and sample.
 
-It is a spring on the base itself, so there is no deflection. The distance reported is L - x_s.
+The spring acts on the base itself, so there is no deflection. The distance reported is L - x_s.
 """
 
 import math
@@ -12,7 +12,7 @@ from telenano.numerics.compiler import compiled
 
 
 class SpringParams(NamedTuple):
-    """Stiffness K [N/m], L [m]; `bilateral`: it also pulls, which is what makes it linear."""
+    """Stiffness K [N/m], rest distance L [m]; `bilateral`: the spring also pulls, which makes it linear."""
 
     stiffness_n_per_m: float
     rest_distance_m: float
@@ -20,7 +20,7 @@ class SpringParams(NamedTuple):
 
 
 class SpringState(NamedTuple):
-    """The force last measured [N]: a spring remembers nothing that it needs."""
+    """The force last measured [N]; the step of a spring does not depend on it."""
 
     force_n: float
 
@@ -45,7 +45,7 @@ def spring_params(stiffness_n_per_m: float, rest_distance_m: float, bilateral: b
 
 @compiled
 def spring_force(params: SpringParams, base_m: float) -> float:
-    """Return the force [N] on the tip at base position x_s [m]: K (x_s - L), without the pull where it is one-sided."""
+    """Return the force [N] at base position x_s [m]: K (x_s - L), or 0 instead of a pull if it is not bilateral."""
     force = params.stiffness_n_per_m * (base_m - params.rest_distance_m)
     return force if params.bilateral or force > 0.0 else 0.0
 

@@ -1,8 +1,10 @@
 """The guard of the tip with its state, for a program that drives an instrument without a node.
 
-guard = TipGuard(limits)
-base_m = guard.follow(reference_m, period_s, force_n=sample.force_n)
-base_m = guard.retract(period_s, force_n=sample.force_n)
+The program calls it once a period:
+
+    guard = TipGuard(limits)
+    base_m = guard.follow(reference_m, period_s, force_n=sample.force_n)
+    base_m = guard.retract(period_s, force_n=sample.force_n)
 """
 
 from telenano.afm.safety import (
@@ -18,20 +20,20 @@ from telenano.extend.instruments import SafetyParams
 
 
 class TipGuard:
-    """The guard of the node (`safety_step`), armed by the first reference that it is asked to follow."""
+    """The guard of the node (`safety_step`), which its first reference arms."""
 
     def __init__(self, limits: SafetyParams) -> None:
         """Begin in the safe state, with the base retracted.
 
         Args:
-            limits: What the guard holds the base to.
+            limits: The limits of the base and of the force.
         """
         self.limits = limits
         self._state = initial_safety_state(limits)
 
     @property
     def base_m(self) -> float:
-        """Return the position that the base was last allowed [m]."""
+        """Return the base position that the guard last allowed [m]."""
         return self._state.base_m
 
     @property
@@ -41,24 +43,24 @@ class TipGuard:
 
     @property
     def reason(self) -> str:
-        """Return why the guard is in its state, in words."""
+        """Return the name of the reason of the last transition, such as force_limit."""
         return REASON_NAMES[self._state.reason]
 
     def follow(self, reference_m: float, dt: float, *, force_n: float, is_lost: bool = False) -> float:
-        """Return the position of the base that is allowed as it moves to a reference [m]; a tip at rest is armed.
+        """Return the base position allowed in this step towards a reference [m]; arm the tip if it does not follow.
 
         Args:
-            reference_m: Where the base is to go, towards the sample > 0 [m].
+            reference_m: The target of the base [m], positive towards the sample.
             dt: The time of this step [s].
-            force_n: The force on the tip at the step before [N]; NaN for one that was not measured.
-            is_lost: Whether nothing reaches the instrument.
+            force_n: The force on the tip at the step before [N]; NaN if it was not measured.
+            is_lost: Whether the connection to the instrument is lost.
         """
         return self._step(
             SafetyInputs(reference_m, 0.0, ACTION_POSITION, not self.follows, False, force_n, is_lost), dt
         )
 
     def retract(self, dt: float, *, force_n: float, is_lost: bool = False) -> float:
-        """Return the position of the base as it moves to the safe state [m]; the arguments are those of `follow`."""
+        """Return the base position allowed in this step towards the safe state [m]; arguments as in `follow`."""
         return self._step(
             SafetyInputs(self.limits.retract_position_m, 0.0, ACTION_RETRACT, False, False, force_n, is_lost), dt
         )

@@ -1,11 +1,11 @@
-"""The guarded instrument as one pure step: the safety chain, and behind it any part (`part`), chosen by its parameters.
+"""The guarded instrument as one pure step: the safety chain, and behind it any part (`part`).
 
 The lockstep simulator calls `step`. A node calls `safety_step` and gives its base position to a driver, whose
 simulated form (`sim`) steps the same part. The piezo follows its command at once, S(s) = 1 (as the paper assumes under
 Eq. 17): the speed limit of the safety chain is its only lag.
 
-The force limit acts on the force of the tick before, as it must with a measured one. In a tick of dt the base moves by
-at most base_speed dt.
+The force limit acts on the force of the tick before, as with any measured force. In a tick of dt the base moves by at
+most base_speed dt.
 """
 
 import math
@@ -17,19 +17,19 @@ from telenano.extend.instruments import SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.numerics.compiler import compiled
 
-# the guard's speed limit allows no more than this much motion at once, however long the process was held up
+# The longest step: the speed limit of the guard allows no more motion at once, however long the process was held up.
 LONGEST_STEP_NS = 10_000_000
 
 
 class AfmParams(NamedTuple):
-    """Limits, and the parameters of what is behind them: of the cantilever over its sample, or of any other part."""
+    """Limits of the guard, and the parameters of the part behind it: a cantilever over its sample, or another part."""
 
     safety: SafetyParams
     plant: Any
 
 
 class AfmStepState(NamedTuple):
-    """Safety chain, the part behind it, and the force last measured, along the plumb line and across it [N]."""
+    """States of safety chain and part, and the force last measured [N]: vertical, and lateral (its magnitude)."""
 
     safety: SafetyState
     plant: Any
@@ -38,9 +38,9 @@ class AfmStepState(NamedTuple):
 
 
 class AfmInputs(NamedTuple):
-    """One tick of inputs, as `SafetyInputs` without the force, and the place of the tip over the sample [m].
+    """The inputs of one tick: as `SafetyInputs` without the force, and the place of the tip over the sample [m].
 
-    of_hand: the reference is that of a hand, where the base goes once it is armed.
+    of_hand: the reference is that of a hand; the base goes to it once it is armed.
     """
 
     reference_m: float
@@ -54,7 +54,7 @@ class AfmInputs(NamedTuple):
 
 
 class AfmOutputs(NamedTuple):
-    """What was measured, and what the guard allowed."""
+    """The measurement, and the output of the guard."""
 
     sample: AfmSample
     allowed: SafetyOutputs
@@ -62,7 +62,7 @@ class AfmOutputs(NamedTuple):
 
 @compiled
 def command_wait_ns(period_ns: int) -> int:
-    """Return how long after a commanded step the instrument steps by itself [ns].
+    """Return the time after a commanded step at which the instrument steps without a command [ns].
 
     A command that is late by less than half a period still makes the step, so that there is one step a command.
     """
@@ -76,7 +76,7 @@ def _across(sample: AfmSample) -> float:
 
 @compiled
 def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
-    """Advance the guard and what is behind it by dt [s]; a simulated device is never lost.
+    """Advance the guard and the part behind it by dt [s]; a simulated device is never lost.
 
     Raises:
         ValueError: dt is not positive and finite.
@@ -92,7 +92,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         lateral_n=state.lateral_n,
         of_hand=inputs.of_hand,
         goes=inputs.of_hand,
-        # The compiler fills in no defaults.
+        # Compiled code cannot use the defaults of a named tuple.
         place_m=math.inf,
         speed_m_per_s=math.inf,
         interrupted=False,
@@ -105,7 +105,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
 
 
 def initial_afm_state(params: AfmParams) -> AfmStepState:
-    """Return the state in which an instrument starts: retracted, at rest there, the force there measured."""
+    """Return the state in which an instrument starts: retracted, at rest, with the force there as measured."""
     safety = initial_safety_state(params.safety)
     inputs = inputs_at(safety.base_m, 0.0, 0.0)
     plant, sample = part_step(params.plant, part_start(params.plant, inputs), inputs, 0.0)

@@ -1,13 +1,12 @@
-"""The torsion channel: how the lateral force on the tip is measured; a part around any other.
+"""The torsion channel, which measures the lateral force on the tip: a part around any other part.
 
-The photodiode gives a voltage that belongs to the torsion of the cantilever, and with it a share of its bending
-(crosstalk), because diode and cantilever are never quite parallel. The calibration factor C [N/V] makes a force of it,
-and is wrong by an error e:
+The voltage of the photodiode belongs to the torsion of the cantilever, with a share of its bending (crosstalk), because
+diode and cantilever are never quite parallel. The calibration factor C [N/V] turns it into a force, with an error e:
 
     F = clip((1 + e) (F_lateral + c k zeta), +-C U),  U the range of the read-out
 
-c k zeta is the lateral force that a bent cantilever seems to have. What comes after this part (guard, programs, hand,
-images) knows the measured force only; what lies on the sample obeys the true one.
+c k zeta is the apparent lateral force of a bent cantilever. Everything after this part (guard, programs, hand, images)
+sees only the measured force; layers on the sample obey the true one.
 """
 
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ from telenano.numerics.compiler import compiled
 
 
 class TorsionParams(NamedTuple):
-    """The part within; gain 1 + e; apparent lateral force for a deflection [N/m]; greatest force that is read [N]."""
+    """The inner part; gain 1 + e; apparent lateral force per deflection in x and y [N/m]; greatest force read [N]."""
 
     within: Any
     gain: float
@@ -30,7 +29,7 @@ class TorsionParams(NamedTuple):
 
 @compiled
 def _read(params: TorsionParams, force_n: float, cross_n_per_m: float, deflection_m: float) -> float:
-    """Return what the channel reads along an axis [N]."""
+    """Return the reading of the channel along one axis [N]."""
     return min(max(params.gain * (force_n + cross_n_per_m * deflection_m), -params.most_n), params.most_n)
 
 

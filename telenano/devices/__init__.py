@@ -1,4 +1,4 @@
-"""Drivers of real devices and what they share: lines, processes of their own, calibrations, capabilities."""
+"""Drivers of real devices, with their lines, processes, calibrations and capabilities."""
 
 from typing import TYPE_CHECKING
 

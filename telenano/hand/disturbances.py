@@ -1,14 +1,14 @@
-"""What disturbs a real master (paper, 5.1.3): encoder, force sensor, and an operator who trembles. All are off.
+"""Disturbances of a real master (paper, 5.1.3): encoder, force sensor, and tremor of the operator. By default all off.
 
 *Encoder*: the position comes in whole steps, and the velocity is their difference over a sample. *Force sensor*: white
 noise. *Tremor*: physiological tremor of a hand is a narrow band around 8 to 12 Hz (R. J. Elble, W. C. Koller, Tremor,
 1990); here a resonance of that frequency with a Q of 8, driven by white noise. *Wander*: the errors of a hand that
 holds a force grow towards low frequencies (G. G. Sutton, K. Sykes, J. Physiol. 190 (1967) 281, between 0.4 and 9 Hz);
-here 1/f noise from 0.05 to 13 Hz, while the session runs. Both are forces beside what the hand's script says, whichever
-that is. The screw cannot be driven back, so they are seen by the force sensor and move the arm only through the law. At
-a device of impedance type they are added to the force of its coupling, and do not push its mass.
+here 1/f noise from 0.05 to 13 Hz, while the session runs. Both are forces added to that of any model of the hand. The
+screw cannot be driven back, so the force sensor measures them, and they move the arm only through the law. At a device
+of impedance type they are added to the force of its coupling, and do not push its mass.
 
-A node draws them as it goes; a session in lockstep draws those of its whole run before, with the same step.
+A node draws them step by step; a session in lockstep draws them for its whole run beforehand, with the same step.
 """
 
 import math
@@ -28,11 +28,11 @@ from telenano.settings.hand_disturbances import HandDisturbanceConfig
 Series = npt.NDArray[np.float64]
 
 _TREMOR_Q = 8.0
-# lowest frequency of the wander [Hz]
+# Lowest frequency of the wander [Hz].
 _WANDER_LOW_HZ = 0.05
-# highest frequency of the wander [Hz]: muscles do not answer above it
+# Highest frequency of the wander [Hz]: muscles do not answer above it.
 _WANDER_HIGH_HZ = 13.0
-# The wander is another stream of its seed than the vibration of an instrument is.
+# Random stream of the wander, other than that of the vibration of an instrument with the same seed.
 _WANDER = 2
 
 
@@ -46,7 +46,7 @@ class HandDisturbanceState(NamedTuple):
 
 
 class HandDisturbances(NamedTuple):
-    """What disturbs a device, and the state of that."""
+    """The settings of the disturbances of a device, and their state."""
 
     config: HandDisturbanceConfig
     state: HandDisturbanceState
@@ -55,7 +55,7 @@ class HandDisturbances(NamedTuple):
 def hand_noise_step(
     config: HandDisturbanceConfig, state: HandDisturbanceState, dt: float
 ) -> tuple[HandDisturbanceState, float]:
-    """Draw noise of the sensor and tremor of the hand together [N], dt [s] after the last sample."""
+    """Return the state and the sum of sensor noise and tremor [N], drawn dt [s] after the last sample."""
     force, drawn, tremor, quadrature = 0.0, state.drawn, state.tremor, state.quadrature
     if config.force_noise.enabled:
         force += config.force_noise.rms_n * normal_number(config.seed, drawn)
@@ -75,7 +75,7 @@ def hand_noise_step(
 
 
 def wander_n(config: HandDisturbanceConfig, session_time_s: float) -> float:
-    """Return by how much the force of the hand wanders at a time of the session [N]; nothing before it."""
+    """Return the wander of the force of the hand [N] at a time of the session [s]; 0 before the session starts."""
     if not config.wander.enabled or session_time_s < 0.0:
         return 0.0
     sines = sines_of(config.seed, _WANDER, _WANDER_LOW_HZ, _WANDER_HIGH_HZ)
@@ -85,7 +85,7 @@ def wander_n(config: HandDisturbanceConfig, session_time_s: float) -> float:
 def disturbed(
     config: HandDisturbanceConfig, state: HandDisturbanceState, reading: DeviceReading, session_time_s: float, dt: float
 ) -> tuple[HandDisturbanceState, DeviceReading]:
-    """Return what a disturbed device reads at a time of the session [s], dt [s] after the last sample."""
+    """Return the state and the disturbed reading at a time of the session [s], dt [s] after the last sample."""
     after, force_n = hand_noise_step(config, state, dt)
     force_n += wander_n(config, session_time_s)
     reading_disturbed = disturbed_reading(reading, config.resolution_m, state.position_m, force_n, dt)
@@ -95,13 +95,13 @@ def disturbed(
 def disturbed_plant_params(
     config: HandDisturbanceConfig, plant: Any, samples: int, period_s: float
 ) -> DisturbedPlantParams:
-    """Draw what disturbs a run of a number of samples, one a period [s]; the seed of `config` decides all of it."""
+    """Draw the disturbances of a run of `samples` samples, one a period_s [s], from the seed of `config` alone."""
     return DisturbedPlantParams(plant, *_drawn(config, samples, period_s), config.resolution_m)
 
 
 @lru_cache(maxsize=8)
 def _drawn(config: HandDisturbanceConfig, samples: int, period_s: float) -> tuple[Series, Series]:
-    """Return noise and tremor [N] of a number of samples and the wander [N], which the runs of a study share."""
+    """Return noise plus tremor [N], and the wander [N], each of shape (samples,); the runs of a study share them."""
     state, forces_n = HandDisturbanceState(0.0, 0.0, 0.0, 0), []
     for _ in range(samples):
         state, force_n = hand_noise_step(config, state, period_s)
@@ -125,7 +125,7 @@ class DisturbedHaptic(SimulatedHaptic):
         self.state.disturbed = HandDisturbances(config, HandDisturbanceState(start_position_m, 0.0, 0.0, 0))
 
     def configure(self, config: HandDisturbanceConfig) -> None:
-        """Take other disturbances from now on."""
+        """Use other disturbances from now on."""
         self.state.disturbed = self.state.disturbed._replace(config=config)
 
     @property

@@ -1,26 +1,26 @@
-"""A hand across the sample without a device for it: a stylus in a plane, on which person and controller pull.
+"""A simulated lateral hand, without a device of its own: a stylus in a plane, pulled by a person and the controller.
 
-    m v' = F_operator + F_controller - b v,   per axis, by the implicit Euler method; it stops at its reach
+    m v' = F_operator + F_controller - b v,   per axis, by the implicit Euler method; the stylus stops at its reach
 
-The person pulls with a spring k between where the stylus is and where it is meant to be, by an intended path here or by
-`operator/force`, which a page sends. The stylus is passive: it gives back no more than it was given.
+The person pulls with a spring k between the position of the stylus and the intended one, which comes from an intended
+path here or from a page that sends `operator/force`. The stylus is passive: it returns no more energy than it received.
 
-The spring of a page is late by T, because the page is sent 30 times a second where the stylus is. With the centring
-spring k_c of the controller they swing where m s^2 + b s + k_c + k e^(-sT) = 0 has a root to the right, which begins at
+The spring of a page is late by T, because the page gets the position of the stylus 30 times a second. Together with
+the centring spring k_c of the controller it oscillates where m s^2 + b s + k_c + k e^(-sT) = 0 has a root in the right
+half plane, which begins at
 
     T = (pi - arg(k_c - m w^2 + i b w)) / w,  where w > 0 and |k_c - m w^2 + i b w| = k
 
-With b = 40 N s/m that is 0.35 s, and with 1 N s/m it was 16 ms: a page then drove the stylus from end to end, 1 W of
-which went into the damper of the controller (`controller.lateral.damping_n_s_per_m`).
+With b = 40 N s/m that is 0.35 s, and with 1 N s/m only 16 ms: a page then drove the stylus from end to end, and 1 W
+went into the damper of the controller (`controller.lateral.damping_n_s_per_m`).
 
-That damping is of the hand that holds the stylus, and goes with it. A stylus that is let go has its own, b_0. With
-the damper b_c of the controller it returns to the middle as m s^2 + (b_0 + b_c) s + k_c has it, soonest without
-overshoot at
+That damping belongs to the hand that holds the stylus. A released stylus has its own, b_0. With the damper b_c of the
+controller it returns to the middle by m s^2 + (b_0 + b_c) s + k_c = 0, fastest without overshoot at
 
     b_0 = 2 sqrt(k_c m) - b_c,   x = x_0 (1 + w t) e^(-w t),   w = sqrt(k_c / m)
 
-which is 1.46 N s/m and 17 1/s: from 10 mm it is within the dead zone of 1 mm after 0.22 s, and the tip has gone 30 nm
-by then. Under 40 N s/m it would take 3.2 s and 200 nm. Damping is never negative, so a change of it gives no energy.
+which is 1.46 N s/m and 17 1/s: from 10 mm it is within the dead zone of 1 mm after 0.22 s, and the tip has moved 30 nm
+by then. With 40 N s/m it would take 3.2 s and 200 nm. Damping is never negative, so changing it adds no energy.
 """
 
 import math
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 class LateralHandParams(NamedTuple):
-    """Constants of the stylus and of the person's path, whose arrays are empty where there is none."""
+    """Constants of the stylus, and the intended path of the person; its arrays are empty if there is none."""
 
     mass_kg: float
     damping_n_s_per_m: float
@@ -50,7 +50,7 @@ class LateralHandParams(NamedTuple):
 
 
 class LateralHandState(NamedTuple):
-    """Place [m] and velocity [m/s] of the stylus; forces of the person and of the controller at the last step [N]."""
+    """Position [m] and velocity [m/s] of the stylus; forces of the person (own) and the controller (shown) [N]."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -85,13 +85,13 @@ def lateral_hand_step(
     session_s: float,
     dt: float,
 ) -> LateralHandState:
-    """Advance the stylus by dt [s], > 0; a force of exactly 0 from a page, or none, is of no page.
+    """Advance the stylus by dt [s], > 0; a force of exactly 0 on both axes means that nobody holds it at a page.
 
     Args:
         params: The constants.
-        state: The state before.
-        pushed_n: Force of a person at a page [N].
-        shown_n: Force of the controller [N].
+        state: The state before the step.
+        pushed_n: Force of a person at a page, x and y [N].
+        shown_n: Force of the controller, x and y [N].
         session_s: Time of the operator's force profile [s], negative before it.
         dt: The time of the step [s].
     """

@@ -19,19 +19,19 @@ from typing import NamedTuple
 from telenano.extend.hands import MODE_POSITION
 from telenano.numerics.compiler import compiled
 
-# Inside one regime (servo, voltage limit, torque limit) a sub-step of any length is exact. Where a limit acts at one of
-# its ends it is done again in finer ones, as the moment at which the regime changes is then not known. These are at
-# most a quarter of Tm, so that a torque held for one too long cannot drive the motor past its no-load speed.
+# Inside one regime (servo, voltage limit, torque limit) a sub-step of any length is exact. A sub-step with a limit at
+# one of its ends is repeated in finer ones, because the moment of the change of regime is then unknown. These are at
+# most a quarter of Tm, so that a torque held too long by one of them cannot drive the motor past its no-load speed.
 SUBSTEP_S = 1e-3
 LIMITED_SUBSTEPS = 4
-# An overdamped servo creeps up to the edge of its friction band for ever: below a picometre a second it has arrived. It
-# then sticks, and stays stuck, because breaking away takes a millionth more than friction in motion.
+# An overdamped servo creeps for ever towards the edge of its friction band: below a picometre a second it has arrived.
+# It then sticks, and stays stuck, because breaking away takes a millionth more than friction in motion.
 CREEP_M_PER_S = 1e-12
 BREAKAWAY = 1.0 + 1e-6
 
 
 class MotorParams(NamedTuple):
-    """Constants of the device; an infinite limit is a limit that is off."""
+    """Constants of the device; an infinite limit switches the limit off."""
 
     speed_gain_rad_per_s_v: float  # Km
     screw_m_per_rad: float  # Kp
@@ -58,14 +58,14 @@ class MotorState(NamedTuple):
 
 
 class MotorInputs(NamedTuple):
-    """Command of the drive: a mode code and, for position mode, where to go."""
+    """Command of the drive: a mode code (MODE_*) and, for position mode, the reference r [m]."""
 
     mode: int
     position_reference_m: float
 
 
 class MotorOutputs(NamedTuple):
-    """What the drive really sent at the end of the step, after its limits.
+    """Voltage and force of the drive at the end of the step, after its limits, and the limits that acted.
 
     force_n is the motor torque through the screw, K_t i / Kp: the ideal force at the arm, friction not yet taken off.
     """
@@ -96,7 +96,7 @@ def _coefficients(params: MotorParams, inputs: MotorInputs) -> _Servo:
     k = params.speed_gain_rad_per_s_v * params.screw_m_per_rad
     b = 1.0 / params.time_constant_s
     volts_per_torque = params.armature_resistance_ohm * params.speed_gain_rad_per_s_v  # R / K_t
-    # Off is a shorted motor: it brakes without the drive, so the current limit of the drive does not apply.
+    # In mode off the motor is shorted and brakes without the drive, so the current limit does not apply.
     max_torque = params.torque_limit_n_m if inputs.mode == MODE_POSITION else math.inf
     return _Servo(
         mode=inputs.mode,
@@ -119,7 +119,7 @@ def _command(servo: _Servo, x: float) -> float:
 
 @compiled
 def _clip(value: float, limit: float) -> float:
-    # In a node this takes half the time of `min` and `max`.
+    # In a node this takes half the time of `min` with `max`.
     return limit if value > limit else max(value, -limit)
 
 
@@ -135,7 +135,7 @@ def _transition(a2: float, b: float, t: float) -> tuple[float, float]:
     discriminant = half * half - a2
     if discriminant > 0.0:
         w = math.sqrt(discriminant)
-        # The slow exponential and one difference: no cancellation near critical damping, no overflow far from it.
+        # The slow exponential times one difference avoids cancellation near critical damping and overflow far from it.
         slow = math.exp(-a2 / (half + w) * t)
         gap = -math.expm1(-2.0 * w * t)
         return slow * (1.0 - 0.5 * gap), slow * gap / (2.0 * w)
@@ -155,7 +155,7 @@ def _stop_time(a2: float, b: float, e: float, v: float) -> float:
     if discriminant > 0.0:
         w = math.sqrt(discriminant)
         ahead, behind = slope + w * v, slope - w * v
-        # Not of one sign only when rounding alone made the reversal: then it is beyond the step.
+        # The signs differ only if rounding alone made the reversal: then the stop lies beyond the step.
         return 0.5 * math.log(ahead / behind) / w if ahead * behind > 0.0 else math.inf
     if discriminant == 0.0:
         return v / slope
@@ -223,7 +223,7 @@ def _segment(servo: _Servo, x: float, v: float, t: float, c: float, s: float) ->
 def _substep(servo: _Servo, x: float, v: float, t: float, c: float, s: float) -> tuple[float, float]:
     x, v, used = _segment(servo, x, v, t, c, s)
     if used < t:
-        # The shaft stood still inside: it now sticks or sets off the other way, for the rest of the time.
+        # The shaft came to rest within t: for the rest of the time it sticks or moves the other way.
         rest = t - used
         c, s = _transition(servo.a2, servo.b, rest)
         x, v, used = _segment(servo, x, v, rest, c, s)
@@ -239,7 +239,7 @@ def _is_limited(servo: _Servo, x: float, v: float) -> bool:
 
 @compiled
 def _advance(servo: _Servo, x: float, v: float, t: float, c: float, s: float) -> tuple[float, float]:
-    """Move by t, (c, s) being `_transition` over it: in one piece if no limit acts at its ends, else in fine ones."""
+    """Advance by t [s] in one piece if no limit acts at its ends, else in fine ones; (c, s) is `_transition` over t."""
     if not _is_limited(servo, x, v):
         end_x, end_v = _substep(servo, x, v, t, c, s)
         if not _is_limited(servo, end_x, end_v):
@@ -273,10 +273,10 @@ def _outputs(params: MotorParams, servo: _Servo, x: float, v: float) -> MotorOut
 def step(params: MotorParams, state: MotorState, inputs: MotorInputs, dt: float) -> tuple[MotorState, MotorOutputs]:
     """Advance the device by dt with the reference held (Eq. 1-2, E1; friction and limits as in the module's text).
 
-    Without friction and limits the result is exact for any dt. Stick and slip are located in closed form, so friction
-    alone leaves it exact too: a shaft at rest moves no bit until |u| exceeds V_f by a millionth. Reaching or leaving a
-    voltage or torque limit is seen at the next fine sub-step (at most 0.25 ms), an error of second order in it. An end
-    stop takes the speed.
+    Without friction and limits the result is exact for any dt. Stick and slip are located in closed form, so it stays
+    exact with friction: a shaft at rest moves no bit until |u| exceeds V_f by a millionth. The step notices that it
+    reaches or leaves a voltage or torque limit at the next fine sub-step (at most 0.25 ms), with an error of second
+    order in its length. An end stop sets the speed to zero.
 
     Args:
         params: The parameters of the device.

@@ -3,11 +3,12 @@
 Force profile: F_m(t) piecewise linear through the given points, zero before the first, the last value held after.
 
 Impedance: F_m = k (x_i - x_m) + b (v_i - v_m) - m a, the three in parallel between the intended path and the arm. The
-arm's acceleration is never differentiated from its position: the mass m of the hand has a state of its own and hangs
-on the arm through the finger pad (k_p, b_p), so a = a_m low-passed by (b_p s + k_p) / (m s^2 + b_p s + k_p), and below
-sqrt(k_p / m) it is a_m. In discrete time, with the arm going from x0 to x1 in dt, everything is evaluated at the middle
-of the step (mean positions, displacement over dt): the force times x1 - x0 is then exactly the energy that the springs
-and the mass give, less what the dampers take. The model is passive for all non-negative parameters and every dt.
+arm's acceleration is never differentiated from its position: the mass m of the hand has a state of its own and is
+attached to the arm through the finger pad (k_p, b_p), so a = a_m low-passed by (b_p s + k_p) / (m s^2 + b_p s + k_p);
+below sqrt(k_p / m) it equals a_m. In discrete time, with the arm going from x0 to x1 in dt, everything is evaluated at
+the middle of the step (mean positions, displacement over dt): the force times x1 - x0 is then exactly the energy that
+the springs and the mass release, minus that of the dampers. The model is passive for all non-negative parameters and
+every dt.
 """
 
 import math
@@ -38,7 +39,7 @@ class OperatorParams(NamedTuple):
 
 
 class OperatorState(NamedTuple):
-    """The mass of the hand: where it is and how fast (the impedance operator only)."""
+    """Position and velocity of the mass of the hand (used by the impedance operator only)."""
 
     hand_position_m: float
     hand_velocity_m_per_s: float
@@ -68,7 +69,7 @@ def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_
             high = middle
     if high == len(times_s):
         return float(values[low])
-    # Arithmetic on NumPy's scalars takes three times as long as on plain numbers.
+    # Arithmetic with NumPy scalars takes three times as long as with plain numbers.
     begin_s, first = float(times_s[low]), float(values[low])
     share = (time_s - begin_s) / (float(times_s[high]) - begin_s)
     return first + share * (float(values[high]) - first)
@@ -100,8 +101,8 @@ def step(
 ) -> tuple[OperatorState, OperatorOutputs]:
     """Return the force of the hand over a period dt [s], > 0 (mean over it for an impedance, at its end for a profile).
 
-    Before the session starts there is no force, and the hand goes along with the arm. A force beyond max_force_n
-    is held there and flagged; passivity of the impedance holds as long as it is not.
+    Before the session starts the force is zero, and the hand moves with the arm. A force beyond max_force_n is clipped
+    to it and flagged; the impedance is passive as long as it is not clipped.
     """
     force = 0.0
     hand = OperatorState(inputs.end_position_m, (inputs.end_position_m - inputs.start_position_m) / dt)

@@ -16,7 +16,7 @@ _MODEL_OF: dict[type, OperatorModel] = {}
 
 
 def register_operator(model: OperatorModel) -> None:
-    """Let a model be chosen by the class of its parameters."""
+    """Register a model of the operator under the class of its parameters."""
     _MODEL_OF[model.params] = model
 
 
@@ -29,7 +29,7 @@ operator_step = chosen_step(_step_of)
 
 
 def operator_at_rest(params: Any, position_m: float) -> Any:
-    """Return the hand at rest at position_m [m]."""
+    """Return the state of the hand at rest at position_m [m]."""
     if type(params) is OperatorParams:
         return OperatorState(position_m, 0.0)
     if type(params) is ReactingParams:

@@ -1,9 +1,9 @@
-"""Simulated hand devices, each a pure step with parameters and a state, chosen by the class of its parameters.
+"""Simulated hand devices, each a pure step with parameters and a state; the class of the parameters selects it.
 
     step(params, state, command, session_time_s, dt) -> (state, DeviceReading)
 
-Parameters and state have a field `operator`, the hand on the device. `sim.SimulatedHaptic` makes the device of a node
-of such a part, and `step.step` puts the guard in front of it for a study in lockstep. Both call the same steps.
+Parameters and state have a field `operator`, the hand on the device. `sim.SimulatedHaptic` makes a node's device of
+such a part, and `step.step` puts the guard in front of it for a study in lockstep. Both call the same steps.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,11 @@ from telenano.numerics.compiler import chosen_step
 class HandPart(NamedTuple):
     """The functions of a simulated hand device, as in `HandPart(start, step, place).register(SlideParams)`.
 
-    start(params, position_m, operator): the state of a device at rest at a place [m] along the paper's axis, with the
-    state of the hand on it. step: advances device and hand by dt [s], > 0, under a guarded command. place(params,
-    state) -> (where the device is [m], whether it gives no force for a reason of its own). step and place are marked
-    `telenano.numerics.compiled`. pushed(params, force_n): parameters with a force of the hand along x and y [N]; None
-    for a device of one axis.
+    start(params, position_m, operator) returns the state of a device at rest at a position [m] along the paper's axis,
+    with the given state of the hand on it. step advances device and hand by dt [s], > 0, under a guarded command.
+    place(params, state) returns the position of the device [m], and whether it gives no force for a reason of its own.
+    step and place must be marked `telenano.numerics.compiled`. pushed(params, force_n) returns parameters with a force
+    of the hand along x and y [N]; None for a device of one axis.
     """
 
     start: Callable[[Any, float, Any], Any]
@@ -30,7 +30,7 @@ class HandPart(NamedTuple):
     pushed: Callable[[Any, Pair], Any] | None = None
 
     def register(self, kind: type) -> None:
-        """Let the device be chosen by the class of its parameters.
+        """Register the device under the class of its parameters.
 
         HandPart(start, step, place).register(SlideParams)
 
@@ -46,17 +46,17 @@ _PARTS: dict[type, HandPart] = {}
 
 
 def initial_plant(params: Any, position_m: float) -> Any:
-    """Return the device and the hand at rest at position_m [m]."""
+    """Return the state of device and hand at rest at position_m [m]."""
     return _PARTS[type(params)].start(params, position_m, operator_at_rest(params.operator, position_m))
 
 
 def pushed_across(params: Any, force_n: Pair) -> Any:
-    """Return parameters with a force of the hand [N] along x and y; a device of one axis feels none."""
+    """Return parameters with a force of the hand [N] along x and y; those of a device of one axis stay the same."""
     pushed = _PARTS[type(params)].pushed
     return params if pushed is None else pushed(params, force_n)
 
 
-# The parameters choose the step of their device, in plain Python and in compiled code.
+# Calls the step that is registered for the class of the parameters, in plain Python and in compiled code.
 plant_step = chosen_step(lambda kind: _PARTS[kind].step)
-# The parameters choose as well what says where the device is [m] and whether it gives no force for a reason of its own.
+# Calls the registered `place`: position of the device [m], and whether it gives no force for a reason of its own.
 place_of = chosen_step(lambda kind: _PARTS[kind].place)

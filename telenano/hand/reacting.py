@@ -1,16 +1,16 @@
-"""A hand that moves and waits: it presses, waits until the arm stands and the answer has come, and corrects.
+"""A simulated hand that moves and waits: it presses, waits until the arm stands still and the answer is in, corrects.
 
-A move changes its force by a share of the error between the force that it aims at and the one that it feels, at a
-limited rate and with a scatter. Then it waits: until the arm has stood still for a reaction time and for as long as
-the remote side takes to answer, which it has learnt. So do people whose remote tool answers late: W. R. Ferrell,
+A move changes the force of the hand by a share of the error between the force aimed at and the hand's own force, at a
+limited rate and with a scatter. Then the hand waits until the arm has stood still for a reaction time plus the answer
+time of the remote side, which the hand has learnt. People whose remote tool answers late do the same: W. R. Ferrell,
 IEEE Trans. Human Factors in Electronics 6, 24-32 (1965).
 
-Without scatter the error after n moves is (1 - gain)^n of the first, so that it makes
-n = ceil(ln(tolerance / target) / ln(1 - gain)) moves, and each but the first costs the answer once:
+Without scatter the error after n moves is (1 - gain)^n of the first, so that the hand makes
+n = ceil(ln(tolerance / target) / ln(1 - gain)) moves, each of which but the first costs the answer time once:
 
-    T(d) = T(0) + (n - 1) d,   d the time of the answer, the round trip of the link,
+    T(d) = T(0) + (n - 1) d,   d the answer time, the round trip of the link,
 
-besides what the delay changes in the settling of the law itself.
+not counting the effect of the delay on the settling of the law itself.
 """
 
 import math
@@ -27,10 +27,10 @@ from telenano.numerics.compiler import compiled
 class ReactingParams(NamedTuple):
     """Constants of the hand.
 
-    times_s, values: corners of the force that it aims at [N]. reaction_time_s, answer_s: what it waits for after a
-    move, while the arm is slower than still_m_per_s. gain: share of the error that a move corrects; noise: scatter of
-    that share, whose draws are `errors`, of unit variance, shape (n,). tolerance_n: error that it leaves. rate_n_per_s:
-    how fast its force changes.
+    times_s [s], values [N]: corners of the force that it aims at. reaction_time_s, answer_s: their sum is the wait
+    after a move, which counts while the arm is slower than still_m_per_s. gain: share of the error that a move
+    corrects; noise: scatter of that share, whose draws are `errors`, of unit variance, shape (n,). tolerance_n: error
+    that it leaves uncorrected. rate_n_per_s: rate at which its force changes.
     """
 
     times_s: NDArray[np.float64]
@@ -47,7 +47,7 @@ class ReactingParams(NamedTuple):
 
 
 class ReactingState(NamedTuple):
-    """Its force now and after its move [N], how long the arm has stood since [s], and how many moves it has made."""
+    """Force now and after the move [N], time for which the arm has stood still since [s], and number of moves made."""
 
     force_n: float
     goal_n: float
@@ -56,7 +56,7 @@ class ReactingState(NamedTuple):
 
 
 def at_rest(params: ReactingParams, position_m: float) -> ReactingState:
-    """Return the hand before its first move, wherever the arm is."""
+    """Return the state of the hand before its first move, which does not depend on the arm."""
     return ReactingState(0.0, 0.0, 0.0, 0)
 
 
@@ -64,7 +64,7 @@ def at_rest(params: ReactingParams, position_m: float) -> ReactingState:
 def step(
     params: ReactingParams, state: ReactingState, inputs: OperatorInputs, dt: float
 ) -> tuple[ReactingState, OperatorOutputs]:
-    """Return the force of the hand at the end of a period dt [s], > 0; before the session starts there is none."""
+    """Return the force of the hand at the end of a period dt [s], > 0; zero before the session starts."""
     if inputs.session_time_s < 0.0:
         return ReactingState(0.0, 0.0, 0.0, 0), OperatorOutputs(0.0, False)
     most = params.rate_n_per_s * dt
@@ -73,7 +73,7 @@ def step(
     way = abs(inputs.end_position_m - inputs.start_position_m)
     if force != goal_n or way > params.still_m_per_s * dt:
         waited_s = 0.0
-    # nothing answers to a hand that has not moved yet
+    # Before its first move the hand waits for no answer.
     wait_s = params.reaction_time_s + (params.answer_s if moves > 0 else 0.0)
     if waited_s >= wait_s:
         error = interpolate(params.times_s, params.values, inputs.session_time_s, params.values[0]) - force

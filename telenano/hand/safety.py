@@ -1,14 +1,15 @@
-"""What stands between any command and any haptic driver: deadline, limits, latched e-stop.
+"""The guard between any command and any haptic driver: deadline, limits, latched e-stop.
 
-The guard decides from the command, its age and the present position alone, so that it is the same for the simulated
-device and for a real one. It never trusts the controller: what it lets through is what the driver gets.
+The guard decides from the command, its age and the present position alone, so that it is the same for a simulated and
+a real device. It never trusts the controller: the driver gets only commands that have passed the guard.
 
-No jump at the hand: whenever position control begins (at start, after a lost link, after an e-stop) the applied
-reference starts at the present position and moves towards the commanded one at no more than the speed limit. So
-control comes back by itself as soon as commands are fresh, and no distance is too great for that.
+The hand feels no jump: whenever position control begins (at start, after a lost link, after an e-stop), the applied
+reference starts at the present position and moves towards the commanded one, at most at the speed limit. So control
+resumes by itself as soon as commands are fresh, over any distance.
 
-Arming is for the tip: it follows only a hand that a person has armed since its start and since its last emergency stop
-(`telenano.afm.safety`). The motor of a hand that was never armed is off because nothing follows it.
+Arming concerns the tip: it follows only a hand that a person has armed since the start of the hand's node and since its
+last emergency stop (`telenano.afm.safety`). The motor of a hand that was never armed is off for another reason: nothing
+follows it.
 """
 
 import math
@@ -48,7 +49,7 @@ class SafetyParams(NamedTuple):
 
 
 class SafetyState(NamedTuple):
-    """What the guard remembers: the latch, the mode it applied last and the reference it let through.
+    """State of the guard: latch of the e-stop, mode and position reference that it applied last [m].
 
     armed: a person has armed the hand since its start, and no emergency stop has come since.
     """
@@ -62,8 +63,8 @@ class SafetyState(NamedTuple):
 class SafetyInputs(NamedTuple):
     """The newest command, its age (infinite if there never was one), stop and arm requests, measured position.
 
-    device_lost: position_m is not where the arm is now, and nothing drives it. device_waits: the coupling of an
-    impedance device gives no force, as until the hand has been at rest.
+    device_lost: position_m is not the present position of the arm, and nothing drives it. device_waits: the coupling of
+    an impedance device gives no force, for example until the hand has been at rest.
     """
 
     command_mode: int
@@ -78,9 +79,9 @@ class SafetyInputs(NamedTuple):
 
 
 class SafetyOutputs(NamedTuple):
-    """Command to the driver. A reference that the mode does not use is the present position, or zero force.
+    """The command to the driver. A reference that the mode does not use is the present position, or zero force.
 
-    armed: the hand is armed and there, so that a tip may follow it.
+    armed: the hand is armed and its device not lost, so that a tip may follow it.
     """
 
     mode: int
@@ -93,14 +94,14 @@ class SafetyOutputs(NamedTuple):
 
 @compiled
 def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
-    """Return the reason to be off whatever the command is, or REASON_NONE."""
+    """Return the reason why the device must be off instead of in the commanded mode, or REASON_NONE."""
     if latched:
         return REASON_ESTOP
     if inputs.device_lost:
         return REASON_DEVICE_LOST
     if inputs.device_waits:
         return REASON_DEVICE_WAITS
-    # Written so that an age that is not a number counts as stale.
+    # The comparison is written so that an age that is NaN counts as stale.
     if not inputs.command_age_s <= params.command_deadline_s:
         return REASON_COMMAND_STALE
     if inputs.command_mode == MODE_POSITION:
@@ -123,7 +124,7 @@ def _limited_position(params: SafetyParams, start: float, wanted: float, dt: flo
     reach = params.max_speed_m_per_s * dt
     if abs(target - start) > reach:
         target = start + math.copysign(reach, target - start)
-        # The travel limit is the lasting cause: it stays named while the reference is still moving there.
+        # The travel limit is the lasting cause: report it even while the reference is still moving there.
         reason = REASON_SPEED_LIMIT if reason == REASON_NONE else reason
     return target, reason
 
@@ -132,10 +133,10 @@ def _limited_position(params: SafetyParams, start: float, wanted: float, dt: flo
 def step(
     params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float
 ) -> tuple[SafetyState, SafetyOutputs]:
-    """Guard one command over a period dt [s]; see the module's text for the rules and REASONS for the answers.
+    """Guard one command over a period dt [s]; the module gives the rules, and REASONS the reasons in the outputs.
 
-    An e-stop wins over an arm in the same step. A command exactly at the deadline is still good, and so is a reference
-    exactly at a limit.
+    An e-stop takes precedence over arming in the same step. A command exactly at the deadline is still fresh, and a
+    reference exactly at a limit still allowed.
     """
     latched = inputs.estop or (state.estop_latched and not inputs.arm_requested)
     armed = not latched and (state.armed or inputs.arm_requested)

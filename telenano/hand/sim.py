@@ -1,6 +1,6 @@
-"""The simulated haptic devices, each with the hand on it, behind the driver protocol.
+"""The driver of the simulated haptic devices, each with the hand on it.
 
-They have no socket and no clock: time is passed in.
+It has no socket and no clock: the caller passes the time.
 """
 
 from typing import Any, cast
@@ -27,10 +27,11 @@ _OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 
 
 def capabilities(params: PlantParams) -> Capabilities:
-    """Return what the simulated device declares, from its own constants.
+    """Return the capabilities that the simulated device declares, from its own constants.
 
-    The largest force is what the hand's sensor measures, or what the motor can hold beyond its friction if that is
-    less. The physical damping at the arm is the motor's own, K_t K_e / (R Kp^2) with K_t = K_e = 1/Km.
+    The largest force is the limit of the hand's sensor, or the force that the motor can hold beyond its friction if
+    that is smaller. The physical damping b at the arm is that of the motor, K_t K_e / (R Kp^2) with K_t = K_e = 1/Km;
+    the largest stiffness is 2 b / T for samples every T = 1 ms.
     """
     motor = params.motor
     held = (motor.torque_limit_n_m - motor.friction_torque_n_m) / motor.screw_m_per_rad
@@ -47,7 +48,7 @@ def capabilities(params: PlantParams) -> Capabilities:
 
 
 class HandleState(msgspec.Struct, array_like=True):
-    """The state of the device and of the hand on it; the command in force; what disturbs it, None for nothing ever."""
+    """State of device and hand; the command in force; the disturbances, None for a device that cannot have any."""
 
     plant: Any
     command: DriveCommand = _OFF
@@ -60,12 +61,12 @@ class SimulatedHaptic:
     def __init__(
         self, params: Any, start_position_m: float, declared: Capabilities | None = None, about: str = ""
     ) -> None:
-        """Put device and hand at a place.
+        """Put device and hand at a position.
 
         Args:
-            params: The constants, of a class that `part.HandPart.register` knows.
-            start_position_m: Where the arm is [m].
-            declared: What it declares; None for the device of the paper, which declares what its constants give.
+            params: The constants, of a class registered with `part.HandPart.register`.
+            start_position_m: The position of the arm [m].
+            declared: The capabilities; None computes those of the device of the paper from its constants.
             about: A sentence that the node reports at its start.
         """
         self._params, self.about = params, about
@@ -82,9 +83,9 @@ class SimulatedHaptic:
         return None
 
     def open(self) -> None:
-        """Start in the safe state, where the arm was left."""
+        """Start in the safe state, with the arm where it was left."""
         self.state.command = _OFF
-        # Compile (or load) the models now and drop the result: the first reading of a loop is not to wait for it.
+        # Compile (or load) the models now and drop the result, so that the first reading of a loop need not wait.
         plant_step(self._params, self.state.plant, self.state.command, -SAMPLE_TIME_S, SAMPLE_TIME_S)
         self._opened = True
 
@@ -103,7 +104,7 @@ class SimulatedHaptic:
         self.state.command = command
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Advance by dt_s under the last command and sample.
+        """Advance by dt_s [s] under the last command, and return the reading at the end.
 
         Raises:
             DeviceError: The device is closed.
@@ -116,22 +117,22 @@ class SimulatedHaptic:
         return cast(DeviceReading, reading)
 
     def push(self, force_n: float) -> None:
-        """Hold a force of the hand from now on [N], towards the sample, in the place of the profile."""
+        """Replace the profile of the hand by a constant force [N], positive towards the sample."""
         values = np.array([force_n])
         self._params = self._params._replace(operator=self._params.operator._replace(values=values))
 
     def push_lateral(self, force_n: Pair) -> None:
-        """Hold a force of the hand [N] along x and y of the master frame; a device of one axis feels none."""
+        """Hold a force of the hand [N] along x and y of the master frame; a device of one axis ignores it."""
         self._params = pushed_across(self._params, force_n)
 
     def take_operator(self, params: Any) -> None:
-        """Put another hand, at rest, on the device; params are those of one of the models of the operator."""
+        """Put another hand, at rest, on the device; `params` belong to one of the models of the operator."""
         self._params = self._params._replace(operator=params)
         position_m = place_of(self._params, self.state.plant)[0]
         self.state.plant = self.state.plant._replace(operator=operator_at_rest(params, position_m))
 
     def make_safe(self) -> None:
-        """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""
+        """Set the drive voltage to zero: the shorted motor brakes, and the screw, not back-drivable, stands still."""
         self.state.command = _OFF
 
     def _require_open(self) -> None:

@@ -1,7 +1,7 @@
 """The haptic site in one step: guard, then device, then hand.
 
-`plant_step` is what the simulated driver runs behind the node's own guard; `step` is the whole chain for lockstep
-studies. Both are the same functions, so a study and a rig cannot differ.
+The simulated driver runs `plant_step` behind the node's own guard; `step` is the whole chain for lockstep studies.
+Both use the same functions, so a study and a rig cannot differ.
 """
 
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ class PlantParams(NamedTuple):
     """Constants of the simulated device and of the hand on it."""
 
     motor: motor.MotorParams
-    # The parameters are those of one of the models of `operator_models`.
+    # Parameters of one of the models of `operator_models`.
     operator: Any
 
 
@@ -33,10 +33,10 @@ class PlantState(NamedTuple):
 
 
 class DisturbedPlantParams(NamedTuple):
-    """A simulated device and what disturbs it for a whole run.
+    """A simulated device, and its disturbances for a whole run.
 
-    forces_n: added to each sample of the run [N]; wander_n: added to each sample from the start of the session on [N];
-    resolution_m: a step of the encoder [m], 0 for none.
+    forces_n: force added to each sample of the run [N]; wander_n: force added to each sample from the start of the
+    session on [N]; resolution_m: step of the encoder [m], 0 for none.
     """
 
     plant: Any
@@ -51,7 +51,7 @@ class DisturbedPlantParams(NamedTuple):
 
 
 class DisturbedPlantState(NamedTuple):
-    """State of the device that is disturbed, the position last read [m], and how many samples were taken."""
+    """State of the disturbed device, the position last read [m], and the number of samples taken."""
 
     plant: Any
     position_m: float
@@ -89,14 +89,14 @@ class HapticInputs(NamedTuple):
 
 
 class HapticOutputs(NamedTuple):
-    """What the guard applied and why, and what the device then measured and really sent."""
+    """The command that the guard applied with its reason, and the reading of the device after it."""
 
     applied: safety.SafetyOutputs
     reading: DeviceReading
 
 
 def initial_state(params: Any, position_m: float) -> HapticStepState:
-    """Return the chain at rest at position_m [m], off, not latched."""
+    """Return the state of the chain at rest at position_m [m], off, without a latched e-stop."""
     return HapticStepState(safety.SafetyState(False, MODE_OFF, position_m), initial_plant(params, position_m))
 
 
@@ -141,9 +141,9 @@ def _motor_place(params: PlantParams, state: PlantState) -> tuple[float, bool]:
 def disturbed_reading(
     reading: DeviceReading, resolution_m: float, before_m: float, force_n: float, dt: float
 ) -> DeviceReading:
-    """Return a reading with the encoder's steps [m], 0 for none, and a force [N] besides that of the hand's script.
+    """Return a reading rounded to the encoder's steps [m], 0 for none, with a force [N] added to that of the hand.
 
-    before_m: the position of the reading before it [m], a time dt [s] ago.
+    before_m: position of the previous reading [m], dt [s] ago, from which the velocity is computed.
     """
     position, velocity = reading.position_m, reading.velocity_m_per_s
     if resolution_m > 0.0:

@@ -1,1 +1,1 @@
-"""Bridges of telenano to other programs: live to Foxglove, LSL and ROS 2, and recordings as files of theirs."""
+"""Bridges of telenano to other programs: live data to Foxglove, LSL and ROS 2, and recordings in their file formats."""

@@ -1,4 +1,4 @@
-"""The commands of this distribution, which telenano lists without importing what they need."""
+"""The commands of this distribution, which telenano lists without importing their modules."""
 
 COMMANDS = {
     "bridge foxglove": ("telenano_bridges.foxglove:foxglove", "Serve every topic to Foxglove and Lichtblick."),

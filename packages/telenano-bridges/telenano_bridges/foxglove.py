@@ -1,4 +1,4 @@
-"""A running rig for Foxglove and Lichtblick: every topic with its schema, over their web socket."""
+"""Serves a running rig to Foxglove and Lichtblick: every topic with its schema, over their web socket."""
 
 import asyncio
 import contextlib
@@ -22,31 +22,31 @@ from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import TOPICS, RecordingError
 
 DEFAULT_PORT = 8765
-# These topics are rarely plotted, and cost as much as everything else.
+# Topics that are not sent: they are rarely plotted, and cost as much as all others together.
 LEFT_OUT = ("node/journal", "link/fates")
-# The protocols of the SDK and of the viewers before it; what is sent here is the same for both.
+# The protocols of the SDK and of older viewers; the messages sent here are the same in both.
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-# The head of a frame with a message: its opcode, its subscription and its time [ns].
+# The head of a frame with a message: opcode, subscription and time [ns].
 _MESSAGE = struct.Struct("<BIQ")
 # The opcode of a message.
 _MESSAGE_DATA = 1
-# The level of a status message that reports an error.
+# The level of an error in a status message.
 _ERROR = 2
-# At most this number of viewers are connected.
+# The largest number of viewers.
 _MOST_VIEWERS = 16
-# At most this number of frames wait for a viewer; the oldest go.
+# The largest number of frames that wait for a viewer; the oldest are dropped.
 _MOST_QUEUED = 1024
 
 
 class Outlet(Protocol):
-    """Where the messages of a channel go."""
+    """The outlet of a channel, to which its messages are sent."""
 
     def log(self, msg: bytes, *, log_time: int) -> None:
-        """Send a message of a time [ns]."""
+        """Send an encoded message with its time [ns]."""
 
 
 class _Channel:
-    """A channel that viewers may subscribe to; messages are handed over to the thread of the server."""
+    """A channel that viewers may subscribe to; it passes messages to the thread of the server."""
 
     def __init__(self, server: "FoxgloveServer", about: dict[str, Any]) -> None:
         self.about = about
@@ -57,10 +57,10 @@ class _Channel:
 
 
 class _Viewer:
-    """A viewer that is connected: what it subscribed to, and what waits to be sent to it."""
+    """A connected viewer: its subscriptions, and the queue of messages to it."""
 
     def __init__(self) -> None:
-        # channel by the number that the viewer gave its subscription
+        # The channel of each subscription, by the number that the viewer has given it.
         self.subscriptions: dict[int, int] = {}
         self._ready = asyncio.Event()
         self._texts: deque[str] = deque()
@@ -68,12 +68,12 @@ class _Viewer:
         self._frames: deque[bytes] = deque(maxlen=_MOST_QUEUED)
 
     def tell(self, **fields: Any) -> None:
-        """Queue a message of the server itself, which is never left out."""
+        """Queue a message of the server itself, which is never dropped."""
         self._texts.append(json.dumps(fields, separators=(",", ":")))
         self._ready.set()
 
     def offer(self, channel: int, log_ns: int, payload: bytes) -> None:
-        """Queue a message for each subscription to its channel."""
+        """Queue a message of a channel for each subscription to it."""
         for subscription, wanted in self.subscriptions.items():
             if wanted == channel:
                 self._frames.append(_MESSAGE.pack(_MESSAGE_DATA, subscription, log_ns) + payload)
@@ -89,24 +89,24 @@ class _Viewer:
 class FoxgloveServer:
     """A server of the protocol foxglove.sdk.v1: one channel for each topic and source, as JSON with a schema.
 
-    The server of the foxglove-sdk admits every client, from a page of any site. This one has the rules
-    of the page of the view (`TokenSocket`): address, host name, origin and a token.
+    The server of the foxglove-sdk would admit every client, even a page of any web site. This one applies the rules of
+    the page of the view (`TokenSocket`): address, host name, origin and a token.
     """
 
     def __init__(self, config: ViewConfig, token: str = "", origins: Sequence[str] = ()) -> None:
-        """Begin to serve in a thread of its own; TelenanoError when it cannot.
+        """Begin to serve in a thread of its own; raise TelenanoError if that is impossible.
 
         Args:
-            config: Where it is served, and to whom.
-            token: The token of its viewers; a new one without it.
+            config: The address to serve on, and the clients that may connect.
+            token: The token of the viewers; empty for a new one.
             origins: The origins of the pages that may be viewers.
         """
         self._session = secrets.token_hex(8)
         self._opened = 0
-        # these belong to the thread of the server
+        # Only the thread of the server uses these.
         self._channels: list[dict[str, Any]] = []
         self._viewers: set[_Viewer] = set()
-        # a copy that the thread of the messages reads: most of them were not asked for
+        # A copy for the thread of the messages, which drops the many messages that nobody has subscribed to.
         self._wanted: frozenset[int] = frozenset()
         self._socket = TokenSocket(
             config, self._serve, _PROTOCOLS, what="the bridge", token=token, origins=origins, most=_MOST_VIEWERS
@@ -114,7 +114,7 @@ class FoxgloveServer:
         self.port, self.address = self._socket.port, self._socket.address
 
     def open(self, name: str, schema_name: str, schema: bytes) -> Outlet:
-        """Return a new channel."""
+        """Open a channel, advertise it to the viewers, and return its outlet."""
         self._opened += 1
         about = {
             "id": self._opened,
@@ -128,7 +128,7 @@ class FoxgloveServer:
         return _Channel(self, about)
 
     def send(self, channel: int, log_ns: int, payload: bytes) -> None:
-        """Send a message to those that subscribed to its channel."""
+        """Send a message to the viewers that have subscribed to its channel."""
         if channel in self._wanted:
             self._socket.call(self._offer, channel, log_ns, payload)
 
@@ -165,7 +165,7 @@ class FoxgloveServer:
             await asyncio.gather(sending, return_exceptions=True)
 
     def _take(self, viewer: _Viewer, message: MutableMapping[str, Any]) -> None:
-        """Carry out what a viewer says; what it may not say is answered in words."""
+        """Carry out a request of a viewer; answer an invalid one with an error text."""
         if message["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(message.get("code", 1000))
         try:
@@ -202,14 +202,14 @@ async def _send_all(socket: WebSocket, viewer: _Viewer) -> None:
 
 
 class OpensOutlets(Protocol):
-    """What a bridge opens its channels at."""
+    """The server at which a bridge opens its channels."""
 
     def open(self, name: str, schema_name: str, schema: bytes) -> Outlet:
-        """Return a new channel."""
+        """Open a channel with a JSON schema, and return its outlet."""
 
 
 class Bridge:
-    """Hands messages on.
+    """Forwards the messages of a rig to a server.
 
     Channels are named topic@site/source, as `teleop/forward@slave/controller@master`: each is one line of a plot.
     """
@@ -220,12 +220,12 @@ class Bridge:
         self._outlets: dict[tuple[str, str], tuple[Outlet, Callable[[dict[str, Any]], bytes]]] = {}
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
-        """Hand on messages until there are no more."""
+        """Forward messages until there are no more."""
         for message in messages:
             self.take(message)
 
     def take(self, message: RecordedMessage) -> None:
-        """Hand on a message; what has no form is left out."""
+        """Forward a message; drop it if its topic is unknown or left out, or if it cannot be encoded."""
         if message.topic not in TOPICS or message.topic in LEFT_OUT:
             return
         key = message.channel_topic, message.src

@@ -1,8 +1,8 @@
-"""A running rig on the Lab Streaming Layer: states as streams, and events and trials as markers.
+"""Publishes a running rig on the Lab Streaming Layer (LSL): states as streams, events and trials as markers.
 
 Every sample has the time at which its node sent it, on LSL's clock of this machine. The two clocks are compared by a
-reading of one between two of the other; the narrowest of many such readings bounds the error, and both are in the
-description of each stream.
+reading of one between two readings of the other; the narrowest of many such pairs bounds the error. The description of
+each stream has the offset and its error.
 """
 
 import importlib
@@ -22,7 +22,7 @@ from telenano.wire import TOPICS, ConfigError, RecordingError
 
 DEFAULT_NAME = "telenano"
 _AXES = "xyz"
-# Fields of each stream; a vector has a channel for each axis.
+# The fields of each stream; a vector has a channel for each axis.
 STATES: Mapping[str, tuple[str, ...]] = {
     "haptic/state": ("position_m", "velocity_m_per_s", "operator_force_n", "motor_force_n", "session_s"),
     "afm/state": ("base_position_m", "tip_force_n", "deflection_m", "separation_m", "in_contact"),
@@ -31,27 +31,27 @@ _VECTORS = ("position_m", "velocity_m_per_s", "operator_force_n", "motor_force_n
 MARKERS = ("session/event", "experiment/trial", "experiment/answer")
 _JOURNAL = "node/journal"
 _READINGS = 200
-# The clocks are compared again after this time: they are two clocks on some systems, and may drift apart.
+# The clocks are compared again after this time, because on some systems they may drift apart.
 _AGAIN_NS = 10_000_000_000
 _NS = 1e-9
 
 
 class Comparison(NamedTuple):
-    """What LSL's clock is ahead of the monotonic clock of this machine, and how far that may be wrong [s]."""
+    """Offset of LSL's clock ahead of the monotonic clock of this machine, and the bound of its error [s]."""
 
     offset_s: float
     uncertainty_s: float
 
 
 class Sample(NamedTuple):
-    """What a stream of LSL is given: values of its channels, or one text, and the time on LSL's clock [s]."""
+    """A sample for a stream of LSL: values of its channels, or one text, and the time on LSL's clock [s]."""
 
     values: tuple[Any, ...]
     time_s: float
 
 
 class Stream(NamedTuple):
-    """The description of a stream: name, LSL's type of content, channels with units, and what is said of its time."""
+    """The description of a stream: name, LSL's type of content, source, channels with units, and facts on its time."""
 
     name: str
     kind: str
@@ -60,7 +60,7 @@ class Stream(NamedTuple):
     facts: Mapping[str, str]
 
 
-# opens a stream, and returns what sends a sample on it
+# Function that opens a stream, and returns the function that sends a sample on it.
 Opens = Callable[[Stream], Callable[[Sample], None]]
 
 
@@ -74,7 +74,7 @@ def compare_clocks(
     Args:
         lsl_clock: LSL's clock [s].
         monotonic_ns: The monotonic clock [ns].
-        readings: How often each is read.
+        readings: The number of comparisons.
     """
     best = Comparison(0.0, float("inf"))
     for _ in range(readings):
@@ -86,7 +86,7 @@ def compare_clocks(
 
 
 class LslBridge:
-    """Hands states and events of a rig on to LSL, each with the time of its sending on LSL's clock."""
+    """Forwards states and events of a rig to LSL, each with the time of its sending on LSL's clock."""
 
     def __init__(
         self,
@@ -97,17 +97,17 @@ class LslBridge:
         is_here: Callable[[str], bool] = lambda node: True,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Open the stream of the markers; those of the states are opened with their first message.
+        """Open the stream of the markers; the streams of the states are opened with their first message.
 
-        A recorder that looks for streams as it starts finds the markers then, however late the first of them is.
+        So a recorder that looks for streams when it starts finds the markers, however late the first of them is.
 
         Args:
-            open_stream: Opens a stream.
+            open_stream: The function that opens a stream.
             lsl_clock: LSL's clock [s].
-            epoch_offset_ns: What this process's clock is ahead of the monotonic one [ns]; messages of nodes without a
-                journal have the time of their reception by it.
-            name: What the names of the streams begin with.
-            is_here: Whether a node is on this machine; the clock of another machine is not known to this one.
+            epoch_offset_ns: The offset of this process's clock ahead of the monotonic one [ns]; it gives messages of
+                nodes without a journal the time of their reception.
+            name: The beginning of the names of the streams.
+            is_here: Function that returns whether a node is on this machine, which does not know the clock of another.
             monotonic_ns: The monotonic clock [ns].
         """
         self.sent = 0
@@ -115,19 +115,19 @@ class LslBridge:
         self._name, self._own_ns, self._is_here = name, epoch_offset_ns, is_here
         self.elsewhere: set[str] = set()
         self._streams: dict[tuple[str, str], Callable[[Sample], None]] = {}
-        # what the clock of each node is ahead of the monotonic clock, as its journal says
+        # The offset of each node's clock ahead of the monotonic clock [ns], from its journal.
         self._offsets_ns: dict[str, int] = {}
         self.clocks = compare_clocks(lsl_clock, monotonic_ns)
         self._compared_ns = monotonic_ns()
         self._send_marker = self._opened_markers()
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
-        """Hand on messages until there are no more; copies that crossed the link are left out."""
+        """Forward messages until there are no more; copies that crossed the link are left out."""
         for message in messages:
             self.take(message)
 
     def take(self, message: RecordedMessage) -> None:
-        """Hand on a message if it is one of a stream; what cannot be decoded is left out."""
+        """Forward a message if it belongs to a stream; drop it if it cannot be decoded."""
         if message.channel_topic != message.topic or message.topic not in (*STATES, *MARKERS, _JOURNAL):
             return
         try:
@@ -138,7 +138,7 @@ class LslBridge:
             elif message.topic in MARKERS:
                 self._mark(message)
             elif message.src in self._offsets_ns:
-                # A node's first journal comes within a fraction of a second; before it its clock is not known.
+                # Before a node's first journal, which comes within a fraction of a second, its clock is not known.
                 self._state(message)
         except (RecordingError, KeyError, TypeError, ValueError, IndexError, OverflowError):
             return
@@ -164,7 +164,7 @@ class LslBridge:
         self.sent += 1
 
     def _time_s(self, monotonic_ns: int) -> float:
-        """Return a time of the monotonic clock on LSL's clock."""
+        """Convert a time of the monotonic clock [ns] to LSL's clock [s]."""
         now_ns = self._monotonic_ns()
         if now_ns - self._compared_ns > _AGAIN_NS:
             self.clocks, self._compared_ns = compare_clocks(self._lsl_clock, self._monotonic_ns), now_ns
@@ -201,7 +201,7 @@ class LslBridge:
 
 
 def lsl_streams() -> tuple[Opens, Callable[[], float]]:
-    """Return what opens a stream of LSL, and LSL's clock.
+    """Return the function that opens a stream of LSL, and LSL's clock.
 
     Raises:
         ConfigError: pylsl is not installed, or the library liblsl that it needs is not found.
@@ -211,7 +211,7 @@ def lsl_streams() -> tuple[Opens, Callable[[], float]]:
     except ImportError as error:
         raise ConfigError("the bridge to LSL needs pylsl: pip install pylsl") from error
     except RuntimeError as error:
-        # pylsl says in several lines where it looked
+        # pylsl lists in further lines the places where it has looked.
         reason = str(error).partition("\n")[0].strip()
         raise ConfigError(
             f"pylsl does not find the library liblsl ({reason}): install it, or name its file in PYLSL_LIB"
@@ -248,7 +248,7 @@ def lsl_streams() -> tuple[Opens, Callable[[], float]]:
 
 
 def check_library() -> list[Finding]:
-    """Say whether pylsl finds liblsl on this machine."""
+    """Return the finding whether pylsl finds liblsl on this machine."""
     from telenano_bridges.lsl import lsl_streams
 
     try:

@@ -1,9 +1,9 @@
-"""Images and sessions as NeXus files, after the application definition NXafm (https://www.nexusformat.org).
+"""Writes images and sessions as NeXus files, after the application definition NXafm (https://www.nexusformat.org).
 
-NXafm knows rasters and force against distance over one point. A session of remote touch is the latter, with the hand
-beside it in groups NXdata of its own: names and units are those of the field, z is positive away from the sample in
-both. What NXafm demands and was not recorded, such as who sat there, reads `not recorded`. Scenario, site and
-versions are kept in `/entry/telenano`.
+NXafm describes rasters, and force against distance at one point. A session of remote touch is the latter, with the hand
+in groups NXdata of its own: names and units are those of the field, z is positive away from the sample in both. Data
+that NXafm requires but the recording lacks, such as the user, read `not recorded`. Scenario, site and versions are in
+`/entry/telenano`.
 """
 
 import json
@@ -22,7 +22,7 @@ from telenano.sections import AfmConfig
 from telenano.settings import LoadedScenario, validate
 from telenano.wire import AfmScanline, ConfigError, RecordingError
 
-# The version of the definitions that are followed.
+# The version of the NeXus definitions that the files follow.
 DEFINITION = "2026.01"
 _UNKNOWN = "not recorded"
 _CHANNELS = ("afm/state", "haptic/state", "afm/scanline")
@@ -37,7 +37,7 @@ class Field(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """A group NXdata: its title, the name of its signal, those of its axes (slowest first), and all fields by name."""
+    """A group NXdata: its title, the names of its signal and its axes (slowest first), and all fields by name."""
 
     title: str
     signal: str
@@ -46,7 +46,7 @@ class Plot(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """What is known of a measurement besides its values; times are ISO 8601, empty where they are not known.
+    """Metadata of a measurement; times are ISO 8601, empty if they are not known.
 
     raster: columns, rows, width and depth [m] of an image; ramp: points, lowest and highest base [m] of a session.
     """
@@ -65,7 +65,7 @@ class Facts(NamedTuple):
 
 
 def write_images(path: Path, images: Mapping[str, Image], about: ImageFacts) -> None:
-    """Write the channels of an image as a NeXus file."""
+    """Write the channels of an image, by name, as a NeXus file."""
     first = next(iter(images.values()))
     rows, columns_ = first.values.shape
     raster = (columns_, rows, first.width_m, first.depth_m)
@@ -75,10 +75,10 @@ def write_images(path: Path, images: Mapping[str, Image], about: ImageFacts) -> 
 
 
 def export_session(recording: Recording, target: Path, selection: Selection) -> CopyResult:
-    """Write tip, hand and images of a recording as a NeXus file, which has its name only when it is whole.
+    """Write tip, hand and images of a recording as a NeXus file, which gets its name only when it is complete.
 
     Raises:
-        RecordingError: The recording has nothing of a microscope that was asked for.
+        RecordingError: The selection has no channel of tip, hand or images.
         OSError: The file exists, or cannot be written.
     """
     wanted = {channel.channel_topic: channel.src for channel in recording.channels if selection(channel)}
@@ -115,7 +115,7 @@ def write(path: Path, facts: Facts, plots: Mapping[str, Plot]) -> None:
     with h5py.File(path, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry", "creator": "telenano"})
         entry = _group(file, "entry", "NXentry", title=facts.title, experiment_technique="AFM", scan_mode=facts.mode)
-        # readers know a group of the class NXdata by such a name
+        # Readers recognise a group of the class NXdata by this beginning of its name.
         entry.attrs["default"] = f"data_{next(iter(plots))}"
         entry["definition"] = "NXafm"
         entry["definition"].attrs["version"] = DEFINITION
@@ -176,13 +176,13 @@ def _group(parent: Any, label: str, kind: str, /, **fields: Any) -> Any:
 def _fields(group: Any, fields: Mapping[str, Any]) -> None:
     for name, value in fields.items():
         values, unit, about = value if isinstance(value, Field) else (value, "", "")
-        # a scalar cannot be compressed
+        # A scalar cannot be compressed.
         group.create_dataset(name, data=values, **({"compression": "gzip"} if np.ndim(values) else {}))
         group[name].attrs.update({key: text for key, text in (("units", unit), ("long_name", about)) if text})
 
 
 def _plot_of(image: Image) -> Plot:
-    """Return a channel of an image over the middles of its pixels, y rising with the row."""
+    """Return the plot of a channel of an image over the middles of its pixels; y rises with the row."""
     rows, pixels = image.values.shape
     across = (np.arange(pixels) + 0.5) * image.width_m / pixels
     along = (np.arange(rows) + 0.5) * image.depth_m / rows
@@ -195,7 +195,7 @@ def _plot_of(image: Image) -> Plot:
 
 
 def _origin_ns(recording: Recording) -> int:
-    """Return when the operator's force profile last began; the beginning of the recording where none ran."""
+    """Return the time at which the operator's force profile last began [ns]; without one, the recording's beginning."""
     if any(channel.channel_topic == "haptic/state" for channel in recording.channels):
         hand = recording.columns("haptic/state", ("session_s", "t_ns"))
         running = last_force_profile(hand["session_s"], hand["t_ns"])
@@ -206,7 +206,7 @@ def _origin_ns(recording: Recording) -> int:
 
 
 def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) -> Iterator[tuple[str, Plot]]:
-    """Yield tip, hand, and force against distance, on the clock of the session."""
+    """Yield the plots of tip, force against distance, and hand, on the clock of the session."""
     timeline = Timeline(recording)
 
     def read(channel: str, *names: str) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) ->
 
 
 def _images(recording: Recording) -> Iterator[LiveImage]:
-    """Yield the images of a recording that have a whole line."""
+    """Yield the images of a recording that have a complete line."""
     lines = (message.decode() for message in recording.messages(("afm/scanline",)))
     for image in _each_image(line for line in lines if isinstance(line, AfmScanline)):
         if image.finished:
@@ -253,7 +253,7 @@ def _images(recording: Recording) -> Iterator[LiveImage]:
 def _each_image(lines: Iterable[AfmScanline]) -> Iterator[LiveImage]:
     image = LiveImage()
     for line in lines:
-        # another image begins with its first line, there
+        # The first line, trace, begins another image.
         if line.line == 0 and line.direction == "trace" and image.trace_m.size:
             yield image
             image = LiveImage()
@@ -274,7 +274,7 @@ def _facts_of(recording: Recording, mode: str) -> Facts:
         scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
         afm = validate(AfmConfig, scenario.afm_node, str(recording.path), "afm_node")
     except (ConfigError, RecordingError):
-        # a recording without its scenario, or of a package that is not here, has its values all the same
+        # A recording without its scenario, or with one of a package that is not installed, still has its values.
         return facts._replace(notes=notes)
     lever = {
         "spring_constant": Field(afm.cantilever.stiffness_n_per_m, "N/m"),
@@ -285,7 +285,7 @@ def _facts_of(recording: Recording, mode: str) -> Facts:
         title=f"{scenario.name}: a session of remote touch",
         instrument=f"AFM, driver {afm.driver}",
         sample=sample,
-        # the lever of a real instrument stands in its own calibration
+        # The cantilever of a real instrument is in its own calibration.
         cantilever=lever if afm.driver == "simulated" else {},
         notes=notes,
     )

@@ -1,8 +1,8 @@
-"""Messages as protobuf, for viewers that decode it and not msgpack: descriptors made from the declared contract.
+"""Encodes messages as protobuf, for viewers that cannot decode msgpack; the declared contract gives the descriptors.
 
-Protobuf has no schema in the message, so each channel of the file carries the descriptor of its message, with the
+A protobuf message contains no schema, so each channel of the file has the descriptor of its message, with the
 descriptions of the contract (and so the units) as comments of the fields. Field numbers count the fields in the order
-of the contract; they hold within one file and are no contract of their own.
+of the contract; they are valid within one file only.
 """
 
 import base64
@@ -17,15 +17,15 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from telenano.recording import CopyResult, Recording, Selection, write_viewer_mcap
 
 _PACKAGE = "telenano"
-# "i8: time of the turn": elements of an array that are whole numbers
+# Beginning of the description of an array of whole numbers, such as "i8: time of the turn".
 _WHOLE_ELEMENTS = re.compile(r"(u1|i2|i4|i8): ")
 
 
 class ProtobufMessage:
     """The protobuf message of one model of the contract, made from its plain JSON Schema.
 
-    Numbers are double or int64, and optional, so that what is absent differs from 0; vectors and arrays are repeated
-    numbers, parts of a message are messages; maps, whose keys the contract does not fix, are text of JSON.
+    Numbers are double or int64, and optional, so that an absent number differs from 0; vectors and arrays are repeated
+    numbers, parts of a message are messages; maps, whose keys the contract does not fix, are JSON texts.
     """
 
     def __init__(self, name: str, schema: Mapping[str, Any]) -> None:
@@ -42,7 +42,7 @@ class ProtobufMessage:
         self._kind: Any = message_factory.GetMessageClass(pool.FindMessageTypeByName(self.name))
 
     def encode(self, fields: Mapping[str, Any]) -> bytes:
-        """Return a message, given as JSON values, in protobuf; a key that the contract does not have is left out.
+        """Return a message, given as JSON values, in protobuf; keys unknown to the contract are left out.
 
         Raises:
             TypeError: A value is not of the type of its field.
@@ -52,7 +52,7 @@ class ProtobufMessage:
         return data
 
     def _add_message(self, name: str, schema: Mapping[str, Any]) -> Callable[[Any], Any]:
-        """Declare a message; return the function that brings its JSON value into the form of its fields."""
+        """Declare a message; return the function that converts its JSON value to the values of its fields."""
         number, message = len(self._file.message_type), self._file.message_type.add(name=name)
         fits: dict[str, Callable[[Any], Any]] = {}
         for place, (key, part) in enumerate(schema["properties"].items()):
@@ -61,7 +61,7 @@ class ProtobufMessage:
             if field.label != field.LABEL_REPEATED:
                 field.label = field.LABEL_OPTIONAL
                 if field.type != field.TYPE_MESSAGE:
-                    # protobuf's form of an optional number: a choice of one
+                    # Protobuf expresses an optional number as a oneof with one member.
                     field.proto3_optional, field.oneof_index = True, len(message.oneof_decl)
                     message.oneof_decl.add(name=f"_{key}")
             if part.get("description"):
@@ -113,9 +113,9 @@ def _elements(value: Any) -> list[Any]:
 
 
 def export_protobuf(recording: Recording, target: Path, selection: Selection) -> CopyResult:
-    """Write the chosen channels of a recording as protobuf, each with the descriptor of its message.
+    """Write the selected channels of a recording as protobuf, each with the descriptor of its message.
 
-    A topic that this version does not know is text of JSON.
+    Messages of a topic unknown to this version become JSON texts.
 
     Raises:
         RecordingError: The target cannot be written.

@@ -1,4 +1,4 @@
-"""A running rig in ROS 2, without an installation of it: topics that `ros2 topic list` shows, over rmw_zenoh."""
+"""Publishes a running rig in ROS 2 over rmw_zenoh, as topics that `ros2 topic list` shows; ROS is not needed here."""
 
 import contextlib
 import dataclasses
@@ -25,11 +25,11 @@ from telenano.recording import (
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError, RecordingError
 
-# The types of messages, of the package geometry_msgs.
+# Message types of the package geometry_msgs.
 POSE = "PoseStamped"
 TWIST = "TwistStamped"
 WRENCH = "WrenchStamped"
-# The definitions of the messages that are used, as ROS 2 has had them since its first release.
+# The definitions of the messages used here, unchanged since the first release of ROS 2.
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -52,7 +52,7 @@ Fields = Mapping[str, Any]
 
 
 class Output(NamedTuple):
-    """A topic of ROS 2: its name, its message, and the vector of one of our messages, None where it has none."""
+    """A topic of ROS 2: its name, its message type, and the function from our fields to its vector, or None."""
 
     name: str
     kind: str
@@ -68,7 +68,7 @@ def _in_mode(mode: str, name: str) -> Callable[[Fields], Vector | None]:
 
 
 def _tip(fields: Fields) -> Vector:
-    """Return where the tip is: the deflection of the cantilever is away from the sample, as z is."""
+    """Return the position of the tip [m]; deflection and z both count away from the sample, so they add."""
     x, y, z = fields["base_position_m"]
     return x, y, z + fields["deflection_m"]
 
@@ -92,14 +92,14 @@ CRTK = {
     ),
     "afm/command": (Output("tip/servo_cp", POSE, _in_mode("position", "base_position_m")),),
 }
-# These are sent a few times a second, or when something happens.
+# Topics published as JSON texts: they come a few times a second, or on events.
 TEXTS = ("session/event", "session/control", "law/status", "link/status", "node/health")
 TOPICS_IN = (*CRTK, *TEXTS)
 _FRAMES = {"hand": "master", "tip": "afm"}
 
 
 class Ros2Message(NamedTuple):
-    """A message of ROS 2: topic without a leading /, type, and the object that has its fields."""
+    """A message of ROS 2: topic without a leading /, type, and the object with its fields."""
 
     topic: str
     kind: str
@@ -107,22 +107,22 @@ class Ros2Message(NamedTuple):
 
 
 class Encoder:
-    """Makes messages of ROS 2 from those of a rig."""
+    """Converts messages of a rig to messages of ROS 2."""
 
     def __init__(self) -> None:
-        """Load the definitions into the library that knows CDR."""
+        """Register the definitions with the library that encodes CDR."""
         self.store: Any = typesys.get_typestore(typesys.Stores.EMPTY)
         for name, text in _DEFINITIONS.items():
             self.store.register(typesys.get_types_from_msg(text, name))
 
     def messages(self, topic: str, name: str, t_ns: int, fields: Fields) -> Iterator[Ros2Message]:
-        """Return what a message of a rig is in ROS 2: of a state several messages, of most topics none.
+        """Yield the messages of ROS 2 for a message of a rig: several for a state, none for most topics.
 
         Args:
             topic: The topic of the message.
-            name: The topic that a text gets; of copies by the link it has the site.
-            t_ns: When it was sent [ns since the Unix epoch].
-            fields: Its fields, as JSON holds them.
+            name: The topic of a text; for copies by the link it contains the site.
+            t_ns: The time of sending [ns since the Unix epoch].
+            fields: The fields as JSON values.
         """
         if topic in TEXTS:
             text = json.dumps(fields, separators=(",", ":"))
@@ -133,11 +133,11 @@ class Encoder:
                 yield Ros2Message(output.name, kind, self._stamped(output, t_ns, vector))
 
     def cdr(self, message: Ros2Message) -> bytes:
-        """Return a message as bytes."""
+        """Return the bytes of a message in CDR."""
         return bytes(self.store.serialize_cdr(message.message, message.kind))
 
     def definition(self, kind: str) -> str:
-        """Return the definition of a message with those of its parts, as ros2msg has them."""
+        """Return the definition of a message type with those of its parts, in the format ros2msg."""
         parts, waiting = {kind: _DEFINITIONS[kind]}, [kind]
         while waiting:
             for line in parts[waiting.pop()].splitlines():
@@ -177,7 +177,7 @@ class Encoder:
 
 
 def definitions() -> Mapping[str, str]:
-    """Return the definition of each message, those of parts before those that have them."""
+    """Return the definitions of the messages by type, parts before the messages that contain them."""
     return _DEFINITIONS
 
 
@@ -191,28 +191,28 @@ _SDK = "zenoh_ros2_sdk"
 
 
 class Publisher(Protocol):
-    """What a topic is published by."""
+    """The publisher of a topic."""
 
     def publish(self, **fields: Any) -> None:
-        """Send a message of these fields."""
+        """Send a message with these fields."""
 
     def close(self) -> None:
-        """Take the topic out of the graph."""
+        """Remove the topic from the graph."""
 
 
-# topic with a leading /, type, definition and hash
+# Function that opens a topic; its arguments are topic with a leading /, type, definition and hash.
 Opens = Callable[[str, str, str, str], Publisher]
 
 
 class Ros2Bridge:
-    """Hands the messages of a rig on."""
+    """Forwards the messages of a rig to ROS 2."""
 
     def __init__(self, open_publisher: Opens, namespace: str = "") -> None:
-        """Prepare a bridge without topics: each is opened with its first message.
+        """Prepare a bridge without topics: each topic is opened with its first message.
 
         Args:
-            open_publisher: Opens a topic.
-            namespace: What stands before the names of the topics.
+            open_publisher: The function that opens a topic.
+            namespace: The prefix of the names of the topics.
         """
         self.sent = 0
         self._encoder = Encoder()
@@ -221,13 +221,13 @@ class Ros2Bridge:
         self._publishers: dict[str, Publisher] = {}
 
     def run(self, messages: Iterable[RecordedMessage]) -> None:
-        """Publish messages until there are no more; what cannot be decoded is left out."""
+        """Publish messages until there are no more; messages that cannot be decoded are left out."""
         for message in messages:
             if message.topic in TOPICS_IN and message.channel_topic == message.topic:
                 self._publish(message)
 
     def close(self) -> None:
-        """Take the topics out of the graph."""
+        """Remove the topics from the graph."""
         for publisher in self._publishers.values():
             publisher.close()
 
@@ -247,14 +247,14 @@ class Ros2Bridge:
 
 
 def zenoh_publishers(router: str, domain: int) -> Opens:
-    """Connect to a router of rmw_zenoh, and return what opens a topic there.
+    """Connect to a router of rmw_zenoh, and return the function that opens a topic there.
 
     Args:
         router: Its address, host:port. A router that does not answer yet is tried again.
         domain: The domain of ROS.
 
     Raises:
-        ConfigError: The address is none, or a package that is needed is not installed.
+        ConfigError: The address is not host:port, or a required package is not installed.
     """
     host, _, port = router.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
@@ -266,7 +266,7 @@ def zenoh_publishers(router: str, domain: int) -> Opens:
         package = (error.name or _SDK).partition(".")[0].replace("_", "-")
         raise ConfigError(f"the bridge to ROS 2 needs the package {package}: pip install {package}") from error
     logging.getLogger(_SDK).setLevel(logging.WARNING)
-    # The library would fetch definitions that it does not know from the network.
+    # The library would fetch unknown definitions from the network, so they are registered here.
     for kind, text in definitions().items():
         session.register_message_type(text, kind)
 
@@ -293,22 +293,22 @@ def is_connected() -> bool:
 
 
 def close_session() -> None:
-    """Close the connection to the router, if there is one; the library keeps one for the process."""
+    """Close the connection to the router, if any; the library keeps one for the whole process."""
     kept = importlib.import_module(f"{_SDK}.session").ZenohSession
     if kept._instance is not None:
         kept._instance.close()
 
 
-# Profile and QoS are as `ros2 bag record` writes them: without them `ros2 bag play` takes its default.
+# Profile and QoS as `ros2 bag record` writes them; with an empty QoS `ros2 bag play` uses its default.
 _PROFILE = "ros2"
 _QOS = (("offered_qos_profiles", ""),)
 
 
 def export_ros2(recording: Recording, target: Path, selection: Selection) -> CopyResult:
-    """Write the chosen channels of a recording as topics of ROS 2, each message with the time of its sending.
+    """Write the selected channels of a recording as topics of ROS 2, each message with the time of its sending.
 
-    Of a topic that the link carries the first copy is taken, so that a state is one message; what has no counterpart
-    (`telenano_bridges.ros2`) is left out.
+    For a topic that the link copies, only the original is written, so that each state is there once. Topics without a
+    counterpart in ROS 2 (see `CRTK` and `TEXTS`) are left out.
 
     Raises:
         RecordingError: The target cannot be written.

@@ -1,4 +1,4 @@
-"""Tables of a recording of any length, written batch by batch in bounded memory."""
+"""Writes a recording of any length as tables (CSV, HDF5, Parquet), batch by batch in bounded memory."""
 
 import csv
 import gc
@@ -18,10 +18,10 @@ from telenano.files import atomic_file, whole_folder
 from telenano.recording import CopyResult, RecordedMessage, Recording, Selection, columns_of, quantity
 from telenano.wire import RecordingError
 
-# The rows of a channel are written when there are this many, or this number of bytes of them.
+# The rows of a channel are written when there are this many of them, or this many bytes.
 _MOST_ROWS = 2048
 _MOST_BYTES = 4 << 20
-# Rows of all channels together wait to be written up to this size [bytes].
+# The largest size of the waiting rows of all channels together [bytes].
 _MOST_WAITING = 4 << 20
 
 _NONE = {type(None)}
@@ -30,12 +30,12 @@ Columns = dict[str, list[Any]]
 # The types of the values of each column.
 Kinds = dict[str, set[type]]
 Write = Callable[[Columns], None]
-# open the table of a channel, with the columns that it has
+# Function that opens the table of a channel, given its name and columns, and returns the function that writes rows.
 OpenTable = Callable[[str, Kinds], Write]
 
 
 class Tables(NamedTuple):
-    """What was written: the columns of each channel, the number of messages, and what could not be read, in words."""
+    """The tables written: columns of each channel, number of messages, and texts about the unreadable parts."""
 
     columns: dict[str, Kinds]
     messages: int
@@ -43,7 +43,7 @@ class Tables(NamedTuple):
 
 
 def copied(target: Path, recording: Recording, tables: Tables) -> CopyResult:
-    """Return what `telenano bag export` prints of the tables of a recording."""
+    """Return the result of an export as `telenano bag export` prints it."""
     skipped = (*map(str, recording.structural_damage), *tables.damage)
     return CopyResult(path=str(target), messages=tables.messages, skipped=skipped)
 
@@ -54,26 +54,27 @@ def file_stem(name: str) -> str:
 
 
 def topic_of(name: str) -> str:
-    """Return the topic of a channel, whose name may have the site of its reception after an `@`."""
+    """Return the topic of a channel; the name of a channel may end with `@` and the site that received it."""
     return name.partition("@")[0]
 
 
 def write_tables(
     recording: Recording, wanted: Selection, begin: Callable[[], AbstractContextManager[OpenTable]], target: Path
 ) -> Tables:
-    """Write a table for each channel; return the columns of each, the number of messages, and what cannot be read.
+    """Write a table for each channel, and return a report on them.
 
     A table needs the types of all its columns before its first row. They are taken from the first batch of a channel;
-    where a later one has others, the recording is read to its end for them, and is then written from its beginning.
+    if a later batch has other types, the recording is read to its end for all types, and then written again from its
+    beginning.
 
     Args:
         recording: The recording.
-        wanted: Which channels are written.
-        begin: Called before the first row, and for the second time where the tables are written again.
-        target: The file or folder that is named in errors.
+        wanted: The selection of the channels to write.
+        begin: The function that begins the output, called again if the tables are written again.
+        target: The file or folder, for errors.
 
     Raises:
-        RecordingError: A number of a stranger's file is larger than the format holds.
+        RecordingError: A value does not fit into the format.
     """
     kinds: dict[str, Kinds] = {}
     try:
@@ -88,7 +89,7 @@ def write_tables(
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Suspend the garbage collector, which goes through each batch again and again and finds no cycle in it."""
+    """Suspend the garbage collector, which would scan each batch repeatedly without finding any cycle in it."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -104,7 +105,11 @@ def _write_once(
     begin: Callable[[], AbstractContextManager[OpenTable]],
     kinds: dict[str, Kinds],
 ) -> tuple[int, list[str], bool]:
-    """Write the tables, or only note the types once one is met that a table was not opened with."""
+    """Write the tables; from the first type with which a table was not opened, only collect the types.
+
+    Returns:
+        The number of messages, texts about the unreadable parts, and whether the tables have to be written again.
+    """
     damage: list[str] = []
     tables: dict[str, Write] = {}
     total, widened = 0, False
@@ -129,7 +134,7 @@ def _write_once(
 
 
 def kind_of(types: set[type]) -> type:
-    """Return the type of a column whose values are made uniform: of its only kind, float, or text of JSON."""
+    """Return the uniform type of a column with values of these types: the only one, float, or str for JSON texts."""
     kinds = types - {type(None)}
     if len(kinds) > 1:
         return float if kinds <= {int, float} else str
@@ -137,7 +142,7 @@ def kind_of(types: set[type]) -> type:
 
 
 def _add_kinds(kinds: Kinds, batch: Kinds) -> bool:
-    """Add the types in a batch to those that are known; return whether one of them is new."""
+    """Add the types in a batch to the known ones, in place; return whether one of them is new."""
     is_new = False
     for column in {**kinds, **batch}:
         types = batch.get(column, _NONE)
@@ -149,7 +154,7 @@ def _add_kinds(kinds: Kinds, batch: Kinds) -> bool:
 
 
 def _batches(recording: Recording, wanted: Selection, damage: list[str]) -> Iterator[tuple[str, list[RecordedMessage]]]:
-    """Yield channel names and messages: each channel in its order, and no more at once than the memory is to hold."""
+    """Yield batches as channel name and messages: each channel in its order, with a bounded size of all that wait."""
     waiting: dict[str, list[RecordedMessage]] = {}
     sizes: dict[str, int] = {}
     together = 0
@@ -172,7 +177,7 @@ def export_csv(recording: Recording, target: Path, selection: Selection) -> Copy
     """Write a folder with a file for each channel, `columns.csv`, `metadata.json` and the attachments.
 
     Raises:
-        RecordingError: A value is beyond what a table holds.
+        RecordingError: A value does not fit into a table.
         OSError: The folder exists, or cannot be written.
     """
     with whole_folder(target) as folder:
@@ -184,7 +189,7 @@ def export_csv(recording: Recording, target: Path, selection: Selection) -> Copy
 
 @contextmanager
 def _csv_tables(folder: Path) -> Iterator[OpenTable]:
-    """Write a file for each channel into a folder."""
+    """Yield the function that opens a CSV file for a channel in a folder."""
     with ExitStack() as files:
 
         def open_table(name: str, kinds: Kinds) -> Write:
@@ -198,7 +203,7 @@ def _csv_tables(folder: Path) -> Iterator[OpenTable]:
 
 
 def _write_rows(writer: Any, columns: Columns) -> None:
-    # float repr has all digits
+    # The csv module writes a float with all its digits.
     writer.writerows(zip(*columns.values(), strict=True))
 
 
@@ -211,11 +216,11 @@ def _write_descriptions(folder: Path, tables: Mapping[str, Kinds]) -> None:
 
 
 def _write_origin(folder: Path, recording: Recording) -> None:
-    """Write where tables of text are from: scenario, site file and what else is attached, and `metadata.json`."""
+    """Write the origin of the tables: `metadata.json`, and the attachments, such as scenario and site file."""
     text = json.dumps(recording.metadata, indent=2, ensure_ascii=False)
     (folder / "metadata.json").write_text(text + "\n", encoding="utf-8")
     for name, data in recording.attachments.items():
-        # a recording may come from anybody: no folder but this one
+        # A recording may come from a stranger, so its names must not lead out of this folder.
         path = folder / file_stem(name).replace("\\", "_").lstrip(".")
         if not path.exists():
             path.write_bytes(data)
@@ -225,7 +230,7 @@ def export_hdf5(recording: Recording, target: Path, selection: Selection) -> Cop
     """Write a file with a group for each channel, and the groups `metadata` and `attachments`.
 
     Raises:
-        RecordingError: A value is beyond what a dataset holds.
+        RecordingError: A value does not fit into a dataset.
         OSError: The file exists, or cannot be written.
     """
     with atomic_file(target, replace=False) as file:
@@ -235,7 +240,7 @@ def export_hdf5(recording: Recording, target: Path, selection: Selection) -> Cop
 
 @contextmanager
 def _hdf5_tables(recording: Recording, target: Path) -> Iterator[OpenTable]:
-    """Write a group for each channel into a file."""
+    """Write metadata and attachments into a file; yield the function that opens the group of a channel there."""
     with h5py.File(target, "w") as file:
         for name, facts in recording.metadata.items():
             file.create_group(f"metadata/{name}").attrs.update(facts)
@@ -265,7 +270,7 @@ def _create_dataset(group: Any, name: str, types: set[type]) -> None:
     elif kind is list:
         options = {"dtype": h5py.vlen_dtype(np.float64)}
     elif type(None) in types:
-        # nan represents what is not there
+        # NaN stands for a missing value.
         options = {"dtype": np.float64}
     else:
         options = {"dtype": np.dtype(kind), "compression": "gzip", "shuffle": True}
@@ -285,20 +290,21 @@ def _append(dataset: Any, kind: type, values: list[Any]) -> None:
         dataset[before:] = np.array(array, dtype=dataset.dtype)
 
 
-# rows of a group, and of all channels what waits to become one [bytes]
+# Number of rows in a row group.
 _GROUP_ROWS = 1 << 16
+# The largest size of the rows of all channels that wait for a row group [bytes].
 _GROUP_WAITING = 16 << 20
-# row groups of a file times its columns: 4 MB for each channel, and more than an hour at 1 kHz
+# The largest number of row groups times columns of a file: 4 MB for each channel, and more than an hour at 1 kHz.
 _MOST_PARTS = 4096
 
 
 def export_parquet(recording: Recording, target: Path, selection: Selection) -> CopyResult:
     """Write a folder with a file for each channel, each with the recording's metadata and attachments.
 
-    The first file of a channel is `NAME.parquet`, and what comes after some five million rows is in `NAME.2.parquet`.
+    The first file of a channel is `NAME.parquet`; after some five million rows the next file is `NAME.2.parquet`.
 
     Raises:
-        RecordingError: A value is beyond what a column holds.
+        RecordingError: A value does not fit into a column.
         OSError: The folder exists, or cannot be written.
     """
     with whole_folder(target) as folder:
@@ -313,7 +319,7 @@ def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextMan
     types |= {list: arrow.list_(arrow.float64()), type(None): arrow.null()}
 
     def type_of(column: str, kind: type) -> Any:
-        # times are whole numbers that a float does not hold
+        # Times are whole numbers that a float cannot represent exactly.
         is_times = kind is list and column.endswith("_ns")
         return arrow.list_(arrow.int64()) if is_times else types[kind]
 
@@ -322,17 +328,17 @@ def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextMan
             arrow.field(column, type_of(column, kind_of(types)), metadata=quantity(topic, column)._asdict())
             for column, types in kinds.items()
         ]
-        # pandas gives what is under this name as the `attrs` of its table
+        # pandas reads the entry of this name as the `attrs` of its table.
         attrs = {"topic": topic, "units": {column: quantity(topic, column).unit for column in kinds}}
         return arrow.schema(fields, metadata={**origin, "PANDAS_ATTRS": json.dumps(attrs)})
 
     @contextmanager
     def tables(folder: Path) -> Iterator[OpenTable]:
-        # The files that were written before the types of all columns were known are written again.
+        # Files written before the types of all columns were known are written again.
         for path in folder.glob("*.parquet"):
             path.unlink()
         waiting: dict[str, _Table] = {}
-        # Arrow's own pool keeps what was freed, some 20 MB, and is no faster with columns of this size.
+        # Arrow's own pool keeps freed memory, some 20 MB, and is no faster with columns of this size.
         pool = arrow.default_memory_pool()
         arrow.set_memory_pool(arrow.system_memory_pool())
 
@@ -369,7 +375,7 @@ class _Table:
         self.size_bytes = 0
         self._stem = stem
         self._schema = schema
-        # a dictionary of numbers that differ takes three times as long, and more room
+        # Only texts are encoded by a dictionary: with different numbers that takes three times as long, and more room.
         self._texts = [field.name for field in schema if field.type == arrow.string()]
         self._waiting: list[Any] = []
         self._files = 0
@@ -384,7 +390,7 @@ class _Table:
         self.size_bytes += table.nbytes
 
     def write(self) -> None:
-        """Write what waits as a row group."""
+        """Write the waiting rows as a row group."""
         if not self._waiting:
             return
         if self._parts >= _MOST_PARTS:

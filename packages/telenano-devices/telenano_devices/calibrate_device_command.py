@@ -1,4 +1,4 @@
-"""`telenano device calibrate`: measure a handle at gauges and with masses, or a stage, step by step."""
+"""`telenano device calibrate`: measures a handle at gauges and with masses, or a stage, step by step."""
 
 from datetime import UTC, datetime
 from pathlib import Path

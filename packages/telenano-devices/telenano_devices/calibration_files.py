@@ -1,4 +1,4 @@
-"""Calibration files as commands write them."""
+"""Writes calibration files for commands."""
 
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +16,7 @@ WriteOption = Annotated[
 
 
 def write_document(path: Path, document: dict[str, object]) -> None:
-    """Write a calibration file; TelenanoError where it cannot be written."""
+    """Write a calibration file and print its path; raise TelenanoError if it cannot be written."""
     try:
         with atomic_file(path) as file:
             file.write_text(yaml.safe_dump(document, sort_keys=False))

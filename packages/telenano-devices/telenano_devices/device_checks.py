@@ -1,4 +1,4 @@
-"""What `telenano doctor` checks for this package."""
+"""The checks of this package for `telenano doctor`."""
 
 import socket
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ _PATIENCE_S = 0.3
 
 
 def check_devices(service: str = "", folders: Sequence[Path] | None = None) -> list[Finding]:
-    """Check what the drivers of devices that take a force need: Haply's service, and the libraries of two vendors.
+    """Check the requirements of the drivers of force devices: Haply's service, and the libraries of two vendors.
 
-    A user who has none of these devices lacks nothing, so that each is a finding without a level above ok.
+    All findings have the level ok, because a user without these devices lacks nothing.
 
     Args:
-        service: The address of the Inverse Service; empty for the one of the settings.
-        folders: Where to look for libraries instead of their own folders.
+        service: The address of the Inverse Service; empty for that of the settings.
+        folders: The folders in which to look for libraries, instead of the usual ones.
     """
     from telenano_devices.force_dimension import dhd
     from telenano_devices.haply.haply import INSTALL, SERVICE

@@ -1,4 +1,4 @@
-"""Straight lines through measured points, as a calibration needs them: scale, zero, standard error of the scale."""
+"""Straight lines through measured points, for calibrations: scale, zero, standard error of the scale."""
 
 import math
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from telenano.wire import TelenanoError
 
 Array = npt.NDArray[np.float64]
 
-# A point does not lie on a line when it is off by more than this share of the span of all points.
+# The largest distance of a point from the line, as a share of the span of all points.
 MOST_RESIDUAL = 0.02
 
 
 class CalibrationError(TelenanoError):
-    """Measured points from which no calibration follows; the text names the point."""
+    """No calibration follows from the measured points; the text names the point at fault."""
 
 
 class LineFit(NamedTuple):
@@ -33,13 +33,14 @@ def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values
     The standard error of the scale is that of the counts or of the scatter about the line, whichever is greater.
 
     Args:
-        what: What is measured, for the messages.
+        what: The measured quantity in words, for the messages.
         counts: The counts, two or more.
         errors: The standard errors of the counts.
         values: The values that the counts stand for.
 
     Raises:
-        CalibrationError: The counts do not differ, or a point is further off the line than 2 % of the span.
+        CalibrationError: There are fewer than two different values, the counts differ only within their noise, or a
+            point is further off the line than 2 % of the span.
     """
     number = len(counts)
     mean_value, mean_count = sum(values) / number, sum(counts) / number
@@ -65,16 +66,16 @@ def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values
 
 
 def mean_of(estimates: Sequence[float]) -> tuple[float, float]:
-    """Return the mean of some values and the standard error of the mean."""
+    """Return the mean of two or more values, and the standard error of the mean."""
     mean = math.fsum(estimates) / len(estimates)
     variance = math.fsum((value - mean) ** 2 for value in estimates) / (len(estimates) - 1)
     return mean, math.sqrt(variance / len(estimates))
 
 
 def regressed(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return slope, its standard error and the scatter about the line, of three or more points.
+    """Return the slope of a line through three or more points, its standard error, and the scatter about the line.
 
-    Where all points have the same x the slope is 0, and what is known of it nothing.
+    If all points have the same x, the slope is 0, and both errors are infinite.
     """
     x = x - x.mean()
     square = float((x * x).sum())

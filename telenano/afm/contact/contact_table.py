@@ -1,15 +1,15 @@
 """Error-bounded table of the Maugis-Dugdale force against indentation, for the innermost loop.
 
-The contact is tabulated in u = sqrt(delta - delta_start), delta_start being where it ends: force against u is smooth
-there, both at a fold (square root of delta) and at a = 0, and proportional to u^3 far inside. Near lambda = 0.938,
-where the fold enters the contact, the curve has structure at every small scale of u; so the cells are equal within an
-octave of u and halve from one octave to the next. The force is cubic Hermite between nodes whose value and slope come
-from the direct solution, the stiffness linear between its own nodes (near u = 0 the force has too few digits to
-differentiate). The lookup finds its cell from the binary exponent of u. The cohesive branch is closed form.
+The contact is tabulated in u = sqrt(delta - delta_start); delta_start is the indentation at which it ends. The force is
+smooth in u there, both at a fold (square root of delta) and at a = 0, and proportional to u^3 far inside. Near lambda =
+0.938, where the fold enters the contact, the curve has structure at every small scale of u; so the cells are equal
+within an octave of u and halve from one octave to the next. The force is cubic Hermite between nodes whose value and
+slope come from the direct solution; the stiffness is linear between its own nodes, because near u = 0 the force has too
+few digits to differentiate. The lookup finds its cell by the binary exponent of u. The cohesive branch is closed form.
 
-Beyond the range: below the end of the stable branch the force is zero (surfaces apart). Above the last tabulated
-indentation it continues along its tangent, which is continuous, monotone and softer than the contact; the last point
-lies beyond every force the device may meet (`build_contact_table`), so the force limit has long tripped there.
+Outside the table: below the end of the stable branch the force is zero (surfaces apart). Above the last tabulated
+indentation it continues along its tangent, which is continuous, monotone and softer than the contact. The last point
+lies beyond every force that the device may meet (`build_contact_table`), so the force limit trips long before it.
 """
 
 import math
@@ -93,7 +93,7 @@ def _hermite(table: ContactTable, x: float) -> tuple[float, float]:
     cells = nodes.shape[1] - 1
     mantissa, exponent = math.frexp(x)
     k = -exponent if x > 0.0 else _OCTAVES
-    if k < 0:  # a delta so close to the end of the table that u / span rounds to one
+    if k < 0:  # delta is so close to the end of the table that u / span rounds to one
         k, i, t = 0, cells - 1, 1.0
     elif k < _OCTAVES:
         place = (2.0 * mantissa - 1.0) * cells
@@ -101,7 +101,7 @@ def _hermite(table: ContactTable, x: float) -> tuple[float, float]:
         t = place - i
     else:
         k, i, t = _OCTAVES, 0, math.ldexp(x, _OCTAVES)
-    # Plain Python numbers are used, because NumPy's take three times as long, here and in all that follows from them.
+    # The entries are converted to Python floats: arithmetic with NumPy scalars takes three times as long.
     f0, d0, s0 = float(nodes[k, i, 0]), float(nodes[k, i, 1]), float(nodes[k, i, 2])
     f1, d1, s1 = float(nodes[k, i + 1, 0]), float(nodes[k, i + 1, 1]), float(nodes[k, i + 1, 2])
     c2 = 3.0 * (f1 - f0) - 2.0 * d0 - d1
@@ -111,13 +111,13 @@ def _hermite(table: ContactTable, x: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=16)
 def build_contact_table(contact: MaugisDugdale, largest_force_n: float) -> ContactTable:
-    """Tabulate a contact up to the indentation at which its force is largest_force_n; cached by its arguments.
+    """Tabulate a contact up to the indentation at which its force is largest_force_n; the result is cached.
 
     Cells are halved until the errors measured against the direct solution inside every cell stay below
     `FORCE_TOLERANCE` and `STIFFNESS_TOLERANCE`.
 
     Args:
-        contact: The contact that is tabulated.
+        contact: The contact to tabulate.
         largest_force_n: The largest force of the table [N], > 0.
 
     Raises:
@@ -173,7 +173,7 @@ def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float
     """Force, its slope dP/du and the stiffness dP/dD at each u, nondimensional, shape (len(u), 3)."""
     exact = np.empty((u.shape[0], 3))
     greatest = u.max()
-    # The guess is an angle outside of all of them, and then each the guess for its neighbour.
+    # The first guess is an angle outside all solutions; then each solution is the guess for the next u.
     outer = 0.999 * angle_at(transition, start + greatest * greatest, end)
     s = outer
     for i in range(u.shape[0]):
@@ -185,7 +185,7 @@ def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float
 
 
 def _measured_errors(table: ContactTable, end: float, start: float, span: float, cells: int) -> tuple[float, float]:
-    """Return the largest relative errors of force and stiffness; of a table that is too coarse, the first too large."""
+    """Return the largest relative errors of force and stiffness; a table that is too coarse ends the search early."""
     unit_n, unit_m = table.contact.force_unit_n, table.contact.indentation_unit_m
     inside = (np.arange(cells)[:, None] + np.array(_PROBES)).ravel() / cells
     force_error = stiffness_error = 0.0
@@ -198,7 +198,7 @@ def _measured_errors(table: ContactTable, end: float, start: float, span: float,
         force, stiffness = exact[:, 0], exact[:, 2]
         force_errors = np.abs(looked_up[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
         force_error = max(force_error, float(force_errors.max()))
-        # the innermost cell holds its stiffness constant by definition; only its force is bounded
+        # The innermost cell holds its stiffness constant by definition, so only the error of its force is bounded.
         if not innermost:
             stiffness_errors = np.abs(looked_up[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
             stiffness_error = max(stiffness_error, float(stiffness_errors.max()))

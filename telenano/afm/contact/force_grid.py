@@ -1,9 +1,9 @@
-"""F(h) on an even grid of cubics, for a dynamic model that asks for it ten million times a second.
+"""F(h) on an even grid of cubics, for a dynamic model that evaluates it ten million times a second.
 
-Every cell is the cubic that has the force and the gradient of `branch_force` at its two ends; its greatest error is
-measured against `branch_force` when the grid is built. Above the grid van der Waals' force falls with 1/h^2; below it
-the force continues along its tangent. Where a branch begins or ends is given as a passage, with the jump of the force
-there.
+Every cell is the cubic that has the force and the gradient of `branch_force` at its two ends; its largest error is
+measured against `branch_force` when the grid is built. Above the grid the van der Waals force falls with 1/h^2; below
+it the force continues along its tangent. `Passages` holds the distances at which the tip changes its branch, with the
+jump of the force there.
 """
 
 import math
@@ -21,24 +21,24 @@ _PROBES = (0.25, 0.5, 0.75)
 
 
 class Passages(NamedTuple):
-    """Where the tip changes its branch [m], and by how much the force jumps there [N]; in the order of `passed`."""
+    """Distances at which the tip changes its branch [m], and the jump of the force [N] at each."""
 
     onset_m: float  # contact begins
     onset_n: float
     onset_n_per_m: float  # jump of the gradient there: Eq. 5 falls where contact rises
     end_m: float  # contact ends
     end_n: float
-    end_n_per_m: float  # taken as 0 at a fold, where it is infinite
-    forms_m: float  # meniscus; -infinity where there is none
+    end_n_per_m: float  # set to 0 at a fold, where it is infinite
+    forms_m: float  # meniscus forms; -infinity where there is none
     forms_n: float
-    breaks_m: float
+    breaks_m: float  # meniscus breaks; -infinity where there is none
     breaks_n: float
 
 
 class ForceGrid(NamedTuple):
     """Cubics of shape (4, cells, 4), first index 2 contact + meniscus.
 
-    Coefficients [N] are those of the place in the cell, from 0 to 1.
+    The last index is the power of the position in the cell, which runs from 0 to 1; coefficients are in N.
     """
 
     start_m: float
@@ -46,16 +46,16 @@ class ForceGrid(NamedTuple):
     cells_per_m: float
     attraction_n_m2: float  # H R / 6
     cubics: npt.NDArray[np.float64]
-    error_n: float  # greatest error that was found
+    error_n: float  # largest measured error against `branch_force`
 
 
 @always_compiled
 def grid_force(
     cubics: npt.NDArray[np.float64], start_m: float, cells_per_m: float, attraction_n_m2: float, h: float, b: int
 ) -> float:
-    """Return F [N] at h [m] on branch b = 2 contact + meniscus; of an h that is no number, none."""
+    """Return F [N] at h [m] on branch b = 2 contact + meniscus; NaN if h is NaN."""
     place = (h - start_m) * cells_per_m
-    # Asked this way round, NaN does not pass: compiled code would look it up anywhere in memory.
+    # `not <` also catches NaN, which compiled code would otherwise use as an index anywhere in memory.
     if not place < cubics.shape[1]:
         return -attraction_n_m2 / (h * h)
     if place < 0.0:
@@ -84,20 +84,23 @@ def grid_slopes(
 
 @always_compiled
 def passed(passages: Passages, h: float, contact: bool, meniscus: bool) -> tuple[bool, bool]:
-    """Return the branch of a tip that has come to h [m]: the passages of `cantilever`, without its equilibria."""
+    """Return the flags (contact, meniscus) after a tip that had the flags given has moved to h [m].
+
+    These are the passages of `cantilever`, without its equilibria.
+    """
     touches = h <= passages.end_m if contact else h < passages.onset_m
     return touches, h <= passages.breaks_m if meniscus else h <= passages.forms_m
 
 
 @compiled
 def _fill(tip: TipSample, start_m: float, high_m: float, b: int, cubics: npt.NDArray[np.float64]) -> float:
-    """Fill one branch; return its greatest error [N]."""
+    """Fill the cells of branch b up to high_m [m] in place; return their largest error [N]."""
     contact, meniscus = b >= 2, b % 2 == 1
     greatest = 0.0
     for i in range(cubics.shape[1]):
         near = start_m + i * _CELL_M
         if near > high_m or (not contact and near < 0.5 * tip.contact_onset_m):
-            # the tip is never there on this branch
+            # The tip is never here on this branch.
             continue
         f0, g0 = branch_force(tip, near, contact, meniscus)
         d0 = g0 * _CELL_M
@@ -117,7 +120,9 @@ def _fill(tip: TipSample, start_m: float, high_m: float, b: int, cubics: npt.NDA
 
 
 def build_force_grid(tip: TipSample, beyond_m: float) -> tuple[ForceGrid, Passages]:
-    """Return the grid from the depth of the contact table, at most 5 nm, to beyond_m [m], and the passages.
+    """Return the force grid and its passages.
+
+    The grid begins at the end of the contact table, at most 5 nm below the contact distance, and reaches beyond_m [m].
 
     Raises:
         ValueError: The reading is as_printed, whose meniscus pulls on a free tip at any distance.

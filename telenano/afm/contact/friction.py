@@ -6,8 +6,8 @@ up or down the slope needs the horizontal force
     T = (L sin theta +- mu (L cos theta + A)) / (cos theta -+ mu sin theta)
 
 (D. F. Ogletree, R. W. Carpick, M. Salmeron, Rev. Sci. Instrum. 67 (1996) 3298, Eq. 7: upper signs uphill). Of it L tan
-theta belongs to the slope alone. The rest is friction: it takes up the motion of the stage elastically, with the
-lateral stiffness of the cantilever, and gives way at that limit, so a reversal is a slanted line of the friction loop.
+theta belongs to the slope alone. The rest is the limit of friction: below it the tip sticks and the cantilever's
+lateral stiffness takes up the motion of the stage, at it the tip slips; so a reversal is a slanted line of the loop.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 from telenano.afm.contact.tip_sample import TipSample, branch_force
 from telenano.numerics.compiler import compiled
 
-# cos theta - mu sin theta is taken no smaller: a tip on a steeper slope would jam
+# Lower bound of cos theta - mu sin theta: a tip on a steeper slope would jam.
 _LEAST_SHARE = 0.05
 _PROBES = 4000
 
@@ -33,7 +33,7 @@ class FrictionParams(NamedTuple):
 
 
 class FrictionState(NamedTuple):
-    """How far the stage is ahead of the tip, which friction holds back [m]."""
+    """Distance by which the stage leads the tip, which friction holds back [m]."""
 
     ahead_x_m: float
     ahead_y_m: float
@@ -41,10 +41,10 @@ class FrictionState(NamedTuple):
 
 @compiled
 def friction_limit_n(params: FrictionParams, load_n: float, slope: float) -> float:
-    """Return the friction [N] at which a tip gives way that is pulled up a slope (negative: down).
+    """Return the friction [N] at which a tip slips that is pulled up a slope tan theta (negative: down the slope).
 
-    T - L tan theta of the module: mu (L / cos theta + A) / (cos theta - mu sin theta), 0 where the contact pulls more
-    than it adheres.
+    This is T - L tan theta of the module, mu (L / cos theta + A) / (cos theta - mu sin theta); 0 where the cantilever
+    pulls (negative load [N]) harder than the adhesion holds.
     """
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
     share = max(cosine - params.coefficient * slope * cosine, _LEAST_SHARE)
@@ -62,13 +62,13 @@ def friction_step(
     slope_y: float,
     in_contact: bool,
 ) -> tuple[FrictionState, float, float]:
-    """Return the state after the stage has moved by so much [m], and the force on the tip by the sample in x and y [N].
+    """Return the state after a motion of the stage, and the force of the sample on the tip in x and y [N].
 
     Args:
         params: The parameters of friction.
         state: The state before the motion.
-        moved_x_m: How far the stage has moved in x [m].
-        moved_y_m: How far the stage has moved in y [m].
+        moved_x_m: The motion of the stage in x [m].
+        moved_y_m: The motion of the stage in y [m].
         load_n: The force of the cantilever [N], positive where it presses.
         slope_x: The slope dz/dx of the surface that the tip sees.
         slope_y: The slope dz/dy of the surface that the tip sees.
@@ -78,19 +78,19 @@ def friction_step(
         return FrictionState(0.0, 0.0), 0.0, 0.0
     x, y = state.ahead_x_m + moved_x_m, state.ahead_y_m + moved_y_m
     k = params.stiffness_n_per_m
-    # math.hypot of Python and of C round differently
+    # math.hypot would round differently in Python and in compiled code.
     ahead = math.sqrt(x * x + y * y)
     if ahead > 0.0:
         limit = friction_limit_n(params, load_n, (slope_x * x + slope_y * y) / ahead)
         if k * ahead > limit:
             share = limit / (k * ahead)
             x, y = share * x, share * y
-    # the normal leans back from the slope
+    # The load adds a lateral part down the slope.
     return FrictionState(x, y), 0.0 - k * x - load_n * slope_x, 0.0 - k * y - load_n * slope_y
 
 
 def adhesion_n(tip: TipSample) -> float:
-    """Return the strongest pull of the contact [N], with the meniscus where there is one: A of the friction."""
+    """Return the strongest attraction in contact [N], >= 0, with the meniscus where there is one: A of friction."""
     table = tip.table
     depths = np.linspace(table.cohesive_end_m, table.start_m + 2e-9, _PROBES)
     forces = [branch_force(tip, tip.contact_distance_m - float(depth), True, tip.has_meniscus)[0] for depth in depths]

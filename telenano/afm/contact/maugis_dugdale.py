@@ -18,7 +18,7 @@ r = c, where the gap must be h0 = w / sigma0. Hence
 which meets Eq. 7-10 with equal value and slope. It ends where dD/dC = 0, C = 8 lambda / 3 pi: beyond, the surfaces are
 apart. That end lies on the contact itself, as a fold of Eq. 7-10, once lambda exceeds 0.938.
 
-Under displacement control the curve from that end to infinite indentation is single valued; it is what `force` follows.
+Under displacement control the curve from that end to infinite indentation is single valued; `force_at` follows it.
 """
 
 import math
@@ -29,13 +29,13 @@ from telenano.numerics.compiler import compiled
 FOLD_TRANSITION = (9.0 * math.pi / (16.0 * (math.pi - 1.0))) ** (1.0 / 3.0)  # 0.938: the fold enters the contact
 HALF_PI = 0.5 * math.pi
 _SERIES_BELOW = 0.5
-# a difference in the last digit of a double [1]
+# Relative difference in the last digit of a double.
 _LAST_DIGIT = 2e-16
 _MOST_NEWTON_STEPS = 50
 
 
 class MaugisDugdale(NamedTuple):
-    """Transition parameter and units of one contact; make it with `maugis_dugdale`."""
+    """Transition parameter and units of one contact; `MaugisDugdale.of` makes it from physical properties."""
 
     transition: float  # lambda
     force_unit_n: float  # pi w R
@@ -46,7 +46,7 @@ class MaugisDugdale(NamedTuple):
     def of(
         cls, radius_m: float, work_of_adhesion_j_per_m2: float, reduced_modulus_pa: float, cohesive_stress_pa: float
     ) -> "MaugisDugdale":
-        """Transition parameter lambda = 2 sigma0 (9 R / 16 pi w E*^2)^(1/3) (Eq. 8) and the units of Eq. 7-11 (E6).
+        """Return the transition parameter lambda = 2 sigma0 (9 R / 16 pi w E*^2)^(1/3) (Eq. 8) with the units (E6).
 
         Raises:
             ValueError: An argument is not finite and positive; the message names it.
@@ -70,11 +70,11 @@ class MaugisDugdale(NamedTuple):
         )
 
     def pull_off(self) -> tuple[float, float]:
-        """Return the most attractive force [N] and its indentation [m], as the function of this module."""
+        """Return the most attractive force [N] and its indentation [m], see the function `pull_off`."""
         return pull_off(self)
 
     def indentation_m(self, force_n: float) -> float:
-        """Return the indentation [m] at a force [N], as the function of this module."""
+        """Return the indentation [m] at a force [N], see the function `indentation_m`."""
         return indentation_m(self, force_n)
 
 
@@ -110,7 +110,7 @@ def reduced_modulus_pa(
 
 
 def cohesive_stress_pa(work_of_adhesion_j_per_m2: float, contact_distance_m: float) -> float:
-    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the print lost the w)."""
+    """Dugdale stress sigma0 = 1.03 w / a0 [Pa] (E5: the w is missing in print)."""
     return 1.03 * work_of_adhesion_j_per_m2 / contact_distance_m
 
 
@@ -150,7 +150,7 @@ def contact_at(transition: float, s: float) -> Contact:
     A = C * cos
     P = A * A * A - lam * C * C * f3
     D = A * A - 4.0 / 3.0 * lam * C * sin
-    # f1' = 2 s sin 2s, f2' = s cos s, f3' = 2 cos^2 s: each carries one factor cos s, taken out here.
+    # f1' = 2 s sin 2s, f2' = s cos s, f3' = 2 cos^2 s: each has one factor cos s, which is divided out here.
     C1 = -(2.0 * lam * C * C * s * sin + 4.0 / 3.0 * lam * lam * C * s) / (2.0 * a2 * C + a1)
     P1 = 3.0 * A * A * C1 * cos - 3.0 * A * C * C * sin - lam * (2.0 * C * C1 * f3 + 2.0 * C * C * cos)
     D1 = 2.0 * C * C1 * cos * cos - 2.0 * C * C * sin - 4.0 / 3.0 * lam * (C1 * sin + C)
@@ -159,10 +159,10 @@ def contact_at(transition: float, s: float) -> Contact:
 
 @compiled
 def _decreasing_root(transition: float, target: float, low: float, high: float, quantity: int) -> float:
-    """Bisect for the angle at which a quantity that falls with s passes the target.
+    """Bisect for the angle [rad] at which a quantity that falls with s passes the target.
 
-    quantity: 0 indentation, 1 force, 2 minus the slope of the indentation, 3 minus the slope of the force. Bisection,
-    because next to a fold a faster method gains nothing and may leave the branch.
+    quantity: 0 indentation, 1 force, 2 minus the slope of the indentation, 3 minus the slope of the force. It is
+    bisection because, next to a fold, a faster method gains nothing and may leave the branch.
     """
     while True:
         mid = 0.5 * (low + high)
@@ -266,10 +266,11 @@ def angle_at(transition: float, indentation: float, end: float) -> float:
 def angle_between(transition: float, indentation: float, ended: float, low: float, high: float, guess: float) -> float:
     """Angle of the stable contact at an indentation D, given angles on both sides of it and one to begin with.
 
-    ended: D0, the indentation at which the contact ends. Newton's method is for u = sqrt(D - D0), straight there.
+    `ended` is D0, the indentation at which the contact ends. Newton's method solves for u = sqrt(D - D0), because u is
+    nearly linear in the angle there.
     """
     s = guess if low < guess < high else 0.5 * (low + high)
-    # Newton, and bisection where it would leave the bracket or gets nowhere, as next to a fold
+    # Newton's method; bisection where it would leave the bracket or does not advance, as next to a fold.
     tries, wanted = 0, math.sqrt(max(indentation - ended, 0.0))
     while True:
         point = contact_at(transition, s)

@@ -3,15 +3,15 @@
 A branch is a pair of flags (contact, meniscus). On one branch the force is a plain function of h over one interval;
 at the ends of that interval the tip passes to another branch (`cantilever` does this). Two readings of the paper:
 
-`consistent` (default): Lennard-Jones outside, Maugis-Dugdale inside, handed over at h* where the two are equal (E7), so
-the force is continuous; the meniscus of E3 and E4, also present in contact.
+`consistent` (default): Lennard-Jones outside and Maugis-Dugdale inside; the switch is at h*, where the two are equal
+(E7), so the force is continuous. The meniscus is that of E3 and E4 and also acts in contact.
 `as_printed`: Eq. 4 and 6 to the letter: the switch stands at a0, where the force jumps from 0 to F_MD(0), and the
 capillary force belongs to the non-contact side alone.
 
-h* is the outermost crossing with the contact proper (a > 0); only where there is none, with the cohesive branch, whose
-steep end is an artefact of the constant stress. Below lambda = 0.938 the hand-over is the same in both directions.
-Above it the contact folds under displacement control and holds on to its end: entered at h*, left at the fold, if
-the contact pulls harder than Eq. 5 there (the contact hysteresis of Johnson and Greenwood 1997).
+h* is the outermost crossing of Eq. 5 with the contact proper (a > 0) or, where there is none, with the cohesive branch,
+whose steep end is an artefact of the constant stress. Below lambda = 0.938 the switch is at h* in both directions.
+Above it the contact folds under displacement control: it begins at h* and ends at the fold, if the contact pulls harder
+than Eq. 5 there (the contact hysteresis of Johnson and Greenwood 1997).
 """
 
 import math
@@ -31,7 +31,7 @@ _SCAN_POINTS = 4000
 
 
 class TipSampleProperties(NamedTuple):
-    """What tip, sample and air are made of."""
+    """Properties of tip, sample and meniscus from which `build_tip_sample` prepares the force."""
 
     radius_m: float  # R
     hamaker_j: float  # H
@@ -42,7 +42,7 @@ class TipSampleProperties(NamedTuple):
     meniscus_radius_m: float  # r1
     break_distance_m: float  # delta_b
     reading: int  # CONSISTENT or AS_PRINTED
-    meniscus: bool  # is there any
+    meniscus: bool  # True: a meniscus can form
 
 
 class TipSample(NamedTuple):
@@ -77,8 +77,8 @@ class TipSample(NamedTuple):
 def branch_force(tip: TipSample, distance_m: float, contact: bool, meniscus: bool) -> tuple[float, float]:
     """Force [N] on the tip, and gradient dF/dh [N/m], at h [m] on the branch (contact, meniscus).
 
-    `contact` selects Maugis-Dugdale (Eq. 7-11) instead of Lennard-Jones (Eq. 5); `meniscus`: a bridge exists
-    (`consistent`) or that the retract law is in force (`as_printed`). Positive is repulsive.
+    `contact` selects Maugis-Dugdale (Eq. 7-11) instead of Lennard-Jones (Eq. 5). `meniscus` says that a bridge exists
+    (`consistent`) or that the retract law holds (`as_printed`). Positive is repulsive.
     """
     if contact:
         force, stiffness = table_force(tip.table, tip.contact_distance_m - distance_m)
@@ -114,8 +114,8 @@ def build_tip_sample(properties: TipSampleProperties, largest_force_n: float) ->
         largest_force_n: The contact force up to which the table has to reach [N], > 0.
 
     Raises:
-        ValueError: Properties are impossible, which the message names with their unit; in the `consistent` reading also
-            where Lennard-Jones and Maugis-Dugdale do not cross, with lambda, H and omega (E7).
+        ValueError: A property is impossible; the message names it with its unit. In the `consistent` reading also if
+            Lennard-Jones and Maugis-Dugdale do not cross; the message gives lambda, H and omega (E7).
     """
     p = properties
     _check(p)
@@ -191,7 +191,7 @@ def hamaker_of(work_of_adhesion_j_per_m2: float) -> float:
 
 
 def _remedy(p: TipSampleProperties, table: ContactTable, a0: float) -> str:
-    """Say which H would do, and which belongs to omega; the table does not depend on H."""
+    """Return advice for the error message: the least H at which the forces cross, and the H that belongs to omega."""
 
     def crosses(hamaker_j: float) -> bool:
         other = p._replace(hamaker_j=hamaker_j)
@@ -215,7 +215,7 @@ def _outermost_crossing(
     p: TipSampleProperties, table: ContactTable, a0: float, near_m: float, far_m: float
 ) -> float | None:
     """Largest h in [near, far] at which F_LJ = F_MD, or None."""
-    # Beyond the very end of the stable branch the contact force is zero: stay just inside.
+    # Stay just inside the stable branch: beyond its end the contact force is zero.
     grid = np.linspace(far_m, near_m, _SCAN_POINTS + 1)
     grid[0] = math.nextafter(far_m, near_m)
     previous = _difference(p, table, a0, float(grid[0]))

@@ -1,4 +1,4 @@
-"""A force curve taken by the node: down to a load, and back up, at one speed."""
+"""The program that takes a force curve: the base goes down to a load, and back up, at one speed."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,19 @@ from telenano.extend.stage import Place
 from telenano.settings.program_settings import CurveSettings
 from telenano.wire.errors import RefusedError
 
-# phases, in order
+# The phases, in order.
 RISE, DOWN, UP, DONE = range(4)
 
 
 class CurvePlan(NamedTuple):
-    """Settings of the curve, and the deepest base [m]: there it turns whatever the force is."""
+    """Settings of the curve, and the deepest base [m], where the curve turns at any force."""
 
     settings: CurveSettings
     deepest_m: float
 
 
 class CurveState(NamedTuple):
-    """Phase, the base at which it turned [m], and whether the load was reached there."""
+    """Phase, the base at which the curve turned [m], and whether the load was reached there."""
 
     phase: int
     turned_m: float
@@ -73,9 +73,9 @@ class Curve(Program[CurveSettings, CurvePlan, CurveState]):
 def curve_step(
     plan: CurvePlan, state: CurveState, base_m: float, force_n: float, dt: float
 ) -> tuple[CurveState, float]:
-    """Take base [m] and force [N] as measured and return the state and where the base is to go in the next dt [s].
+    """Return the new state and the base [m] to go to in the next dt [s], from the measured base [m] and force [N].
 
-    It also turns at the deepest base, whatever the force: `loaded` tells.
+    The curve also turns at the deepest base, at any force; `loaded` is then false.
     """
     start_m, speed, load_n = -plan.settings.start_m, plan.settings.speed_m_per_s, plan.settings.load_n
     if state.phase == RISE:

@@ -1,7 +1,7 @@
-"""An image by the scan of an instrument that regulates the tip itself, because its wire is too slow for the node.
+"""An image by the own scan of an instrument whose wire is too slow for the feedback of the node.
 
-The base stays where it is retracted, and the instrument's own z-controller moves the tip. The guard of the node judges
-the force as ever; whatever ends the image withdraws the tip.
+The base stays at its retracted position, and the instrument's own z-controller moves the tip. The guard of the node
+still judges the force; every end of the image withdraws the tip.
 """
 
 from typing import NamedTuple
@@ -13,9 +13,9 @@ from telenano.settings.program_settings import ScanSettings
 from telenano.wire.errors import RefusedError
 
 RISE, IMAGE, DONE = range(3)
-# An approach and the settling of the instrument's own z-controller take no longer, besides the first line [s].
+# Time limit of the approach and of the settling of the instrument's own z-controller, without the first line [s].
 _APPROACH_S = 70.0
-# Controllers of this kind send a line in packets of this number of pixels.
+# Controllers of this kind send a line in packets of this many pixels.
 _PACKET = 16
 
 
@@ -27,7 +27,7 @@ class OwnScanPlan(NamedTuple):
 
 
 class OwnScanState(NamedTuple):
-    """Phase; lines that came, both ways counted; time in the phase [s]."""
+    """Phase; number of lines received, there and back counted separately; time in the phase [s]."""
 
     phase: int = RISE
     lines: int = 0
@@ -35,7 +35,7 @@ class OwnScanState(NamedTuple):
 
 
 class OwnScanProgram(Program[ScanSettings, OwnScanPlan, OwnScanState]):
-    """An image, line by line there and back, that the instrument takes by itself."""
+    """The program of an image that the instrument takes by itself, line by line there and back."""
 
     settings = ScanSettings
     title = "Scan"
@@ -81,7 +81,7 @@ class OwnScanProgram(Program[ScanSettings, OwnScanPlan, OwnScanState]):
 
 
 def _fault(s: ScanSettings, image: OwnImage, instrument: Instrument) -> str:
-    """Return why the instrument cannot take an image, and what would be right; empty for nothing."""
+    """Return the reason why the instrument cannot take the image, with a remedy; empty if it can."""
     if instrument.lateral is None:
         return "needs a lateral stage, which this instrument has none of"
     if s.mode == "tapping":

@@ -1,7 +1,7 @@
-"""Whether a base with limits reaches a surface of known heights, and comes clear of it again.
+"""Checks that the base, within its limits, reaches a surface of known heights and comes clear of it again.
 
-A tip without a force touches a surface of the height z where its base is at L - z, with L the rest distance. A real
-instrument does not know the heights in advance: there an approach that takes too long ends (`approach_limit_s`).
+A tip without a force touches a surface of height z when its base is at L - z, with L the rest distance. A real
+instrument does not know the heights in advance: there an approach ends after a time limit (`approach_limit_s`).
 """
 
 import math
@@ -23,7 +23,7 @@ _RETRACT_FURTHER = (
 class Reach(NamedTuple):
     """A surface as the tip sees it, None for a plane at height 0; rest distance L [m]; limits of the base.
 
-    above_m: how far what lies on the surface stands above it [m], which may be anywhere.
+    above_m: height of a layer above the surface [m], which may be at any place.
     """
 
     surface: Surface | None
@@ -32,7 +32,7 @@ class Reach(NamedTuple):
     above_m: float = 0.0
 
     def within(self, centre: Place, width_m: float, depth_m: float) -> Span:
-        """Return the heights of a rectangle around a place."""
+        """Return the lowest and highest point [m] of a rectangle around a place, with the layer."""
         if self.surface is None:
             return Span(0.0, self.above_m)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
@@ -42,12 +42,12 @@ class Reach(NamedTuple):
         return Span(float(part.min()), float(part.max()) + self.above_m)
 
     def along(self, begin: Place, end: Place) -> Span:
-        """Return the heights of a straight line, with those of the pixels beside it."""
+        """Return the lowest and highest point [m] of a straight line and the pixels beside it, with the layer."""
         if self.surface is None:
             return Span(0.0, self.above_m)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
         way = math.hypot((end.x_m - begin.x_m) / s.step_x_m, (end.y_m - begin.y_m) / s.step_y_m)
-        # The surface continues level beyond the map, so more points than twice its diagonal see nothing new.
+        # The surface is level beyond the map, so more points than twice its diagonal find nothing new.
         shares = np.linspace(0.0, 1.0, min(math.ceil(2.0 * way), 4 * (rows + columns)) + 2)
         x = (begin.x_m + shares * (end.x_m - begin.x_m) + 0.5 * s.width_m) / s.step_x_m - 0.5
         y = (begin.y_m + shares * (end.y_m - begin.y_m) + 0.5 * s.depth_m) / s.step_y_m - 0.5
@@ -60,7 +60,7 @@ class Reach(NamedTuple):
         return Span(float(np.min(seen)), float(np.max(seen)) + self.above_m)
 
     def depth_fault(self, span: Span, press_m: float = 0.0) -> str:
-        """Return why the base does not bring the tip to the lowest point, pressed by press_m [m]; empty if it does."""
+        """Return why the base cannot bring the tip to the lowest point and press_m [m] further; empty if it can."""
         needed, most = self.rest_m - span.low_m + press_m, self.limits.base_max_m
         if needed <= most:
             return ""
@@ -74,10 +74,10 @@ class Reach(NamedTuple):
         """Return why a tip with its base at base_m [m] hits the highest point; empty if it is clear of it.
 
         Args:
-            span: The region that the tip goes over.
+            span: The heights of the region that the tip crosses [m].
             base_m: The base [m].
-            remedy: A sentence with the base {base:g} [m] that is clear.
-            lift_m: How far the tip swings below its mean [m].
+            remedy: A sentence into which the base that is clear is put, as {base:g} [m].
+            lift_m: Distance by which the tip swings below its mean [m].
         """
         needed = self.rest_m - span.high_m - lift_m
         if base_m <= needed:
@@ -98,7 +98,7 @@ class Reach(NamedTuple):
 
 
 def _pixels(middle_m: float, length_m: float, step_m: float, count: int) -> slice:
-    """Return the pixels of a side of the map between which a length around a place lies; 0 is the side's middle."""
+    """Return the pixels of one side of the map that cover a length around middle_m [m]; 0 is the middle of the side."""
     first, last = (
         min(max((middle_m + way * length_m) / step_m + 0.5 * count - 0.5, 0.0), count - 1.0) for way in (-0.5, 0.5)
     )
@@ -106,5 +106,5 @@ def _pixels(middle_m: float, length_m: float, step_m: float, count: int) -> slic
 
 
 def _outwards(base_m: float) -> float:
-    """Return the next whole nanometre [m] that is further towards the sample."""
+    """Return the base rounded up to whole nanometres [m], towards the sample."""
     return round(math.ceil(base_m * 1e9 - 1e-6) * 1e-9, 9)

@@ -1,4 +1,4 @@
-"""Runs the programs of the instrument: one at a time, behind the guard, until all is done or something ends it."""
+"""Runs the programs of the instrument, one at a time, behind the guard, until each is done or ended."""
 
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
@@ -13,7 +13,7 @@ from telenano.wire.messages import Scalar
 from telenano.wire.node_state import Part, part
 
 RunState = Literal["running", "paused", "finished", "ended"]
-# A program may not begin in these modes of the guard, for these reasons.
+# Modes of the guard in which no program may begin, with the reason.
 _NOT_READY = {
     safety.MODE_RETRACTING: "the tip is still retracting",
     safety.MODE_ESTOP: "the emergency stop is latched: arm the AFM first",
@@ -21,24 +21,24 @@ _NOT_READY = {
 
 
 class ProgramRequest(Protocol):
-    """What `set` asks of a program, and the section of each."""
+    """The request of `set` for a program, with the settings of each program."""
 
     @property
     def program(self) -> str | None: ...
 
     def settings_of(self, program: str) -> Any:
-        """Return the section of a program."""
+        """Return the settings of a program."""
 
 
 class GuardRequest(NamedTuple):
-    """What is asked of the guard: an action, and what the program wants of base, stage and vibration."""
+    """A request to the guard: an action, and the base, stage and vibration that the program wants."""
 
     action: int
     wanted: Wanted[Any]
 
 
 class Report(NamedTuple):
-    """What is reported of a program; `fields` returns afm/program."""
+    """The report on a program; `fields` returns the fields of the message afm/program."""
 
     program: str
     state: RunState
@@ -53,7 +53,7 @@ class Report(NamedTuple):
 
 
 class RunnerState(NamedTuple):
-    """What runs, and the plan and the state that the program made, None where nothing runs."""
+    """Name and state of the running program, with its plan and its own state, None where nothing runs."""
 
     name: str
     state: RunState
@@ -66,7 +66,7 @@ class RunnerState(NamedTuple):
 class ProgramRunner:
     """Runs one program at a time.
 
-    `name` is that of the program, empty while there is none; its plan and its state are what the program made of them.
+    `name` is the name of the program, empty while there is none; `state` says whether it runs.
     """
 
     def __init__(self, instrument: Instrument, programs: Mapping[str, AnyProgram]) -> None:
@@ -78,25 +78,28 @@ class ProgramRunner:
         self._aborted, self._notice = "", ""
 
     def capture(self) -> RunnerState:
-        """Return the state."""
+        """Return the state of the runner, for `restore`."""
         made = (part(self._plan), part(self._reached)) if self.name else (None, None)
         return RunnerState(self.name, self.state, self._aborted, self._notice, *made)
 
     def restore(self, state: RunnerState) -> None:
-        """Continue from a state; ValueError or KeyError, if its program is not as it was."""
+        """Continue from a captured state; raise ValueError or KeyError if its program has changed since."""
         self.name, self.state, self._aborted, self._notice, plan, reached = state
         if plan is not None and reached is not None:
             kind, kind_reached = self._program.kinds()
             self._plan, self._reached = plan.of_kind(kind), reached.of_kind(kind_reached)
 
     def request(self, request: ProgramRequest, mode: int, place: Place, *, device_lost: bool) -> str:
-        """Begin a program, or change the one that runs; return a sentence. RefusedError says why not.
+        """Begin a program, or pause, resume or abort the one that runs; return a sentence about it.
 
         Args:
             request: The request.
             mode: The mode of the guard.
-            place: Where the tip is.
+            place: The place of the tip.
             device_lost: Whether the device is lost.
+
+        Raises:
+            RefusedError: The request cannot be met; the message gives the reason.
         """
         wanted = request.program
         if wanted is not None and wanted in self._table:
@@ -118,17 +121,17 @@ class ProgramRunner:
         return f"the {self.name} is {self.state}"
 
     def abort(self) -> str:
-        """End the program that runs, with the tip retracted; return a sentence."""
+        """Mark the running program as aborted, so that the next step retracts the tip; return a sentence about it."""
         self._aborted = "it was aborted"
         return f"the {self._label} ends and the tip retracts"
 
     def take_notice(self) -> str:
-        """Return, once, what the program has to warn of; empty for nothing."""
+        """Return the warning of the program, and clear it; empty for none."""
         notice, self._notice = self._notice, ""
         return notice
 
     def step(self, inputs: Inputs, dt: float) -> GuardRequest:
-        """Take what was measured at the last step, and return what is asked of the guard for the next dt [s]."""
+        """Step the program with the last measurement; return the request to the guard for the next dt [s]."""
         program, base_m = self._program, inputs.base_m
         searched_s, limit_s = program.searching_s(self._plan, self._reached)
         if searched_s > limit_s and not self._aborted:
@@ -145,7 +148,7 @@ class ProgramRunner:
         return GuardRequest(safety.ACTION_RETRACT if wanted.is_done else safety.ACTION_POSITION, wanted)
 
     def follow_guard(self, mode: int, reason: int) -> None:
-        """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""
+        """End the program if the guard has left FOLLOW and HOLD: because the program is done, or against its will."""
         if mode in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             return
         if reason != safety.REASON_RETRACT_REQUESTED and not self._aborted:
@@ -153,7 +156,7 @@ class ProgramRunner:
         self.state = "ended" if self._aborted else "finished"
 
     def report(self) -> Report:
-        """Return how far the program is."""
+        """Return the report on the progress of the program."""
         text, share, line, lines, values = self._program.progress(self._plan, self._reached)
         if self.state == "finished":
             reached = self._program.shortfall(self._plan, self._reached)
@@ -164,16 +167,16 @@ class ProgramRunner:
 
     @property
     def is_over(self) -> bool:
-        """Whether the program has come to its end, and is only to be let go of."""
+        """Whether the program has finished or was ended, so that `end` may be called."""
         return self.state in ("finished", "ended")
 
     @property
     def leaves_tip(self) -> bool:
-        """Whether the stage stays where the program that runs ends."""
+        """Whether the stage stays at the place where the program ends."""
         return self._program.leaves_tip
 
     def end(self) -> None:
-        """Let go of a program that is over."""
+        """Forget a program that is over."""
         self.name, self._plan, self._reached = "", None, None
 
     @property

@@ -1,9 +1,9 @@
 """An image taken by the instrument: a raster of the stage, and feedback that holds force or amplitude each period.
 
-The feedback (`feedback`) acts on the deflection that is missing to the set-point, or in tapping mode on the amplitude
-above its own. What the base does is the picture, height = -x_s, up to a constant. On a tip of stiffness k over a
-contact of stiffness c the loop closes k + c over c times as slowly as on a rigid sample. The amplitude follows within
-Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
+The feedback (`feedback`) acts on the difference of the deflection to its set-point, or in tapping mode of the
+amplitude. The motion of the base is the image: height = -x_s, up to a constant. On a tip of stiffness k over a contact
+of stiffness c the loop is slower than on a rigid sample by the factor (k + c) / c. The amplitude follows within
+Q / (pi f), 0.2 ms in Table 2, but is read at the next step, before it has settled.
 """
 
 import math
@@ -29,18 +29,18 @@ from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]
 
-# the phases after the way to the surface
+# The phases after the approach to the surface.
 SETTLE, LINES, DONE = range(Way.ARRIVED, Way.ARRIVED + 3)
-# The names of the gains as the user knows them, by `set`, in a scenario, or on the command line.
+# The names of the gains in `set`, in a scenario, and on the command line, for messages.
 GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
 
 
 class ScanPlan(NamedTuple):
-    """An image as an instrument takes it: its settings, its sides [m], and what they need to know of the instrument.
+    """The plan of an image: its settings, its sides [m], and properties of the instrument.
 
-    stiffness_n_per_m turns the force into a deflection; clear_m is the base above every point [m], where the tip moves
-    to the first one; period_s, of the feedback; lag, what is left of a change of the amplitude then; approach_s, the
-    time after which an approach has found no surface [s].
+    stiffness_n_per_m: turns the force into a deflection; clear_m: base [m] at which the tip is above every point, where
+    it moves to the first one; period_s: period of the feedback [s]; lag: share of a change of the amplitude that is
+    left after one period; approach_s: time after which an approach is taken to have found no surface [s].
     """
 
     settings: ScanSettings
@@ -54,7 +54,7 @@ class ScanPlan(NamedTuple):
 
     @property
     def setpoint_m(self) -> float:
-        """Return the amplitude that is held in tapping mode [m]; 0 in contact mode."""
+        """Return the amplitude that the feedback holds in tapping mode [m]."""
         return self.settings.setpoint_share * self.settings.free_amplitude_m
 
     @property
@@ -63,15 +63,16 @@ class ScanPlan(NamedTuple):
 
     @property
     def line_s(self) -> float:
-        """Return the time of a line, each way [s]."""
+        """Return the time of a line in one direction [s]."""
         return self.settings.pixels * self.settings.dwell_s
 
 
 class ScanState(NamedTuple):
-    """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts.
+    """Phase; line and direction; time in the phase or line [s]; for each pixel sums of height [m], lateral force [N].
 
-    Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m], and of the energy
-    that the sample takes in a period [J]. Where the base was sent at the last step, and the proportional part in that.
+    Then for each pixel: number of samples; sums of the vibration's components in phase with the drive and a quarter of
+    a period behind it [m], and of the energy that the sample takes in a period [J]. reference_m: base commanded at the
+    last step [m]; proportional_m: its proportional part [m].
     """
 
     phase: int
@@ -89,7 +90,7 @@ class ScanState(NamedTuple):
 
 
 class Scan(Program[ScanSettings, ScanPlan, ScanState]):
-    """An image, line by line there and back."""
+    """The program of an image, taken line by line, there and back."""
 
     settings = ScanSettings
     title = "Scan"
@@ -147,9 +148,9 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
 def scan_step(
     plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float
 ) -> tuple[ScanState, float, Place, FinishedLine | None]:
-    """Take what was measured at the last step, and return where base [m] and stage are to go in the next dt [s].
+    """Advance the image with the measurement of the last step; return base [m] and stage target for the next dt [s].
 
-    While it is paused, the stage stands and the force, or the amplitude, is held.
+    While the scan is paused, the stage stands still and the feedback holds the force, or the amplitude.
 
     Returns:
         The state, the base reference x_s [m], the lateral target, and a line if one was finished.
@@ -187,24 +188,24 @@ def begin_of(plan: ScanPlan) -> Place:
 
 
 def missing_m(plan: ScanPlan, inputs: Inputs) -> float:
-    """Return the error of the feedback [m], positive where the base is to go towards the sample."""
+    """Return the error of the feedback [m], positive if the base has to go towards the sample."""
     if plan.settings.mode == "tapping":
         return inputs.oscillation.amplitude_m - plan.setpoint_m
     return (plan.settings.setpoint_n - inputs.force_n) / plan.stiffness_n_per_m
 
 
 def _point(plan: ScanPlan, line: int, share: float) -> Place:
-    """Return the place of a share of a line, from its left to its right edge."""
+    """Return the place on a line, with share 0 at its left edge and 1 at its right edge."""
     s = plan.settings
     x = s.x_m + (share - 0.5) * plan.width_m
     return Place(x, s.y_m + ((line + 0.5) / s.lines - 0.5) * plan.depth_m)
 
 
 def _towards(plan: ScanPlan, line: int, place: Place, dt: float) -> Place:
-    """Return where the tip is to be in dt [s], moving to the beginning of a line.
+    """Return the place of the tip after dt [s] on its way to the beginning of a line.
 
-    It goes as fast as along a line, because the feedback could not follow a quicker step up the flank of what stands
-    there: in contact the tip would press on it, and push a particle.
+    The tip moves no faster than along a line, because the feedback could not follow a steeper rise: in contact the tip
+    would press on an obstacle, or push a particle.
     """
     return moved(LateralParams(math.inf, plan.width_m / plan.line_s), place, _point(plan, line, 0.0), dt)[0]
 
@@ -212,7 +213,11 @@ def _towards(plan: ScanPlan, line: int, place: Place, dt: float) -> Place:
 def _advance(
     plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float
 ) -> tuple[ScanState, Place, FinishedLine | None]:
-    """Count the sample where the tip is, and advance along the line; at its end turn, after both ways take the next."""
+    """Add the sample to the pixel under the tip and advance along the line; turn at its end, then go to the next line.
+
+    Returns:
+        The state, the lateral target, and a line if one was finished.
+    """
     s = plan.settings
     place, left = inputs.place, s.x_m - 0.5 * plan.width_m
     pixel = min(max(int((place.x_m - left) / plan.width_m * s.pixels), 0), s.pixels - 1)
@@ -250,20 +255,20 @@ def _no_samples(plan: ScanPlan) -> tuple[Array, Array, Array, Array, Array, Arra
 
 
 def _polar(state: ScanState) -> tuple[Array, Array]:
-    """Return amplitude and phase of the means; by the mathematics library, whose bits no vector unit decides."""
+    """Return amplitude [m] and phase [rad] of the mean components; `math` gives the same bits on every processor."""
     parts = (_filled(part, state.counts).tolist() for part in (state.in_phase_sum, state.quadrature_sum))
     pairs = list(zip(*parts, strict=True))
     return np.array([math.hypot(x, y) for x, y in pairs]), np.array([math.atan2(y, x) for x, y in pairs])
 
 
 def _filled(total: Array, counts: Array) -> Array:
-    """Return the means; a pixel that the tip crossed between two steps lies between its neighbours."""
+    """Return the mean of each pixel; pixels without a sample are interpolated between their neighbours."""
     measured = np.flatnonzero(counts)
     return np.asarray(np.interp(np.arange(len(counts)), measured, total[measured] / counts[measured]))
 
 
 def line_fault(plan: ScanPlan, reach_m: float, speed_m_per_s: float, force_limit_n: float) -> str:
-    """Return what of a plan cannot be done with a stage and a guard, and what would be right; empty for none."""
+    """Return the reason why stage or guard cannot carry out a plan, with a remedy; empty if they can."""
     s = plan.settings
     furthest = max(abs(s.x_m) + 0.5 * plan.width_m, abs(s.y_m) + 0.5 * plan.depth_m)
     if furthest > reach_m:
@@ -285,12 +290,12 @@ def line_fault(plan: ScanPlan, reach_m: float, speed_m_per_s: float, force_limit
 
 
 def _surface_fault(plan: ScanPlan, instrument: Instrument, place: Place) -> str:
-    """Return why the base cannot follow the surface of an image, or the tip not get there; empty for nothing."""
+    """Return why the base cannot follow the surface of an image, or the tip cannot get there; empty if both can."""
     s, reach = plan.settings, instrument.reach
     if reach is None:
         return ""
     image = reach.within(Place(s.x_m, s.y_m), plan.width_m, plan.depth_m)
-    # a tip that taps holds its amplitude above the sample, one in contact bends towards it
+    # In tapping mode the mean of the tip stays an amplitude above the sample; in contact the tip bends towards it.
     press_m = -plan.setpoint_m if s.mode == "tapping" else s.setpoint_n / plan.stiffness_n_per_m
     way = reach.along(place, begin_of(plan))
     clear = reach.retracted_fault(image, s.free_amplitude_m) or reach.retracted_fault(way, s.free_amplitude_m)

@@ -1,10 +1,10 @@
-"""A path that a hand feels (Fig. 9-10): the tip touches the sample and goes along a line, or where a pointer leads it.
+"""A path that the operator feels (Fig. 9-10): the tip touches the sample and follows a line, or a pointer.
 
-The device behind the hand follows up to its bandwidth f_m, so features of the length dL are felt only at speeds
+The haptic device follows up to its bandwidth f_m, so features of the length dL can be felt only at speeds
 
     v <= dL f_m                                                                                              (Eq. 14)
 
-and the stage goes no faster. The base stands, so that the deflection is the height (Fig. 9), or holds the force.
+and the stage goes no faster. The base stands still, so that the deflection is the height (Fig. 9), or holds the force.
 """
 
 import math
@@ -24,18 +24,18 @@ from telenano.extend.stage import LateralParams, Place, moved
 from telenano.settings.program_settings import TactileSettings
 from telenano.wire.errors import RefusedError
 
-# These phases come after the way to the surface.
+# The phases after the approach to the surface.
 FEEL = Way.ARRIVED
 DONE = Way.ARRIVED + 1
-# The names of the gains as the user knows them.
+# The names of the gains in the settings, for messages.
 _GAINS = ("tactile.gain_per_s", "")
 
 
 class TactilePlan(NamedTuple):
-    """A path: its settings, its ends, the speed after Eq. 14 [m/s], and what they need to know of the instrument.
+    """The plan of a path: its settings, its ends, the speed limited by Eq. 14 [m/s], and properties of the instrument.
 
-    clear_m: base above every point [m]; period_s, of the feedback; approach_s: the time after which an approach has
-    found no surface [s].
+    clear_m: base [m] at which the tip is above every point; period_s: period of the feedback [s]; approach_s: time
+    after which an approach is taken to have found no surface [s].
     """
 
     settings: TactileSettings
@@ -61,7 +61,7 @@ class TactileState(NamedTuple):
 
 
 class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
-    """A path along which the tip touches the sample."""
+    """The program of a path along which the tip touches the sample."""
 
     settings = TactileSettings
     title = "Tactile"
@@ -124,7 +124,7 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
 def tactile_step(
     plan: TactilePlan, state: TactileState, inputs: Inputs, dt: float
 ) -> tuple[TactileState, float, Place]:
-    """Take what was measured and return the state, and where base [m] and stage are to go in the next dt [s]."""
+    """Return the new state, and base [m] and stage target for the next dt [s], from the last measurement."""
     s, base_m, place = plan.settings, inputs.base_m, inputs.place
     if state.phase <= Way.APPROACH:
         touches, step_m = inputs.force_n >= s.setpoint_n, s.approach_m_per_s * dt
@@ -143,14 +143,14 @@ def tactile_step(
 
 
 def plan_fault(plan: TactilePlan) -> str:
-    """Return why a path cannot be felt as it is planned; empty for nothing."""
+    """Return why the feedback of a path that holds the force would be unstable; empty if nothing is wrong."""
     if plan.settings.hold != "force":
         return ""
     return gain_fault(plan.settings.gain_per_s, 0.0, plan.period_s, None, _GAINS)
 
 
 def _surface_fault(plan: TactilePlan, instrument: Instrument, place: Place) -> str:
-    """Return why the base cannot bring the tip to a path, or hold the force along it; empty for nothing."""
+    """Return why the base cannot bring the tip to a path, or hold the force along it; empty if it can."""
     s, reach = plan.settings, instrument.reach
     if reach is None:
         return ""

@@ -1,1 +1,1 @@
-"""Samples as height maps: made ones, and those of files."""
+"""Samples as height maps, computed or read from files."""

@@ -1,13 +1,13 @@
-"""Height maps of samples, and what a round tip sees of them.
+"""Height maps of samples, and their dilation by a round tip.
 
-A map is a grid of heights over a rectangle that begins at x = y = 0; a height belongs to the middle of its pixel.
-Between them it is bilinear, beyond the outer pixels constant. A tip that ends in a sphere of radius R does not follow
-the surface s but the surface dilated by it,
+A map is a grid of heights over a rectangle that begins at x = y = 0; a height belongs to the middle of its pixel. The
+surface is bilinear between the middles and constant beyond the outer ones. A tip that ends in a sphere of radius R does
+not follow the surface s but the surface dilated by the sphere,
 
     d(x, y) = max over u, v of s(x + u, y + v) + sqrt(R^2 - u^2 - v^2) - R,
 
-which is how far the lowest point of the sphere is kept up by whichever part of it touches (J. S. Villarrubia, J. Res.
-NIST 102 (1997) 425). Forces are then those of the sphere over a flat at that height.
+the height at which the lowest point of the sphere is held by whichever point of it touches (J. S. Villarrubia, J. Res.
+NIST 102 (1997) 425). The forces are then those of the sphere over a flat at that height.
 """
 
 import math
@@ -20,10 +20,10 @@ from telenano.numerics.compiler import compiled
 
 Heights = npt.NDArray[np.float64]
 
-# attempts to place one more dot beside those that are there
+# Attempts for each dot to find a free place.
 _PLACEMENTS = 50
 MOST_PIXELS = 4096
-# comparisons of a dilation: some tens of seconds
+# The largest number of comparisons of a dilation: some tens of seconds.
 _MOST_COMPARISONS = 2e10
 
 
@@ -43,7 +43,7 @@ class Surface(NamedTuple):
         return self.step_y_m * int(self.height_m.shape[0])
 
     def dilated(self, radius_m: float) -> "Surface":
-        """Return what a sphere of radius_m [m] sees of the surface; beyond the map that is taken as level.
+        """Return the surface dilated by a sphere of radius_m [m]; beyond the map the surface counts as level.
 
         Raises:
             ValueError: The radius is not finite, negative, or spans so many pixels that this would take minutes.
@@ -53,7 +53,7 @@ class Surface(NamedTuple):
         heights = self.height_m
         rows, columns = heights.shape
         span = float(heights.max() - heights.min())
-        # a neighbour further away would have to be higher than the highest to reach the sphere
+        # A neighbour further away would have to be higher than the highest point to touch the sphere.
         reach = radius_m if span >= radius_m else math.sqrt(max(2.0 * radius_m * span - span * span, 0.0))
         n, m = (min(int(reach / step), size) for step, size in ((self.step_x_m, columns), (self.step_y_m, rows)))
         if n == 0 and m == 0:
@@ -74,7 +74,7 @@ class Surface(NamedTuple):
         return Surface(result, self.step_x_m, self.step_y_m)
 
 
-# a plane at height 0
+# A plane at height 0.
 PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
 
 
@@ -85,7 +85,7 @@ def height_at(
     """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it continues level.
 
     Raises:
-        ValueError: The point is not finite: compiled code would look it up anywhere in memory.
+        ValueError: The point is not finite; compiled code would use it as an index anywhere in memory.
     """
     if not (math.isfinite(x_m) and math.isfinite(y_m)):
         raise ValueError("the point of the map in m must be finite")
@@ -105,7 +105,7 @@ def height_at(
 
 @compiled
 def height_over_middle(surface: Surface, x_m: float, y_m: float) -> tuple[float, float, float]:
-    """Return height [m] and slopes at a place [m] whose 0, 0 is the middle of the map."""
+    """Return height [m] and slopes dz/dx, dz/dy at a place [m] counted from the middle of the map."""
     rows, columns = surface.height_m.shape
     x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
     height, slope_x, slope_y = height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)
@@ -113,7 +113,7 @@ def height_over_middle(surface: Surface, x_m: float, y_m: float) -> tuple[float,
 
 
 def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float, *, may_lack: bool = False) -> Surface:
-    """Return a map over width_m by depth_m [m]; where it may lack heights, those are NaN.
+    """Return a checked map over width_m by depth_m [m]; with may_lack, missing heights are allowed and become NaN.
 
     Raises:
         ValueError: The map cannot be scanned because of its shape, its size, or a height that is no number.
@@ -142,12 +142,12 @@ def flat(size_m: float, pixels: int) -> Surface:
 
 
 def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: float, seed: int) -> Surface:
-    """Return a level square with `count` dots at random places, none touching another (Fig. 8: InAs).
+    """Return a level square of size_m [m] with `count` dots at random places, none touching another (Fig. 8: InAs).
 
-    A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The seed alone decides the places.
+    A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The places depend on the seed alone.
 
     Raises:
-        ValueError: This number of dots find no room.
+        ValueError: The dots find no room.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     places: list[tuple[float, float]] = []
@@ -171,23 +171,26 @@ def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: floa
 
 
 def grating(size_m: float, pixels: int, period_m: float, height_m: float) -> Surface:
-    """Return ridges of height_m [m] along y, half a period_m [m] wide; x = 0 is the middle of a groove."""
+    """Return a square of size_m [m] with ridges of height_m [m] along y, half a period_m [m] wide.
+
+    x = 0 is the middle of a groove.
+    """
     middles = (np.arange(pixels) + 0.5) * (size_m / pixels)
     ridge = np.abs(np.mod(middles / period_m + 0.5, 1.0) - 0.5) > 0.25
     return checked(np.tile(np.where(ridge, height_m, 0.0), (pixels, 1)), size_m, size_m)
 
 
 def centred(surface: Surface) -> Surface:
-    """Return a surface whose height in its middle, where an AFM first brings its tip, is 0."""
+    """Return the surface shifted so that the height is 0 in its middle, where an AFM first brings its tip."""
     middle_m = height_at(*surface, 0.5 * surface.width_m, 0.5 * surface.depth_m)[0]
     return surface._replace(height_m=surface.height_m - middle_m)
 
 
 def plane_levelled(surface: Surface) -> Surface:
-    """Return a surface without its mean plane (least squares): neither tilt nor offset is left."""
+    """Return the surface without its least-squares plane, that is without tilt and offset."""
     rows, columns = surface.height_m.shape
     x, y = np.arange(columns) - 0.5 * (columns - 1), np.arange(rows) - 0.5 * (rows - 1)
-    # over a whole grid the three parts of the fit are independent; `fsum` gives the same bits on every processor
+    # On a whole grid the three parameters of the fit are independent; `fsum` gives the same bits on every processor.
     heights = surface.height_m
     mean = math.fsum(heights.ravel().tolist()) / heights.size
     tilt_x = math.fsum((heights * x[None, :]).ravel().tolist()) / (rows * math.fsum((x * x).tolist()))

@@ -1,8 +1,8 @@
-"""What each driver of an instrument can do, and with which laws and programs it may therefore be used.
+"""Capabilities of each driver of an instrument, and the laws and programs that they allow.
 
-`refusal` and `loop_refusal` are the one place where that is decided: they say in words why a combination is not
-possible, before anything is started. A driver of a package brings its own row; one without a row is not judged. A law
-says of itself whether it closes a loop (`Law.link_loop`), so no law is known here by its name.
+Only `refusal` and `loop_refusal` decide that: they say in words why a combination is impossible, before anything is
+started. A driver of a package brings its own row of capabilities; a driver without a row is never refused. A law itself
+declares whether it closes a loop (`Law.link_loop`), so this module knows no law by name.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,17 +11,18 @@ from typing import NamedTuple
 from telenano.sections.afm_section import DRIVERS
 from telenano.sections.program_table import PROGRAMS
 
-# A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
+# Least rate of z and force for a loop through link and instrument [Hz]; a slower one shakes a hand in contact.
 LEAST_LOOP_HZ = 200.0
 
 
 class AfmCapabilities(NamedTuple):
-    """What an instrument offers the rig.
+    """Capabilities of an instrument.
 
-    z_hz: how often z is set, and sample_hz, how often a new sample comes [Hz], as declared for the device as shipped;
-    latency_s: from a command to the sample that answers it, in the mean [s]. lateral: whether x and y move. images,
-    curves: whether the programs of the node may move the tip. channels: what may be felt. retracts: what retracts the
-    tip when this rig is gone. scans: whether the program `scan` is the controller's own.
+    z_hz: rate at which z is set [Hz]; sample_hz: rate of new samples [Hz], both as declared for the device as shipped;
+    latency_s: mean time from a command to the sample that answers it [s]. lateral: whether x and y can be moved.
+    images, curves: whether the programs of the node may move the tip for them. channels: channels that the operator may
+    feel. retracts: in words, the mechanism that retracts the tip when this rig is gone. scans: whether the program
+    `scan` is the controller's own.
     """
 
     z_hz: float
@@ -36,7 +37,7 @@ class AfmCapabilities(NamedTuple):
 
     @staticmethod
     def of(driver: str) -> "AfmCapabilities | None":
-        """Return what a driver declares of its instrument; None where it declares nothing.
+        """Return the capabilities that a driver declares; None if it declares none.
 
         Raises:
             ValueError: The driver of a package cannot be used.
@@ -56,13 +57,13 @@ TABLE: Mapping[str, AfmCapabilities] = {
 
 
 def loop_refusal(driver: str, law: str, instead: Iterable[str], where: str = "") -> str:
-    """Return why a law that closes a loop through the instrument cannot be used with a driver; empty where it can.
+    """Return why a law that closes a loop through the instrument cannot be used with a driver; empty if it can.
 
     Args:
         driver: The value of `afm_node.driver`.
         law: The name of the law.
-        instead: The laws that close no such loop, of which one may be taken.
-        where: The package of one of them that is not installed; empty where all are.
+        instead: The names of laws without such a loop, which the text proposes.
+        where: A hint at the package of one of them that is not installed; empty if all are.
     """
     able = AfmCapabilities.of(driver)
     if able is None or able.sample_hz >= LEAST_LOOP_HZ:
@@ -76,7 +77,7 @@ def loop_refusal(driver: str, law: str, instead: Iterable[str], where: str = "")
 
 
 def refusal(driver: str, program: str) -> str:
-    """Return why a program of the instrument cannot be used with a driver; empty where it can.
+    """Return why a program of the instrument cannot be used with a driver; empty if it can.
 
     Args:
         driver: The value of `afm_node.driver`.

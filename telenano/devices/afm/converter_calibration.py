@@ -14,14 +14,14 @@ LEAST_HEARTBEAT_S = 0.02
 
 
 class InstrumentIdentity(Settings):
-    """The very device that was calibrated."""
+    """The particular device that was calibrated."""
 
     map: MapName = Field("t7", description="Register map: t7, t8, wago_750, or a file")
     serial: int | None = Field(None, ge=0, description="Serial number; needed where the map has a register for it")
 
 
 class NetworkCalibration(Settings):
-    """Where it is reached."""
+    """The network address of the device."""
 
     host: str = Field(min_length=1, max_length=255, description="Name or address")
     port: int = Field(502, ge=1, le=65535)
@@ -81,7 +81,7 @@ class CantileverCalibration(Settings):
 
 
 class Readings(NamedTuple):
-    """A sample, and whether the input was within its range: beyond it the force is at least what the sample says."""
+    """A sample, and whether the input was within its range; if not, the force is at least that of the sample."""
 
     sample: AfmSample
     in_range: bool
@@ -120,12 +120,12 @@ class InstrumentCalibration(Settings):
 
     @property
     def identity(self) -> str:
-        """Return what a recording names this calibration by."""
+        """Return the name of this calibration in recordings: map, serial number and date."""
         return f"{self.instrument.map} {self.instrument.serial} {self.calibrated.isoformat()}"
 
     @property
     def values(self) -> dict[str, float]:
-        """Return what settings of a register map may refer to."""
+        """Return the values that settings of a register map may refer to, by name."""
         return {
             "range_v": self.deflection.range_v,
             "negative": float(self.deflection.negative),
@@ -143,7 +143,7 @@ class InstrumentCalibration(Settings):
         return (voltage_v - self.stage.rest_v) * self.stage.m_per_v
 
     def readings(self, output_v: float, input_v: float) -> Readings:
-        """Return what two voltages mean: base from the output read back, force k zeta from the input."""
+        """Return the readings of two voltages [V]: base from the output read back, force k zeta from the input."""
         in_range = abs(input_v) < self.deflection.range_v
         zeta = (input_v - self.deflection.zero_v) / self.deflection.v_per_m
         force = self.cantilever.stiffness_n_per_m * zeta
@@ -151,10 +151,10 @@ class InstrumentCalibration(Settings):
         return Readings(sample, in_range)
 
     def declared_latency_s(self, registers: RegisterMap, period_s: float) -> float:
-        """Return what the device is declared to add to the round trip [s]: from a command to its sample, in the mean.
+        """Return the declared latency of the device [s]: the mean time from a command to the sample that answers it.
 
-        Its cycle takes n whole periods of the loop: the sample that a command is answered by comes after n of them, and
-        is (n - 1) / 2 older when it is used, in the mean. Commands in between are overtaken by the next one.
+        A cycle of the device takes n whole periods of the loop: the sample that answers a command comes after n
+        periods, and its mean age when it is used is (n - 1) / 2 more. Later commands replace those that wait meanwhile.
 
         Args:
             registers: The map of the device.
@@ -167,7 +167,7 @@ class InstrumentCalibration(Settings):
         return (3 * periods - 1) / 2 * period_s
 
     def check(self, limits: SafetyParams, registers: RegisterMap) -> list[str]:
-        """Return what does not fit between this file, the limits of the node and the map; empty if all does."""
+        """Return the contradictions between this file, the limits of the node and the map, as texts; empty for none."""
         stage, faults = self.stage, []
         for name, position_m in (("base_min_m", limits.base_min_m), ("base_max_m", limits.base_max_m)):
             volts = stage.rest_v + position_m / stage.m_per_v

@@ -1,6 +1,6 @@
-"""An instrument behind its guard, and the parts around both: one step of it, of a command or of a program.
+"""An instrument behind its guard, with the parts around both: it makes one step, for a command or for a program.
 
-A part is what an instrument may have or lack, such as a lateral stage or a recorded map (`device_node`).
+A part adds a feature that an instrument may have or lack, such as a lateral stage or a recorded map (`device_node`).
 """
 
 import math
@@ -27,25 +27,27 @@ from telenano.sections.sample_section import layers_on
 from telenano.timing.clock import NEVER_NS
 from telenano.wire.messages import AfmCommand, Array
 
-# A hand that trembles at the edge of a map is warned of it once.
+# A warning at the edge of a map is repeated only after this time away from the edge: a hand may tremble there.
 _QUIET_NS = 2_000_000_000
-# the truth of a layer is looked at every 50 ms, and published then while it changes
+# The truth of a layer is examined every 50 ms, and published while it changes.
 _LOOK_PERIOD_NS = 50_000_000
-# while it does not, every twentieth look is published
+# While it does not change, only every twentieth is published.
 _RESTING_LOOKS = 20
 Event = Callable[[str, str, str], None]
 
 
 class AfmMemory(msgspec.Struct, array_like=True):
-    """What is remembered from step to step.
+    """The memory of an instrument from step to step.
 
-    The state of the guard; the newest command; the newest one whose hand was armed, which is the one in force, and when
-    it was received [ns]; forces on the tip at the last step [N]; where the tip is, and where a person wants it; the
-    times of the last report of a program, of the last step, and of the next one [ns]; what is felt, None where it is
-    the force; the number of the last look at what lies on the sample, under the name that it has in recordings of
-    before; whether the tip was placed at the last step, and whether that is still to be reported after arming; whether
-    the hand was disarmed while the tip was held, after which no command ends the hold; whether another command has come
-    since the last step; whether an `arm` has to say where the tip may go, which in recordings of before it did not.
+    guard: state of the guard. command: newest command; followed: newest command whose hand was armed, which is in
+    force, received at followed_received_ns [ns]. force_n, lateral_n: forces on the tip at the last step [N]. place:
+    place of the tip; pointer: place where a person wants it. told_ns, stepped_ns, due_ns: times of the last report of a
+    program, of the last step and of the next one [ns]. felt: state of the felt channel, None if the force is felt.
+    particles_look: number of the last look at the layers of the sample, under the name of earlier recordings. placed:
+    whether the tip was placed at the last step; places: whether that has still to be reported after arming. disarmed:
+    whether the hand was disarmed while the tip was held, after which no command ends the hold. interrupted: whether
+    another command has come since the last step. words: whether an `arm` has to state where the tip may go, which it
+    did not in earlier recordings.
     """
 
     guard: safety.SafetyState
@@ -70,14 +72,14 @@ class AfmMemory(msgspec.Struct, array_like=True):
     def asks(
         self, base_m: float, action: int, command_age_s: float, *now: bool, by_hand: tuple[Any, ...] = ()
     ) -> safety.SafetyInputs:
-        """Return what the guard is asked.
+        """Return the inputs of the guard.
 
         Args:
             base_m: The reference [m].
-            action: What is to be done with it.
+            action: The action of the command (ACTION_*).
             command_age_s: The age of the command [s].
-            now: Whether to arm, whether to stop, and whether the device is lost.
-            by_hand: The inputs from `of_hand` on, where the reference is that of a hand.
+            now: Three flags: whether to arm, whether to stop, and whether the device is lost.
+            by_hand: The inputs from `of_hand` on, if the reference is that of a hand.
         """
         arm, estop, is_lost = now
         across_n = math.hypot(*self.lateral_n)
@@ -86,7 +88,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Step:
-    """One step of this length [s]: what the guard allows, what is wanted, what was measured, what a program was given.
+    """One step: output of the guard, wanted position, length [s], measured sample, and inputs of a program.
 
     added_fields: keys of afm/state that the parts add.
     """
@@ -103,7 +105,7 @@ class Step:
         return self.allowed.mode == safety.MODE_FOLLOW
 
     def fields(self, memory: AfmMemory) -> dict[str, Any]:
-        """Return afm/state, without what it says of a command."""
+        """Return the fields of afm/state, without those of the command."""
         sample = self.sample
         return {
             "base_position_m": (*memory.place, 0.0 - sample.base_m),
@@ -123,7 +125,7 @@ class Step:
 
 
 def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dict[str, Any]:
-    """Return afm/scanline for a line of an image of this number of lines."""
+    """Return the fields of afm/scanline for a line of an image with `lines` lines."""
     further = {"dissipated_j": line.dissipated_j, "lateral_force_n": line.lateral_n}
     if line.lateral_n is not None:
         further["torsion_rad"] = line.lateral_n / (friction.lateral_stiffness_n_per_m * friction.tip_height_m)
@@ -144,7 +146,7 @@ AfmPart = StepPart[Step, AfmMemory]
 
 
 class MapEdge(AfmPart):
-    """Keeps the tip on a recorded map in x and y, and says once that it was asked to go further."""
+    """Keeps the tip on a recorded map in x and y, and warns once when it was asked to go beyond."""
 
     def __init__(self, places_m: tuple[float, float], event: Event) -> None:
         self._places_m, self._event = places_m, event
@@ -181,9 +183,9 @@ class Stage(AfmPart):
 
 
 class SimulatedTime(AfmPart):
-    """Lets the time of a simulation pass.
+    """Advances the time of a simulation.
 
-    Between two steps it continues by what is known of the motion, in shares that let others have the processor.
+    Between two steps it simulates the known part of the motion, in shares between which other tasks can run.
     """
 
     def __init__(self, simulation: Simulation, node: Node) -> None:
@@ -202,7 +204,7 @@ class SimulatedTime(AfmPart):
 
 
 class Truths(AfmPart):
-    """Publishes for recordings what is so of what lies on the sample (`telenano.afm.layers`)."""
+    """Publishes the truths of the layers on the sample, for recordings (`telenano.afm.layers`)."""
 
     def __init__(self, layers: Sequence[Layer], simulation: Simulation, node: Node) -> None:
         self._layers, self._simulation, self._node = layers, simulation, node
@@ -219,7 +221,7 @@ class Truths(AfmPart):
 
 
 class OwnImages(AfmPart):
-    """Has an instrument take an image by its own scan while the guard lets it, and end it otherwise."""
+    """Lets an instrument take an image by its own scan while the guard is in FOLLOW, and ends the scan otherwise."""
 
     def __init__(self, own_scan: OwnScan) -> None:
         self._own_scan = own_scan
@@ -229,7 +231,7 @@ class OwnImages(AfmPart):
 
 
 class RealDevice(AfmPart):
-    """Takes up the reports of a real instrument."""
+    """Handles the reports of a real instrument."""
 
     def __init__(self, driver: AfmDriver, node: DeviceNode) -> None:
         self._driver, self._node = driver, node
@@ -237,7 +239,7 @@ class RealDevice(AfmPart):
     def measure(self, step: Step, memory: AfmMemory) -> None:
         self._report = report = cast(AfmReport, self._driver.report)
         if not report.force_valid:
-            # A force beyond the range of the input is no number for the guard.
+            # NaN makes the guard retract the tip: the force is beyond the range of the input.
             memory.force_n = math.nan
         step.added_fields.update(
             device=report.status, sample_age_s=report.age_s, output_v=report.output_v, input_v=report.input_v
@@ -248,9 +250,9 @@ class RealDevice(AfmPart):
 
 
 class Feel(AfmPart):
-    """Makes the force that is felt out of a measured channel (`felt`).
+    """Computes the force that is felt from a measured channel (`felt`).
 
-    The guard judges the greater of both forces; a value that has left the branch is no force to it.
+    The guard judges the greater of felt and measured force; it gets NaN when the value has left the branch.
     """
 
     def __init__(self, feel: FeelConfig, driver: AfmDriver, event: Event) -> None:
@@ -295,7 +297,7 @@ def parts_of(node: DeviceNode, config: AfmConfig, driver: AfmDriver) -> list[Afm
 
 
 class _Still:
-    """The base of an instrument that cannot be vibrated."""
+    """The drive of an instrument that cannot vibrate its base: it does nothing."""
 
     oscillation = Oscillation(0.0, 0.0)
 
@@ -303,7 +305,7 @@ class _Still:
 
 
 class GuardedInstrument:
-    """A driver behind the guard with these limits, and the parts around both."""
+    """A driver behind a guard with the given limits, and the parts around both."""
 
     def __init__(self, limits: SafetyParams, driver: AfmDriver, parts: Sequence[AfmPart]) -> None:
         self._limits, self._driver = limits, driver
@@ -313,11 +315,11 @@ class GuardedInstrument:
         self.parts = Parts(parts)
 
     def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
-        """Guard what is asked, apply it and measure."""
+        """Pass the inputs through the guard, apply the base that it allows, and measure."""
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
-        # A tip that taps continues until it is away: at rest it would lie on the sample, and push what is beside it.
+        # A tapping tip vibrates until it is retracted: at rest it would lie on the sample, and push particles aside.
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:
             self._vibration.vibrate(0.0)
         step.sample = self._driver.exchange(allowed.base_m)
@@ -328,7 +330,7 @@ class GuardedInstrument:
     def step_program(
         self, memory: AfmMemory, programs: ProgramRunner, elapsed_s: float, estop: bool = False, lost: bool = False
     ) -> Step:
-        """Take a step of the program that runs, perhaps with the stop pressed or the device lost."""
+        """Make a step of the running program; `estop`: the stop is pressed, `lost`: the device is lost."""
         mode, base_m = memory.guard.mode, memory.guard.base_m
         felt, moving = (memory.force_n, memory.lateral_n), self._vibration.oscillation
         inputs = Inputs(base_m, memory.place, *felt, moving, memory.pointer, own=self._own_line())
@@ -336,7 +338,7 @@ class GuardedInstrument:
         if action == safety.ACTION_POSITION:
             self._vibration.vibrate(wanted.amplitude_m)
         arm = mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION
-        # The references of the program are made in this step, and so have no age.
+        # The reference of the program is made in this step, so its age is 0.
         step = self.step(memory, memory.asks(wanted.base_m, action, 0.0, arm, estop, lost), wanted, elapsed_s)
         step.inputs = inputs
         programs.follow_guard(step.allowed.mode, step.allowed.reason)

@@ -1,8 +1,7 @@
-"""The address of a device that is given by name, looked up where nothing waits for it.
+"""The address of a device that is given by name, looked up without blocking the loop.
 
-A name server that does not answer holds its caller for ten seconds and more, which is no matter at the opening of a
-device and one of life and death of a tip in the loop. So one thread of its own asks, and the loop looks whether there
-is an answer.
+A name server that does not answer blocks its caller for ten seconds and more: harmless when a device is opened, but
+fatal for a tip in the loop. So a separate thread asks, and the loop polls for the answer.
 """
 
 import queue
@@ -15,7 +14,7 @@ LookUp = Callable[[str, int], list[Any]]
 
 
 class Address(NamedTuple):
-    """Where to connect to: family and address, as a socket wants them."""
+    """Family and address to connect to, in the form of the socket module."""
 
     family: int
     address: Any
@@ -25,7 +24,7 @@ class HostAddress:
     """The address of one host and port."""
 
     def __init__(self, host: str, port: int, look_up: LookUp | None = None) -> None:
-        """Begin to look up a name; an address in digits needs no looking up. `look_up`: getaddrinfo, but for a test."""
+        """Begin to look up a name; a numeric address needs none. `look_up` replaces getaddrinfo in a test."""
         self._host, self._port = host, port
         self._look_up: LookUp = look_up or _of_the_system
         self._wanted: queue.SimpleQueue[None] = queue.SimpleQueue()
@@ -36,18 +35,18 @@ class HostAddress:
             self._is_name = False
         except OSError:
             self._is_name = True
-            # A daemon, since a process that ends does not wait for a name server either.
+            # It is a daemon thread, so that the end of the process does not wait for a name server.
             threading.Thread(target=self._answer, name=f"address of {host}", daemon=True).start()
             self.renew()
 
     def renew(self) -> None:
-        """Look the name up once more, unless that is under way; the last address counts until there is a newer one."""
+        """Look the name up again, unless that is under way; the last address is valid until there is a newer one."""
         if self._is_name and not self._under_way:
             self._under_way = True
             self._wanted.put(None)
 
     def poll(self) -> Address | None:
-        """Return the newest address, None while there is none yet; OSError where the name is not known."""
+        """Return the newest address, or None while there is none yet; raise OSError if the name is not known."""
         address = self._found
         if isinstance(address, OSError):
             if self._under_way:
@@ -61,7 +60,7 @@ class HostAddress:
             try:
                 self._found = _first(self._look_up(self._host, self._port))
             except (OSError, UnicodeError) as error:
-                # An address that was right once is better than none.
+                # An address that was once right is better than none.
                 if not isinstance(self._found, Address):
                     self._found = error if isinstance(error, OSError) else OSError(f"is no name of a host: {error}")
             self._under_way = False

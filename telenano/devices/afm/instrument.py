@@ -1,4 +1,4 @@
-"""What a configuration of the AFM means: its driver, what its base reaches, and what runs its programs."""
+"""Builds the objects of a configuration of the AFM: its driver, the reach of its base, and the runner of programs."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from telenano.wire.extras import how_to_install
 
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
-    """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
+    """Return the driver of the instrument, simulated or real; raise ConfigError, with the reason, if there is none."""
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if (driver := DRIVERS.find(config.driver)) is not None:
@@ -48,13 +48,13 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
 
 
 def _read_by_cantilever(config: AfmConfig, params: AfmParams) -> SimulatedInstrument:
-    """Return the instrument over what says a force alone; where it is disturbed its cantilever reads that."""
+    """Return the instrument over a plant that gives only a force, which the cantilever reads while it is disturbed."""
     cantilever = config.to_params().plant
     return SimulatedInstrument(params, None, cantilever, config.disturbances, is_gauged=True)
 
 
 def _layers(config: AfmConfig) -> dict[str, Any]:
-    """Return what is around the tip over the surface: what lies there, and the channel of the lateral force."""
+    """Return the arguments of `simulated_afm` for the parts around the tip: layers, and the lateral-force channel."""
     heights = [layer.height(settings).height_m for layer, settings in layers_on(config.sample)]
 
     def layer(part: Any, surface: Surface | None) -> Any:
@@ -64,7 +64,7 @@ def _layers(config: AfmConfig) -> dict[str, Any]:
 
 
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
-    """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
+    """Return the instrument with the dynamic cantilever; raise ConfigError without numba or for impossible values."""
     try:
         from telenano.afm.dynamic_plant import FINEST
         from telenano.afm.dynamic_sim import dynamic_params, require_steps, resting_steps
@@ -72,12 +72,12 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
         raise ConfigError(f"afm_node.model: dynamic needs numba: {how_to_install('studies')}") from error
     surface, friction = config.to_surface(), config.to_friction_params()
     try:
-        # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
+        # The impulses are those of 1 K; the driver scales them, so that the temperature can be changed while it runs.
         whole = config.cantilever.steps_per_period
         driven = config.to_dynamic(temperature_k=1.0, finest=whole)
         rest = resting_steps(driven)
         if rest > whole // 2:
-            # A millisecond of the bus has no time for more steps than the configuration and the contact ask for.
+            # A millisecond of the bus has no time for more steps than configuration and contact require.
             driven = config.to_dynamic(temperature_k=1.0, like=driven, finest=min(FINEST, max(whole, 2 * rest)))
         require_steps(driven)
         resting = config.to_dynamic(steps_per_period=rest, temperature_k=1.0, like=driven, finest=rest)
@@ -88,7 +88,7 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
 
 
 def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
-    """Return the instrument over its recorded map; ConfigError, if the map cannot be used."""
+    """Return the instrument over its recorded map; raise ConfigError if the map cannot be used."""
     over, params = config.to_over_map(), config.to_params()
     # The disturbances are those of a cantilever that has the stiffness of the map.
     cantilever = params.plant._replace(stiffness_n_per_m=over.stiffness_n_per_m)
@@ -97,7 +97,7 @@ def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
-    """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
+    """Return the driver of a Modbus instrument; raise ConfigError, with the fault, if its files are wrong."""
     try:
         from telenano.devices.afm.modbus_driver import ModbusAfm
     except ImportError as error:
@@ -112,7 +112,7 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
 
 
 def calibration_of_file(calibration: Path) -> Any:
-    """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
+    """Return the calibration of a real instrument of any kind; raise ConfigError, with the fault, if it is wrong."""
     from telenano.devices.afm.converter_calibration import InstrumentCalibration
 
     document = read_yaml(calibration)
@@ -122,7 +122,7 @@ def calibration_of_file(calibration: Path) -> Any:
 
 
 def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
-    """Return the driver of a real instrument by its calibration file alone, whichever kind it is."""
+    """Return the driver of a real instrument of any kind, chosen by its calibration file alone."""
     limits, kind = config.to_params().safety, read_yaml(calibration).get("controller")
     if kind is None:
         return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
@@ -132,7 +132,11 @@ def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
 
 
 def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:
-    """Return the driver that a calibration file is for, and its model; ConfigError names what would have it."""
+    """Return the driver for the `controller` of a calibration file, and the model of such files.
+
+    Raises:
+        ConfigError: No such driver is installed; the message names the package that would have it.
+    """
     try:
         driver = DRIVERS.find(str(kind))
     except ValueError as error:
@@ -144,7 +148,7 @@ def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseMo
 
 
 def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
-    """Return what the base reaches, None for an instrument whose surface is not known in advance."""
+    """Return the reach of the base, or None for an instrument whose surface is not known in advance."""
     if driver.relief is None:
         return None
     surface, above_m = driver.relief
@@ -152,7 +156,7 @@ def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
 
 
 def sample_text(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> str:
-    """Return what a person should know of the sample when the tip is armed; empty for nothing."""
+    """Return a remark on the sample for the person who arms the tip; empty for none."""
     if reach is None:
         return getattr(driver, "about", "")
     surface, sample = reach.surface, config.sample
@@ -166,7 +170,7 @@ def sample_text(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> st
 
 
 def pointed(config: AfmConfig, driver: AfmDriver, target: LateralTarget, pointer: Place) -> Place:
-    """Return where a person wants the tip, after a command: `pointer` itself where the command has no place.
+    """Return the place where a person wants the tip after a command; without a place in it, that is still `pointer`.
 
     Raises:
         RefusedError: The instrument has no stage, or the place is out of reach.
@@ -187,13 +191,13 @@ def pointed(config: AfmConfig, driver: AfmDriver, target: LateralTarget, pointer
 
 
 def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_s: float) -> ProgramRunner:
-    """Return what runs the programs of an instrument that steps each period_s [s].
+    """Return the runner of the programs of an instrument that steps each period_s [s].
 
-    An instrument that answers late regulates as one that steps less often: an integral of gain Ki behind a latency D is
-    stable for Ki D below pi / 2, and 2 / (T + 2 D), the limit of a period T + 2 D, is below that for any T.
+    The feedback of an instrument with a latency D is treated as one that steps less often, with the period T + 2 D: an
+    integral of gain Ki behind D is stable for Ki D below pi / 2, and the limit 2 / (T + 2 D) is below that for any T.
     """
     params = config.to_params()
-    # over a recorded map, programs go within the largest square of it
+    # Over a recorded map, programs stay within its largest square.
     lateral = None if driver.stage is None else config.to_lateral_params()._replace(reach_m=min(config.places_m))
     surface = None if reach is None else reach.surface
     sides = config.sample_sides_m() if surface is None else (surface.width_m, surface.depth_m)

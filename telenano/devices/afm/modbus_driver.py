@@ -1,7 +1,7 @@
-"""A real stage and deflection behind a Modbus instrument: one request out at a time, and no waiting in a tick.
+"""The driver of a real stage and deflection behind a Modbus instrument: one request at a time, no waiting in a tick.
 
-A tick takes the answer if it is there, and then sends the next request if none is out. The handshake (identify, set up,
-retract, read back) is a generator of requests that opening runs to its end, and a reconnection one step a tick.
+A tick takes the answer if it has come, and then sends the next request if none is outstanding. The handshake (identify,
+retract, set up, read back) is a generator of requests: `open` runs it to its end, a reconnection one step a tick.
 """
 
 from typing import Any, Self
@@ -25,10 +25,10 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
     """An `AfmDriver` on a Modbus instrument.
 
     Args:
-        calibration: The calibration of this very device.
+        calibration: The calibration of this particular device.
         registers: The map of its registers.
         limits: The limits of the node's guard.
-        options: Those of `TcpDriver`.
+        options: Keyword arguments of `TcpDriver`.
 
     Raises:
         DeviceError: Calibration, limits and map do not fit together.
@@ -55,12 +55,12 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         self._words: tuple[int, ...] = ()
         self._target_v = self._sent_v = stage.retract_v
         self._cycle_ns = self._answered_ns = 0
-        # the exchanges of this connection when the base was last commanded to retract
+        # The number of exchanges on this connection when the base was last commanded to retract.
         self._retract_sent_at = 0
         self._identity = registers.model
         self._heart = heartbeat_of(calibration, registers)
-        # The process assumes after less than its limit that the device has retracted, because the heartbeat needs time
-        # as well.
+        # The process assumes earlier than the limit that the device has retracted, because the heartbeat also takes
+        # time to arrive.
         self._pause_ns = round(_PAUSE_SHARE * calibration.heartbeat_s * 1e9)
         self._beat = 0
         self._output_v = stage.retract_v
@@ -87,12 +87,12 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
 
     @property
     def identity(self) -> str:
-        """Return who the device is, for a person; known once it is open."""
+        """Return model, serial number and firmware for a person; known once the device is open."""
         return self._identity
 
     @property
     def heartbeat_s(self) -> float:
-        """Return the silence after which the script retracts [s]; 0 where none runs."""
+        """Return the silence after which the script on the device retracts [s]; 0 if none runs."""
         return 0.0 if self._heart is None else self.calibration.heartbeat_s
 
     @property
@@ -102,12 +102,12 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
 
     @property
     def late_answers(self) -> int:
-        """Return how many answers were skipped on this connection: they were to requests before the one that is out."""
+        """Return the number of answers skipped on this connection because they belonged to an earlier request."""
         return self._conversation.late
 
     @property
     def refused_answers(self) -> int:
-        """Return how many answers of another unit or to another function came on this connection: none was taken."""
+        """Return the number of answers of another unit or to another function on this connection; all were dropped."""
         return self._conversation.refused
 
     @property
@@ -183,9 +183,9 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
             self._start_cycle(now_ns)
 
     def _take(self, answer: Answer, now_ns: int) -> None:
-        """Take the words of an answer; with those of the last request of a cycle there is a sample."""
+        """Store the words of an answer; those of the last request of a cycle complete a sample."""
         if answer.exception:
-            # The device is busy: the cycle begins again, and only the age decides.
+            # The device is busy: the cycle begins again, and only the age of the sample decides about a loss.
             self._requests.clear()
             self._words = ()
             return
@@ -236,8 +236,8 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
         reads = [Operation(part.address, part.count) for part in (self._input, self._readback)]
         if self._map.exchange == "feedback":
             if self._heart is not None:
-                # While the guard keeps the base retracted, nothing drives it, and a pause of this process costs nothing
-                # there, as before the loop.
+                # While the guard keeps the base retracted, beat 0 says that nothing drives it: a pause of this process
+                # is then harmless, as it is before the loop.
                 is_driven = self._sent_v > self.calibration.voltage_v(self._limits.retract_position_m)
                 self._beat = self._beat % _MOST_BEATS + 1 if is_driven else 0
                 beat = self._heart.beat.encode(float(self._beat), self._map.word_order)
@@ -257,7 +257,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
 
     def _judge(self, now_ns: int) -> None:
         age_s = self._age_s(now_ns)
-        # an exchange in the loop's time takes whole periods
+        # In the time of the loop an exchange takes whole periods.
         is_fresh = age_s <= self.STALE_CYCLES * (self._map.device_cycle_s + self._period_s)
         volts = self._output_v, self._readings.sample.bridge_voltage_v
         status = AfmReport("ok" if is_fresh else "stale", age_s, self._readings.in_range, self._text, *volts)

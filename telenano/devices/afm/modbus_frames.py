@@ -1,7 +1,7 @@
-"""Requests and answers of Modbus TCP as bytes: pymodbus builds and parses, nothing here waits or knows a socket.
+"""Requests and answers of Modbus TCP as bytes, built and parsed by pymodbus, without a socket and without waiting.
 
-Function 76 is LabJack's feedback: reads and writes carried out in order within one request, answered by all that was
-read. Frames: type (0 read, 1 write), address, number of registers, and the registers of a write.
+Function 76 is LabJack's feedback: the device carries out reads and writes in order within one request, and answers with
+all registers read. Its frames: type (0 read, 1 write), address, number of registers, and the registers of a write.
 """
 
 import struct
@@ -20,7 +20,7 @@ from telenano.wire.errors import TelenanoError
 
 _FRAME = struct.Struct(">BHB")
 _HEADER = 8
-# This bit in the function of an answer means that the device did not do what was requested.
+# This bit in the function code of an answer means that the device refused the request.
 _EXCEPTION = 0x80
 _LONGEST = 260
 # The types of the frames in function 76.
@@ -37,7 +37,7 @@ class Operation(NamedTuple):
 
 
 class FeedbackRequest(ModbusPDU):
-    """Function 76 as the client sends it; `operations` in the order in which they are carried out."""
+    """A request of function 76; the device carries out `operations` in this order."""
 
     function_code = 76
     operations: tuple[Operation, ...] = ()
@@ -51,7 +51,7 @@ class FeedbackRequest(ModbusPDU):
         return b"".join(parts)
 
     def decode(self, data: bytes) -> None:
-        """Read the body of a request; ValueError if it is cut or of an unknown type."""
+        """Read the body of a request; raise ValueError for an unknown type, struct.error if the body is cut."""
         frames, at = [], 0
         while at < len(data):
             kind, address, count = _FRAME.unpack_from(data, at)
@@ -66,12 +66,12 @@ class FeedbackRequest(ModbusPDU):
         self.operations = tuple(frames)
 
     def answered(self, registers: list[int]) -> "FeedbackAnswer":
-        """Return the answer of the device: the registers of all reads in a row."""
+        """Return the answer of the device, with the registers of all reads in a row."""
         return FeedbackAnswer(registers=registers)
 
 
 class FeedbackAnswer(ModbusPDU):
-    """Function 76 as the device answers it: the registers of all reads in a row."""
+    """An answer to function 76: the registers of all reads in a row."""
 
     function_code = 76
 
@@ -80,23 +80,23 @@ class FeedbackAnswer(ModbusPDU):
         return struct.pack(f">{len(self.registers)}H", *self.registers)
 
     def decode(self, data: bytes) -> None:
-        """Read the body of an answer; struct.error if half a register is missing."""
+        """Read the body of an answer; raise struct.error if half a register is missing."""
         self.registers = list(struct.unpack(f">{len(data) // 2}H", data))
 
 
 class Answer(NamedTuple):
-    """What a device answered: registers in the order of the reads, or the number of an exception (0: none)."""
+    """The answer of a device: registers in the order of the reads, or the number of an exception (0: none)."""
 
     words: tuple[int, ...]
     exception: int
 
 
 class FramingError(TelenanoError, ValueError):
-    """Bytes that are no answer in Modbus TCP: the connection has to be made again."""
+    """The bytes received are no answer in Modbus TCP: the connection has to be made again."""
 
 
 class Conversation:
-    """One request out at a time, and the bytes that come back for it."""
+    """Frames one request at a time, and finds its answer in the bytes received."""
 
     def __init__(self, device_id: int) -> None:
         self._device_id = device_id
@@ -106,15 +106,15 @@ class Conversation:
         self._transaction = 0
         self._received = b""
         self._function = 0
-        # answers that came too late, to requests that were given up
+        # Number of answers that came too late, to requests given up before.
         self.late = 0
-        # answers of another unit, or to another function
+        # Number of answers of another unit, or to another function.
         self.refused = 0
         self._refused_last = ""
 
     @property
     def refusals(self) -> str:
-        """Return what was refused as the end of a sentence; empty if nothing was."""
+        """Return a report of the refused answers as the end of a sentence; empty if there were none."""
         return f"; {self.refused} answers were refused, the last one {self._refused_last}" if self.refused else ""
 
     def read(self, address: int, count: int) -> bytes:
@@ -139,10 +139,10 @@ class Conversation:
         return self._framed(request)
 
     def answer(self, received: bytes) -> Answer | None:
-        """Take bytes, and return the answer to the newest request once it is complete.
+        """Add received bytes, and return the answer to the newest request, or None until it is complete.
 
-        An answer to an older request is skipped and counted, and so is one of another unit or to another function:
-        behind a gateway several devices share a connection.
+        Answers to an older request, of another unit or to another function are skipped and counted: behind a gateway
+        several devices share a connection.
 
         Raises:
             FramingError: The bytes are not Modbus TCP.
@@ -179,7 +179,7 @@ class Conversation:
         return Answer(tuple(pdu.registers), 0)
 
     def _framed(self, request: ModbusPDU) -> bytes:
-        # 0 represents no transaction in pymodbus
+        # In pymodbus 0 means no transaction.
         self._transaction = self._transaction % 0xFFFF + 1
         request.transaction_id, request.dev_id = self._transaction, self._device_id
         self._function = request.function_code

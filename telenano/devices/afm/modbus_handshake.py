@@ -1,4 +1,4 @@
-"""What is asked of an instrument before it is driven: who it is, its settings, its watchdog, and to be retracted."""
+"""The handshake with a Modbus instrument before it is driven: identity, retraction, settings, watchdog, heartbeat."""
 
 import struct
 from collections.abc import Callable, Generator
@@ -29,12 +29,12 @@ Steps = Generator[bytes, Answer, None]
 
 
 class Handshake:
-    """The requests of a handshake, one at a time; DeviceError says what is wrong with the device.
+    """The requests of a handshake, one at a time; it raises DeviceError, with the fault, for an unfit device.
 
     Args:
-        calibration: The calibration of this very device.
+        calibration: The calibration of this particular device.
         registers: The map of its registers.
-        conversation: Frames the requests.
+        conversation: The framing of the requests.
         now_ns: The monotonic clock [ns].
     """
 
@@ -48,13 +48,19 @@ class Handshake:
         self._now_ns = now_ns
         self.identity = registers.model
         self._calibration, self._map, self._conversation = calibration, registers, conversation
-        # how often the script has retracted since it was asked last
+        # Number of retractions by the script since it was last asked.
         self.trips = 0
         self._output = registers.output.of_channel(calibration.stage.dac)
         self._readback = registers.readback.of_channel(calibration.stage.dac)
 
     def steps(self) -> Steps:
-        """Identify the device, set it up, retract it; DeviceError says what is wrong with it."""
+        """Identify the device, retract it, set it up, and check that it is retracted.
+
+        Each request is yielded and its answer sent in.
+
+        Raises:
+            DeviceError: The device is another one, refuses a request, or is not retracted.
+        """
         for check in self._map.checks:
             actual = yield from self._read(check)
             if not agrees(actual, check.value):
@@ -69,7 +75,7 @@ class Handshake:
         if self._map.firmware is not None:
             firmware = yield from self._read(self._map.firmware)
             self.identity += f", firmware {firmware:.4f}"
-        # The output leaves the sample first of all, whatever it was at.
+        # Retract the output first, from any voltage.
         yield from self._write(self._output, self._calibration.stage.retract_v)
         for setting in self._map.settings:
             channel = self._calibration.deflection.channel
@@ -98,7 +104,7 @@ class Handshake:
         yield from self._write(watchdog.enable, 1.0)
 
     def _set_heartbeat(self) -> Generator[bytes, Answer, None]:
-        """Have the script run on the device, loaded unless it runs already; it is idle until the first beat."""
+        """Make the script run on the device, loading it unless it runs already; it is idle until the first beat."""
         heart = heartbeat_of(self._calibration, self._map)
         if heart is None:
             return
@@ -110,7 +116,7 @@ class Handshake:
             (heart.trips, 0.0),
         )
         reading = yield from self._read(heart.trips)
-        # memory that was not written yet may have anything
+        # Memory that was never written may hold any value.
         self.trips = int(reading) if 0.0 <= reading < 1e6 else 0
         for register, value in wanted:
             yield from self._write(register, value)
@@ -126,7 +132,10 @@ class Handshake:
             )
 
     def _runs(self, heart: Heartbeat, patience_ns: int) -> Generator[bytes, Answer, bool]:
-        """Return whether the script writes its version within some time; RAM keeps that of one that has ended."""
+        """Return whether the script writes its version within patience_ns [ns].
+
+        The register is cleared first, because the RAM keeps the version of a script that has ended.
+        """
         yield from self._write(heart.running, 0.0)
         until_ns = self._now_ns() + patience_ns
         while self._now_ns() < until_ns:
@@ -136,9 +145,9 @@ class Handshake:
         return False
 
     def _load(self, heart: Heartbeat) -> Generator[bytes, Answer, None]:
-        """Stop what runs, write the script, run it, and keep it for the next time the device is switched on."""
+        """Stop any script, write this one, run it, and save it to run when the device is next switched on."""
         for _ in range(2):
-            # a script takes its time to end, and only the second stop frees its memory
+            # A script needs time to end, and only the second stop frees its memory.
             yield from self._write(heart.run, 0.0)
             until_ns = self._now_ns() + _LUA_STOP_NS
             while self._now_ns() < until_ns:
@@ -153,7 +162,7 @@ class Handshake:
             yield from self._write(register, 1.0)
 
     def _set(self, setting: Setting) -> Generator[bytes, Answer, None]:
-        """Write a setting where it differs, and read it back."""
+        """Write a setting if it differs, and read it back."""
         wanted = setting.wanted(self._calibration.values)
         actual = yield from self._read(setting)
         if agrees(actual, wanted):
@@ -175,12 +184,12 @@ class Handshake:
 
 
 def heartbeat_of(calibration: InstrumentCalibration, registers: RegisterMap) -> Heartbeat | None:
-    """Return the heartbeat that is in use."""
+    """Return the heartbeat of the map, or None if it has none or the calibration switches it off."""
     return registers.heartbeat if calibration.heartbeat_s > 0.0 else None
 
 
 def is_retracted(calibration: InstrumentCalibration, registers: RegisterMap, output_v: float) -> bool:
-    """Return whether an output [V] is at the retract voltage, to two steps of its converter."""
+    """Return whether an output [V] is at the retract voltage, within two steps of its converter."""
     return abs(output_v - calibration.stage.retract_v) <= _SAME_V * registers.output_step_v
 
 

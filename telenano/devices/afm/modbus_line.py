@@ -1,4 +1,4 @@
-"""The connection to an instrument over TCP, which never waits, and how long its drivers are patient with it."""
+"""The connection to an instrument over TCP, which never waits, and the timeouts of its drivers."""
 
 import errno
 import select
@@ -12,29 +12,29 @@ from telenano.extend.instruments import DeviceError
 _MS = 1_000_000
 LOST_NS = 50 * _MS
 RETRY_NS = 500 * _MS
-# A step of the handshake may take this long, because a setting that goes to flash is slow.
+# Time limit of a step of the handshake: writing a setting to flash is slow.
 STEP_NS = 1000 * _MS
-# A name server may take this long; with the usual settings the system gives up after ten seconds.
+# Time limit of a name server; with the usual settings the system gives up after ten seconds.
 NAME_NS = 15_000 * _MS
 _READ_BYTES = 4096
 
 
 class Line(Protocol):
-    """A connection that never waits; each method but `close` raises OSError when it is gone.
+    """A connection that never waits; each method but `close` raises OSError when the connection is gone.
 
-    `resolved`: whether the address of the device is known, so that it is connected to.
+    `resolved`: whether the address of the device is known, so that connecting has begun.
     """
 
     @property
     def resolved(self) -> bool: ...
 
     def ready(self) -> bool:
-        """Return whether it is connected by now."""
+        """Return whether the connection is made."""
 
     def send(self, request: bytes) -> None: ...
 
     def receive(self) -> bytes:
-        """Return what has come, without waiting."""
+        """Return the bytes that have come, without waiting."""
 
     def close(self) -> None: ...
 
@@ -43,10 +43,10 @@ Connect = Callable[[str, int], Line]
 
 
 class TcpLine:
-    """A TCP connection to a device, made without waiting for it, nor for its address."""
+    """A TCP connection to a device, which waits neither for the device nor for its address."""
 
     def __init__(self, place: HostAddress) -> None:
-        """Begin to connect, as soon as the address is known."""
+        """Prepare a connection, which `ready` begins as soon as the address is known."""
         self._place = place
         self._socket: Any = None
         self._connected = False
@@ -58,7 +58,7 @@ class TcpLine:
     def _connect(self, family: int, address: Any) -> None:
         self._socket = made = socket.socket(family, socket.SOCK_STREAM)
         made.setblocking(False)
-        # a request is one small segment, and the next one waits for its answer
+        # A request is one small segment, and the next one waits for its answer, so nothing may delay it.
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         failed = made.connect_ex(address)
         self._connected = failed == 0
@@ -66,7 +66,7 @@ class TcpLine:
             raise OSError(failed, "cannot connect")
 
     def ready(self) -> bool:
-        """Return whether it is connected by now; OSError also for a name that is not known."""
+        """Return whether the connection is made; raise OSError also for a name that is not known."""
         if self._socket is None:
             address = self._place.poll()
             if address is None:
@@ -84,7 +84,7 @@ class TcpLine:
             raise OSError(errno.EAGAIN, "the device takes no more bytes")
 
     def receive(self) -> bytes:
-        """Return what has come, without waiting."""
+        """Return the bytes that have come, without waiting."""
         try:
             received: bytes = self._socket.recv(_READ_BYTES)
         except BlockingIOError:
@@ -99,30 +99,30 @@ class TcpLine:
 
 
 class TcpConnector:
-    """Makes the connections to a device, one after the other, and keeps its address in between."""
+    """Makes the connections to devices, one after the other, and keeps their addresses in between."""
 
     def __init__(self) -> None:
         self._places: dict[tuple[str, int], HostAddress] = {}
 
     def __call__(self, host: str, port: int) -> TcpLine:
-        """Begin to connect to a host by address or name."""
+        """Return a line to a host, given by address or name, that begins to connect."""
         place = self._places.get((host, port))
         if place is None:
             place = self._places[host, port] = HostAddress(host, port)
         else:
-            # The device may have another address by the next attempt.
+            # The device may have another address at the next attempt.
             place.renew()
         return TcpLine(place)
 
 
 def continue_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
-    """Return whether a line is connected by now, and since when the device itself is waited for [ns].
+    """Return whether a line is connected, and the time since which the device itself (not its name) is awaited [ns].
 
     Args:
         line: The connection that is being made.
         now_ns: The time [ns].
-        begun_ns: When the connection was begun [ns].
-        waiting_ns: What the last call returned as that time, or begun_ns [ns].
+        begun_ns: The time at which the connection was begun [ns].
+        waiting_ns: The second value that the last call returned, at first begun_ns [ns].
 
     Raises:
         DeviceError: The name is not known, or name server or device have not answered in time.

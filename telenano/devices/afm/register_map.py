@@ -1,4 +1,4 @@
-"""Register maps: where a Modbus instrument keeps output and inputs, how it is known, and how it is set up."""
+"""Register maps of Modbus instruments: registers of output and inputs, checks of identity, and settings."""
 
 import math
 import struct
@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from telenano.settings.config import Settings, read_yaml, validate
 
 MAPS = Path(__file__).parent / "maps"
-# A request can ask for this number of neighbouring registers.
+# The largest number of neighbouring registers that a request can read.
 MOST_REGISTERS = 125
 
 RegisterType = Literal["float32", "int16", "uint16", "int32", "uint32"]
@@ -41,11 +41,11 @@ class Register(Settings):
         return struct.calcsize(_FORMS[self.type]) // 2
 
     def of_channel(self, channel: int) -> "Register":
-        """Return the same quantity of a channel."""
+        """Return the register of this quantity for a channel."""
         return self.model_copy(update={"address": self.address + self.per_channel * channel, "per_channel": 0})
 
     def encode(self, value: float, word_order: str) -> tuple[int, ...]:
-        """Return the registers of a value; ValueError if the type cannot hold it."""
+        """Return the registers that hold a value; raise ValueError if their type cannot hold it."""
         raw = (value - self.offset) / self.scale
         if not math.isfinite(raw):
             raise ValueError(f"{self.name} must be a finite number, not {value}")
@@ -57,7 +57,7 @@ class Register(Settings):
         return words if word_order == "big" else words[::-1]
 
     def decode(self, words: Sequence[int], word_order: str) -> float:
-        """Return the value that registers hold."""
+        """Return the value held by the registers `words`."""
         ordered = words if word_order == "big" else words[::-1]
         (raw,) = struct.unpack(_FORMS[self.type], struct.pack(f">{self.count}H", *ordered))
         return float(raw) * self.scale + self.offset
@@ -77,7 +77,7 @@ class Setting(Register):
 
 
 class Check(Register):
-    """A register that says whether this is the device, and whether words are in the order of the map."""
+    """A register with a known value, which shows the kind of the device and the order of its words."""
 
     value: float = Field(description="What the device must answer")
     hint: str = Field("", max_length=200, description="What it means if it does not")
@@ -91,11 +91,10 @@ class Watchdog(Settings):
 
 
 class Heartbeat(Settings):
-    """A script that runs on the device and retracts when the beat stands still, faster than its own watchdog can.
+    """A script on the device that retracts when the beat stops changing, faster than the device's own watchdog can.
 
-    Host and script speak through registers: the host writes beat (0: nothing drives), limit_ms, safe_v and the address
-    of the output; the script writes its version to `running` again and again, and counts in `trips` how often it
-    retracted.
+    Host and script communicate through registers: the host writes beat (0: nothing drives), limit_ms, safe_v and the
+    address of the output; the script keeps writing its version to `running`, and counts its retractions in `trips`.
     """
 
     script: str = Field(pattern=r"^[a-z0-9_]+\.lua$", description="File beside the maps")
@@ -114,7 +113,7 @@ class Heartbeat(Settings):
 
     @property
     def source_bytes(self) -> bytes:
-        """Return the script, of an even number of bytes."""
+        """Return the script, padded to an even number of bytes."""
         source = (MAPS / self.script).read_bytes()
         return source + b"\n" * (len(source) % 2)
 
@@ -153,20 +152,24 @@ class RegisterMap(Settings):
         return self
 
     def read_span(self, output: int, channel: int) -> tuple[int, int]:
-        """Return address and count of the block that holds input and readback of the two channels."""
+        """Return address and count of the block that holds input and readback of these channels."""
         parts = (self.input.of_channel(channel), self.readback.of_channel(output))
         first = min(part.address for part in parts)
         return first, max(part.address + part.count for part in parts) - first
 
 
 def read_map(name: str) -> RegisterMap:
-    """Read the register map of a name that the project has (such as t7), or a file; ConfigError names file and key."""
+    """Read a register map by its name in the project (such as t7), or from a file.
+
+    Raises:
+        ConfigError: The map cannot be read; the message names file and key.
+    """
     path = Path(name) if name.endswith((".yaml", ".yml")) else MAPS / f"{name}.yaml"
     return validate(RegisterMap, read_yaml(path), str(path))
 
 
 def agrees(reading: float, wanted: float) -> bool:
-    """Return whether a register holds what was written, to the precision of a float32."""
+    """Return whether a reading equals the value that was written, within the precision of a float32."""
     return abs(reading - wanted) <= _SAME * max(abs(reading), abs(wanted))
 
 

@@ -1,7 +1,7 @@
-"""What the drivers of instruments behind a TCP connection have in common: ticks that never wait.
+"""The common base of drivers of instruments behind a TCP connection, whose ticks never wait.
 
-A loss is a state, which the report tells: the connection is made again, and the talk with the instrument begins at its
-beginning. After that the base stays retracted until the guard of the node has it there as well.
+A loss of the connection is a state, shown in the report, and no exception: the driver connects again and repeats the
+handshake. After that the base stays retracted until the guard of the node has retracted it too.
 """
 
 import time
@@ -16,16 +16,16 @@ from telenano.extend.instruments import AfmReport, DeviceError, SafetyParams
 from telenano.extend.samples import AfmSample
 from telenano.wire.errors import cause
 
-# A retraction on the connection that is there waits for its answer for this time.
+# Time to wait for the answer to a retraction on an existing connection.
 _CLOSE_S = 0.1
-# A retraction on a new connection waits for this time.
+# Time to wait for it on a new connection.
 _RECONNECT_S = 0.3
-# The line is read at this interval while the driver waits.
+# Interval at which the line is read while the driver waits.
 _POLL_S = 1e-3
 
 
 class Address(Protocol):
-    """Where an instrument is reached."""
+    """The network address of an instrument."""
 
     @property
     def host(self) -> str: ...
@@ -35,7 +35,7 @@ class Address(Protocol):
 
 
 class Calibration(Protocol):
-    """What a calibration has for every driver: where the instrument is, and what a recording names the file by."""
+    """The properties of every calibration: network address of the instrument, and its name in recordings."""
 
     @property
     def network(self) -> Address: ...
@@ -51,27 +51,27 @@ class TcpDriver(ABC, Generic[C]):
     """An `AfmDriver` of an instrument behind a TCP connection.
 
     Args:
-        calibration: The calibration of this very instrument.
+        calibration: The calibration of this particular instrument.
         limits: The limits of the node's guard.
-        model: What the instrument is called.
-        readings: The readings in the safe state, until there is a sample.
+        model: The name of the model of the instrument.
+        readings: The readings in the safe state, used until there is a sample.
         period_s: The period of the loop [s].
-        connect: Connects to the instrument; a test replaces it.
+        connect: The function that connects to the instrument; a test replaces it.
         now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits in `open`, `retract` and `close`, and nowhere else.
+        sleep: The function that waits; only `open`, `retract` and `close` call it.
     """
 
-    # An instrument that is silent for longer than this is lost, and one that does not answer an order of the handshake.
+    # An instrument is lost that is silent for longer than LOST_NS, or in the handshake for longer than STEP_NS.
     LOST_NS: ClassVar[int] = LOST_NS
     STEP_NS: ClassVar[int] = STEP_NS
-    # A reading is fresh up to an age of this number of cycles.
+    # A reading is fresh up to an age of this many cycles.
     STALE_CYCLES: ClassVar[int] = 3
 
     state = None
     vibration = None
     simulation = None
     relief = None
-    # This is the name of the device in messages.
+    # The name of the device in messages.
     kind: ClassVar[str] = "instrument"
 
     def __init__(
@@ -92,15 +92,15 @@ class TcpDriver(ABC, Generic[C]):
         self._connect: Connect = TcpConnector() if connect is None else connect
         self._now_ns, self._sleep, self._period_s = now_ns, sleep, period_s
         self._line: Line | None = None
-        # the handshake, and with some instruments all that comes after it; None while the connection is being made
+        # The handshake, which for some instruments includes all later exchanges; None while connecting.
         self._talk: Generator[Any, Any, None] | None = None
         self._ready = self._opened = False
-        # After a (re)connection the base stays retracted until the guard has it there as well.
+        # After each connection the base stays retracted until the guard has retracted it too.
         self._released = False
         self._begun_ns = self._sent_ns = self._retry_ns = self._sampled_ns = 0
-        # samples on this connection
+        # Number of samples on this connection.
         self.exchanges = 0
-        # how often the guard or the script in front of the tip has retracted it; None where there is none
+        # Number of retractions by the guard or script in front of the tip; None if there is none.
         self.retractions: int | None = None
         self._text = ""
         self._readings = readings
@@ -108,23 +108,23 @@ class TcpDriver(ABC, Generic[C]):
 
     @abstractmethod
     def _restart(self) -> None:
-        """Forget what was said on an earlier connection."""
+        """Reset the state of the exchange for a new connection."""
 
     @abstractmethod
     def _begin_talk(self, now_ns: int, line: Line) -> None:
-        """Send the first request on a connection that is there now."""
+        """Send the first request on a connection that was just made."""
 
     @abstractmethod
     def _continue_exchange(self, now_ns: int, line: Line, talk: Generator[Any, Any, None] | None) -> None:
-        """Take the answer if it is there, and send the request that is due; what is raised loses the connection."""
+        """Take the answer if it has come, and send the next request; any exception loses the connection."""
 
     @abstractmethod
     def _want(self, base_m: float) -> None:
-        """Have a base position [m] sent from now on; until it is released, that is the safe one."""
+        """Set the base position [m] to send from now on; until the base is released, the safe one is sent."""
 
     @abstractmethod
     def _want_safe(self) -> None:
-        """Have the safe position sent from now on, and count from here what `_is_safe` is about."""
+        """Send the safe position from now on, and begin to count the samples that `_is_safe` needs."""
 
     @abstractmethod
     def _is_safe(self) -> bool:
@@ -137,7 +137,7 @@ class TcpDriver(ABC, Generic[C]):
     @property
     @abstractmethod
     def latency_s(self) -> float:
-        """Return what the instrument is declared to add to the round trip, in the mean [s]."""
+        """Return the declared mean latency that the instrument adds to the round trip [s]."""
 
     @property
     @abstractmethod
@@ -150,7 +150,7 @@ class TcpDriver(ABC, Generic[C]):
 
     @property
     def identity(self) -> str:
-        """Return who the instrument is, for a person; known once it is open."""
+        """Return a description of the instrument for a person; known once it is open."""
         return self._model
 
     @property
@@ -158,11 +158,11 @@ class TcpDriver(ABC, Generic[C]):
         return self.calibration.identity
 
     def open(self) -> None:
-        """Connect, identify, set up, retract and take a first sample.
+        """Connect, run the handshake, which leaves the instrument retracted, and take a first sample.
 
         Raises:
-            DeviceError: The instrument is absent or another one; the message says what was found.
-            RuntimeError: It is open already.
+            DeviceError: The instrument is absent or another one; the message gives the finding.
+            RuntimeError: The instrument is open already.
         """
         if self._opened:
             raise RuntimeError(f"the {self.kind} is already open")
@@ -177,7 +177,7 @@ class TcpDriver(ABC, Generic[C]):
         self._judge(self._now_ns())
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return the newest sample; `report` has its age and state."""
+        """Apply a base position [m] and return the newest sample; `report` gives its age and the device's state."""
         if not abs(base_m) < float("inf"):
             raise ValueError(f"base position {base_m} m must be finite")
         if not self._opened:
@@ -190,9 +190,9 @@ class TcpDriver(ABC, Generic[C]):
         return self._readings.sample
 
     def retract(self) -> bool:
-        """Send the safe position, on a new connection if need be; return whether the tip was found there since.
+        """Send the safe position, on a new connection if necessary; return whether the instrument confirmed it.
 
-        Waits 0.1 s at most, and 0.3 s for a new connection.
+        This waits at most 0.1 s, or 0.3 s on a new connection.
         """
         if not self._opened:
             return False
@@ -206,7 +206,7 @@ class TcpDriver(ABC, Generic[C]):
         connected, until_ns = self._line, self._now_ns() + round(wait_s * 1e9)
         while self._line is connected is not None and self._now_ns() < until_ns:
             self._poll(self._now_ns())
-            # The answer that was under way at the beginning says nothing of the retraction.
+            # An answer that was under way when the retraction was sent does not confirm it.
             if self._is_safe():
                 return True
             self._sleep(_POLL_S)
@@ -243,7 +243,7 @@ class TcpDriver(ABC, Generic[C]):
         self._drop(now_ns)
 
     def _poll(self, now_ns: int) -> None:
-        """Do what can be done now; nothing is raised, a loss is a state."""
+        """Advance connection, handshake or exchange without waiting; a loss is a state, and nothing is raised."""
         try:
             if self._line is None:
                 if self._opened and now_ns >= self._retry_ns:
@@ -262,5 +262,5 @@ class TcpDriver(ABC, Generic[C]):
         self._text = f"{self._where}: {identity} is ready and retracted, calibration {self.calibration.identity}"
 
     def _age_s(self, now_ns: int) -> float:
-        """Return the age of the sample, from the oldest moment at which it can have been taken [s]; 0 without one."""
+        """Return the age of the sample [s], from the earliest time at which it can have been taken; 0 without one."""
         return max(now_ns - self._sampled_ns, 0) * 1e-9 if self._sampled_ns else 0.0

@@ -1,9 +1,11 @@
-"""The instrument of a configuration in simulated time: guard, programs and device of the node, without a bus.
+"""A configured instrument in simulated time: guard, programs and device of the node, without a bus.
 
-instrument = VirtualInstrument(AfmConfig())
-for step in instrument.run({"program": "curve"}):
-    instrument.state()["tip_force_n"]
-instrument.outcome.state                       # "finished"
+For example, a force curve:
+
+    instrument = VirtualInstrument(AfmConfig())
+    for step in instrument.run({"program": "curve"}):
+        instrument.state()["tip_force_n"]
+    instrument.outcome.state                   # "finished"
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,7 +26,7 @@ PERIOD_S = 1e-3
 
 
 class _WholeTime(AfmPart):
-    """Goes on at once by all that is known of the motion: nothing waits for the processor."""
+    """Simulates the whole known motion at once, because no other task waits for the processor."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -36,10 +38,10 @@ class _WholeTime(AfmPart):
 
 
 class VirtualInstrument:
-    """A simulated instrument whose time is that of its steps.
+    """A simulated instrument whose time is that of its steps, 1 ms each.
 
     Args:
-        config: The instrument, which must be a simulated one.
+        config: The configuration of the instrument, which must be simulated; RefusedError is raised for a real one.
     """
 
     def __init__(self, config: AfmConfig) -> None:
@@ -59,14 +61,14 @@ class VirtualInstrument:
         self._instrument = GuardedInstrument(limits, self.device, parts)
 
     def run(self, parameters: Mapping[str, Scalar]) -> Iterator[Step]:
-        """Yield the steps of a program until the tip is retracted again; `outcome` then says how it ended.
+        """Yield the steps of a program, then retract the tip; `outcome` is then the last report.
 
         Args:
             parameters: The program and its settings by dotted key, as in `session set`: {"program": "scan",
                 "scan.pixels": 64}.
 
         Raises:
-            RefusedError: The program refuses what is asked of it.
+            RefusedError: The program cannot begin with these settings.
         """
         memory = self._memory
         self._programs.request(requested(parameters), memory.guard.mode, memory.place, device_lost=False)
@@ -91,19 +93,19 @@ class VirtualInstrument:
         return {"command_seq": 0, "hand_seq": 0, "hand_t_ns": 0, **self._step.fields(self._memory)}
 
     def scanline(self) -> dict[str, Any] | None:
-        """Return the fields of afm/scanline where the last step has finished a line of an image, else None."""
+        """Return the fields of afm/scanline if the last step has finished a line of an image, else None."""
         line = None if self._step is None else self._step.wanted.line
         if line is None:
             return None
-        # the program is over with the last line
+        # With the last line the program is over, and there is no report.
         lines = line.line + 1 if (report := self.report()) is None else report.lines
         return line_fields(line, lines, self.config.friction)
 
     @property
     def truths(self) -> Mapping[str, Any]:
-        """Return what is so of what lies on the sample, by the name of its layer, which no instrument knows."""
+        """Return the truths of the layers on the sample, by name, which no instrument can measure."""
         return {} if self.device.simulation is None else self.device.simulation.truths
 
     def report(self) -> Report | None:
-        """Return how far the program is that runs, None where none does."""
+        """Return the report of the running program, None if none runs."""
         return self._programs.report() if self._programs.name else None

@@ -1,4 +1,4 @@
-"""Calibration of a serial handle (`handle.yaml`): what a raw count of one particular device is in SI units."""
+"""Calibration of a serial handle (`handle.yaml`): the conversion of raw counts of one device to SI units."""
 
 from typing import Annotated, Literal
 
@@ -10,7 +10,7 @@ from telenano.settings.config import Settings
 
 _COUNT_LIMIT = 2**31 - 1
 _Q16 = 65536.0
-# a reference that the guard lets through at its speed limit comes with the jitter of two clocks
+# Margin of the device's speed limit: a reference at the guard's limit arrives with the jitter of two clocks.
 _SPEED_MARGIN = 1.2
 
 RawCount = Annotated[int, Field(ge=-_COUNT_LIMIT, le=_COUNT_LIMIT)]
@@ -90,7 +90,7 @@ class HandleCalibration(Settings):
 
     @property
     def identity(self) -> str:
-        """Return what a recording names this calibration by."""
+        """Return the name of this calibration in recordings: device and date."""
         return f"{self.device_id} {self.calibrated.isoformat()}"
 
     @property
@@ -122,7 +122,7 @@ class HandleCalibration(Settings):
         return _count(force_n / self.drive_force_n(1))
 
     def device_limits(self, limits: LimitsConfig) -> wire.Limits:
-        """Return what the device enforces by itself: the limits of the node's guard and of this calibration."""
+        """Return the limits that the device itself enforces, in its counts: those of the guard and this calibration."""
         ends = sorted((self.position_raw(limits.position_min_m), self.position_raw(limits.position_max_m)))
         per_m = 1.0 / abs(self.position.m_per_count)
         damping = self.servo.damping_n_s_per_m * abs(self.position.m_per_count) / self.drive.n_per_count

@@ -1,7 +1,7 @@
-"""A serial port that never waits: pyserial opens, configures and closes it, bytes go by `os.read` and `os.write`.
+"""A serial port that never waits: pyserial opens, configures and closes it; `os.read` and `os.write` move the bytes.
 
 pyserial's own `write` with a full buffer either waits for ever or fails after everything was sent, and its `read`
-selects and reads at least twice: neither belongs into a loop of 1 kHz.
+selects and reads at least twice: neither is fit for a loop of 1 kHz.
 """
 
 import contextlib
@@ -16,10 +16,10 @@ from typing import Any, Protocol
 from telenano.extend.hands import DeviceError
 from telenano.wire.extras import how_to_install
 
-# A device sends far less than this in 50 ms at 1 Mbaud.
+# The most bytes of one read; a device sends far fewer in 50 ms at 1 Mbaud.
 _READ_BYTES = 8192
 _NOTHING = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
-# termios.error is no OSError, and pyserial's SerialException is one
+# termios.error is not an OSError; pyserial's SerialException is one.
 PORT_ERRORS = (OSError, termios.error, ValueError)
 
 
@@ -27,13 +27,13 @@ class Port(Protocol):
     """A line of bytes to a device. Each method but `close` raises DeviceError when the line is gone."""
 
     def read(self) -> bytes:
-        """Return what has come since the last call, without waiting."""
+        """Return the bytes that have come since the last call, without waiting."""
 
     def write(self, frame: bytes) -> bool:
-        """Send a frame as a whole; False if the line takes no more now, and the frame is dropped."""
+        """Send a whole frame; return False if the line takes no more now and the frame is dropped."""
 
     def close(self) -> None:
-        """Let the line go; harmless when it is gone."""
+        """Release the line; harmless when it is gone."""
 
 
 OpenPort = Callable[[str, int], Port]
@@ -46,7 +46,7 @@ class SerialPort:
         """Open a port.
 
         Raises:
-            DeviceError: The port cannot be opened; the message has the reason, and the process that holds it.
+            DeviceError: The port cannot be opened; the message gives the reason, or the process that holds it.
         """
         try:
             import serial
@@ -66,34 +66,34 @@ class SerialPort:
             raise DeviceError(f"{path}: cannot be prepared: {error}") from error
 
     def _prepare(self) -> None:
-        # This keeps out programs that do not ask for the lock, such as ModemManager.
+        # This keeps out programs that ignore the lock, such as ModemManager.
         with contextlib.suppress(OSError):
             fcntl.ioctl(self._descriptor, termios.TIOCEXCL)
-        # a board must not reset when the port is closed
+        # A board must not reset when the port is closed.
         attributes = termios.tcgetattr(self._descriptor)
         attributes[2] &= ~termios.HUPCL
         termios.tcsetattr(self._descriptor, termios.TCSANOW, attributes)
-        # FTDI drivers hold bytes back for 16 ms otherwise; others have no such flag
+        # Without this flag FTDI drivers hold bytes back for 16 ms; other drivers do not have it.
         with contextlib.suppress(OSError, ValueError, AttributeError):
             self._serial.set_low_latency_mode(True)
         self._serial.reset_input_buffer()
 
     def read(self) -> bytes:
-        """Return what has come since the last call, without waiting."""
+        """Return the bytes that have come since the last call, without waiting."""
         try:
             data = os.read(self._descriptor, _READ_BYTES)
         except OSError as error:
             if error.errno in _NOTHING:
                 return b""
             raise DeviceError(f"{self.path}: the device is gone: {error.strerror}") from error
-        # a line whose other end was pulled out reads as ended
+        # An unplugged line reads as ended.
         if not data and not Path(self.path).exists():
             raise DeviceError(f"{self.path}: the device is gone")
         return data
 
     def write(self, frame: bytes) -> bool:
-        """Send a frame as a whole; False if the line takes no more now, and the frame is dropped."""
-        # a zero ends the half of a frame that the line took last time
+        """Send a whole frame; return False if the line takes no more now and the frame is dropped."""
+        # A zero ends a frame of which the line took only a part last time.
         wanted = b"\0" + frame if self._cut else frame
         try:
             sent = os.write(self._descriptor, wanted)
@@ -105,8 +105,8 @@ class SerialPort:
         return not self._cut
 
     def close(self) -> None:
-        """Let the port go at once: as long as it is held the kernel gives a device that returns another name."""
-        # The mark outlives this process where another has the port open as well, and would keep every program out.
+        """Release the port at once: while it is held, the kernel gives a returning device another name."""
+        # If another process has the port open too, this mark would outlive us and keep every program out.
         with contextlib.suppress(*PORT_ERRORS):
             fcntl.ioctl(self._serial.fileno(), termios.TIOCNXCL)
         with contextlib.suppress(*PORT_ERRORS):
@@ -114,7 +114,7 @@ class SerialPort:
 
 
 def holder_of(path: str, processes: Path = Path("/proc")) -> str:
-    """Return the process that has a device file open as `name (pid)`; empty if none is found or may be seen."""
+    """Return the process that has a device file open, as `name (pid)`; empty if none is found or visible."""
     wanted = os.path.realpath(path)
     for folder in processes.iterdir():
         if not folder.name.isdecimal() or int(folder.name) == os.getpid():

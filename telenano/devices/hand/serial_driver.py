@@ -1,7 +1,8 @@
-"""A real handle behind the driver protocol: handle protocol 1 over a serial port, without waiting in a tick.
+"""The driver of a real handle: handle protocol 1 over a serial port, without waiting in a tick.
 
-A tick writes one COMMAND and takes what has come; the answer to it is there at the next tick or the one after. The
-newest sample is given with its age. After a loss everything comes from the device again: identity, limits, position.
+A tick writes one COMMAND and takes the bytes that have come; the answer to the command comes in the next tick or the
+one after. `read` returns the newest sample, and the report its age. After a loss the driver begins again with identity,
+limits and position.
 """
 
 import contextlib
@@ -31,7 +32,7 @@ from telenano.wire.errors import cause
 
 _MS = 1_000_000
 ASK_EVERY_NS = 100 * _MS
-# a board that resets when its port is opened may spend two seconds in its boot loader
+# A board that resets when its port is opened may spend two seconds in its boot loader.
 HANDSHAKE_NS = 3000 * _MS
 STALE_NS = 5 * _MS
 LOST_NS = 50 * _MS
@@ -59,11 +60,12 @@ class SerialHandle:
     Args:
         path: The path of the port.
         baud: The rate of the port [baud].
-        calibration: The calibration of this very device.
-        limits: The limits, which the device enforces as well.
-        open_port: Opens the port; a test replaces it.
+        calibration: The calibration of this particular device; None to identify it only.
+        limits: The limits, which the device also enforces itself.
+        period_s: The period of the loop [s].
+        open_port: The function that opens the port; a test replaces it.
         now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits in `open`, and nowhere else.
+        sleep: The function that waits; `open`, `identify` and `listen` call it.
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class SerialHandle:
         self.path = path
         self._period_s = period_s
         self.hello: wire.HandleHello | None = None
-        # The number of the last session that was ready; it changes with each boot of the device.
+        # Number of the last session that was ready; it changes with each boot of the device.
         self._session: int | None = None
         self.state: wire.HandleState | None = None
         # Frame counters: dropped because the port was full, missing from the sequence, left out without a new sample.
@@ -98,7 +100,7 @@ class SerialHandle:
         self._phase = _Phase.CLOSED
         self._clock = SampleClock()
         self._round_trips = RecentMinimum()
-        # Half of the least round trip is the way of a sample to the host, which one-way stamps cannot tell.
+        # Half of the least round trip estimates the transit of a sample to the host, which one-way stamps cannot give.
         self._round_trip_ns = 0
         self._sent_at_ns = [0] * _SENT_KEPT
         self._seq = 0
@@ -112,7 +114,7 @@ class SerialHandle:
         self._errors_noticed = 0
         self._text = ""
         self._report = HapticReport("lost", 0.0, False, "the handle is not open")
-        # The position of the arm has not been measured yet; it is not used before a sample is there.
+        # The position has not been measured yet; it is not used before there is a sample.
         self._reading = DeviceReading(
             position_m=0.0,
             velocity_m_per_s=0.0,
@@ -127,7 +129,7 @@ class SerialHandle:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device reported of itself; DeviceError before it was open."""
+        """Return the capabilities from the device's own report and the calibration; raise DeviceError before `open`."""
         if self.hello is None or self._calibration is None or self._limits is None:
             raise DeviceError(f"{self.path}: what the handle can do is known once it is open")
         flags, calibration = self.hello.flags, self._calibration
@@ -151,12 +153,12 @@ class SerialHandle:
         )
 
     def _latency_s(self, calibration: HandleCalibration) -> float:
-        """Return the latency of the calibration, or else that of the protocol [s].
+        """Return the latency of the calibration [s], or else that of the protocol.
 
-        A command waits for the device's next millisecond, and the sample for the next command, which asks for it: one
-        period of the loop together, whatever the phase of the two clocks. The device's servo holds its drive for a
-        millisecond, half of one in the mean, where a simulated one is continuous. The answer is there at the tick
-        after, or after as many as the bytes take.
+        A command waits for the device's next millisecond, and a sample for the next command, which asks for it: in all
+        one period of the loop, for any phase between the two clocks. The device's servo holds its drive for a
+        millisecond, which adds half of one in the mean; a simulated servo is continuous. The answer is read at the next
+        tick, or after as many ticks as its bytes take.
         """
         if calibration.latency_s is not None:
             return calibration.latency_s
@@ -171,7 +173,7 @@ class SerialHandle:
         """Connect and wait for the first sample, 3 s at most.
 
         Raises:
-            DeviceError: The device is absent or another one; the message says what was found and expected.
+            DeviceError: The device is absent or another one; the message gives the one found and the one expected.
         """
         self._connect(self._now_ns())
         while self._phase is not _Phase.READY:
@@ -182,7 +184,7 @@ class SerialHandle:
         self._judge(self._now_ns())
 
     def identify(self) -> wire.HandleHello:
-        """Connect and return who the device is, without configuring it.
+        """Connect and return the device's HELLO (identity and abilities), without configuring it.
 
         Raises:
             DeviceError: No device answers.
@@ -196,7 +198,7 @@ class SerialHandle:
         return self.hello
 
     def listen(self, duration_s: float) -> list[wire.HandleState]:
-        """Return the samples that an identified device sends by itself within a time [s]; no command is sent."""
+        """Return the samples that an identified device sends unasked within duration_s [s]; no command is sent."""
         states: list[wire.HandleState] = []
         end_ns = self._now_ns() + round(duration_s * 1e9)
         while self._port is not None and self._now_ns() < end_ns:
@@ -207,19 +209,19 @@ class SerialHandle:
         return states
 
     def close(self) -> None:
-        """Switch the drive off until the next session and let the port go; harmless when already closed."""
+        """Switch the drive off until the next session and release the port; harmless when already closed."""
         self.make_safe()
         self._disconnect(self._now_ns())
 
     def make_safe(self) -> None:
-        """Send STOP; the device's own watchdog stands behind it."""
+        """Send STOP; if it does not arrive, the device's own watchdog switches the drive off."""
         if self._port is not None and self.hello is not None:
-            # Where the cable is out, the watchdog has switched the drive off.
+            # Errors are ignored: without a cable the watchdog has switched the drive off.
             with contextlib.suppress(Exception):
                 self._port.write(wire.encode_stop(self._next_seq(), self.hello.session))
 
     def write(self, command: DriveCommand) -> None:
-        """Send the command of this period, if there is a device to send it to."""
+        """Send the command of this period if the device is ready; raise DeviceError for a mode that it lacks."""
         if self._phase is not _Phase.READY:
             return
         if command.mode not in self._modes:
@@ -229,7 +231,7 @@ class SerialHandle:
         self._send_command(command)
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Take what has come and return the newest sample; a handle that is lost repeats it, and `report` states it."""
+        """Take the bytes that have come and return the newest sample; if the handle is lost, the last one again."""
         self._session_runs = session_time_s >= 0.0
         now_ns = self._now_ns()
         self._poll(now_ns)
@@ -261,7 +263,7 @@ class SerialHandle:
         self._sent_ns = now_ns - ASK_EVERY_NS
 
     def _poll(self, now_ns: int) -> None:
-        """Take what has come, and do what the phase asks for; nothing is raised."""
+        """Take the bytes that have come and advance the phase; a loss is a state, and nothing is raised."""
         try:
             if self._port is None:
                 if now_ns >= self._retry_ns:
@@ -323,7 +325,7 @@ class SerialHandle:
         self._enter(_Phase.CONFIGURING, now_ns)
 
     def _on_configured(self, answer: wire.ConfigAnswer) -> None:
-        """Send the command off that every session begins with; the sample that answers it makes the device ready."""
+        """Send the command `off`, with which every session begins; the sample answering it makes the device ready."""
         if self._phase is not _Phase.CONFIGURING or self.hello is None or answer.session != self.hello.session:
             return
         if answer.limits == self._limits:
@@ -334,12 +336,13 @@ class SerialHandle:
         if self.hello is None:
             return
         if state.session != self.hello.session:
-            # The reboot is reported with this loss, and not once more when the device is ready.
+            # The reboot is reported with this loss, and not again when the device is ready.
             self._session = state.session
             self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
             return
         if self._phase is _Phase.READY and self.state is not None and not _is_newer(state, self.state):
-            # A frame that comes again or out of turn is no sign of life; a second one of a sample is not missing.
+            # A repeated or out-of-order frame is no sign of life. A second frame of the same sample was counted as
+            # missing by its number, which is corrected here.
             self.repeated += 1
             self.missed -= state.time_us == self.state.time_us and state.seq != self.state.seq
             return
@@ -349,7 +352,7 @@ class SerialHandle:
                 return
             self._phase = _Phase.READY
             self._text = f"{self.path}: {self.hello.identity} is ready"
-            # a board that was silent while it booted has said hello before anything else of its new session came
+            # A board that was silent while it booted shows its new session here first, in its HELLO.
             if self._session not in (None, self.hello.session):
                 self._text += f"; {reset_text(self._session, self.hello.session)}"
             self._session = self.hello.session
@@ -366,7 +369,7 @@ class SerialHandle:
             self._reading = reading_of(state, self._calibration)
 
     def _unanswered_ns(self, now_ns: int) -> int:
-        """Return how long ago the first command was sent that the newest sample knows nothing of; 0 without one."""
+        """Return the age [ns] of the oldest command that the newest sample does not acknowledge; 0 without one."""
         if self.state is None or (unanswered := (self.state.command_seq + 1) & 0xFFFF) == self._seq:
             return 0
         return now_ns - self._sent_at_ns[unanswered % _SENT_KEPT]
@@ -388,7 +391,7 @@ class SerialHandle:
         self._report = HapticReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
-        """Say once what continues for long: samples that are old, frames that are bad (once a second at most)."""
+        """Report lasting faults: samples that stay old (once), and bad frames (at most once a second)."""
         if age_s <= _SLOW_PERIODS * self._period_s or status == "lost":
             self._slow_since_ns = 0
         elif self._slow_since_ns == 0:
@@ -436,13 +439,13 @@ class SerialHandle:
 
 
 def modes_of(hello: wire.HandleHello) -> tuple[int, ...]:
-    """Return the modes that a device has; every one has off."""
+    """Return the modes of a device; every device has mode off."""
     bits = ((MODE_POSITION, wire.HandleAbility.HAS_POSITION_MODE), (MODE_FORCE, wire.HandleAbility.HAS_FORCE_MODE))
     return (MODE_OFF, *(mode for mode, bit in bits if hello.flags & bit))
 
 
 def reset_text(before: int | None, session: int) -> str:
-    """Return the report of a device that was started again, by the numbers of its sessions."""
+    """Return the message about a device that was reset, with the numbers of its sessions."""
     return f"the handle was reset: session {session}, not {before}"
 
 
@@ -461,13 +464,13 @@ def refusal(hello: wire.HandleHello, calibration: HandleCalibration | None, peri
 
 
 def _is_newer(state: wire.HandleState, before: wire.HandleState) -> bool:
-    """Return whether a sample was taken and sent after another one, by number and time of the device, which wrap."""
+    """Return whether `state` was taken and sent after `before`, by the device's number and time, which both wrap."""
     ahead, later_us = (state.seq - before.seq) & 0xFFFF, (state.time_us - before.time_us) & 0xFFFFFFFF
     return 0 < ahead < 1 << 15 and 0 < later_us < 1 << 31
 
 
 def counts_of(state: wire.HandleState) -> dict[str, int]:
-    """Return a sample as it was sent, by the keys of haptic/state."""
+    """Return the raw counts of a sample, by the keys of haptic/state."""
     return {
         "position_raw": state.position,
         "velocity_raw": state.velocity_per_s,
@@ -477,7 +480,7 @@ def counts_of(state: wire.HandleState) -> dict[str, int]:
 
 
 def reading_of(state: wire.HandleState, calibration: HandleCalibration) -> DeviceReading:
-    """Return a sample in SI units; a protocol without the voltage of the motor gives 0 for it."""
+    """Return a sample in SI units; motor_voltage_v is 0, because the protocol does not transmit it."""
     force_n = calibration.operator_force_n(state.force)
     saturated = bool(state.flags & wire.HandleFlag.FORCE_SATURATED) or abs(force_n) >= calibration.force.saturation_n
     return DeviceReading(

@@ -1,7 +1,7 @@
 """Handle protocol 1 (PROTOCOL.md of the handle's firmware): frames of a serial haptic device as bytes and back.
 
-On the line a frame is COBS(payload + CRC) + 0x00. The CRC is CRC-16/CCITT-FALSE, low byte first. Nothing here knows a
-port or a clock. Quantities are raw counts of the device; `calibration.py` gives them units.
+On the line a frame is COBS(payload + CRC) + 0x00. The CRC is CRC-16/CCITT-FALSE, low byte first. This module uses no
+port and no clock. Quantities are raw counts of the device; `calibration.py` converts them to units.
 """
 
 import binascii
@@ -16,7 +16,7 @@ MINOR = 0
 MAX_PAYLOAD = 60
 _CRC_START = 0xFFFF
 _CRC_BYTES = 2
-# a frame without its closing zero: payload, CRC, one byte of COBS
+# Longest frame without its closing zero: payload, CRC, one byte of COBS.
 _MAX_ENCODED = MAX_PAYLOAD + _CRC_BYTES + 1
 
 # The types of frames to the handle.
@@ -32,7 +32,7 @@ FAULT = 0x9F
 
 Fault = Literal["cobs", "crc", "length", "type"]
 
-# flag of COMMAND
+# Flag of COMMAND: the session runs.
 SESSION_RUNS = 1
 
 SEVERITY_FATAL = 2
@@ -48,7 +48,7 @@ _FAULT = struct.Struct("<BBHBB32s")
 
 
 class HandleAbility(IntFlag):
-    """What a device can do, in the flags of HELLO."""
+    """Abilities of a device, in the flags of HELLO."""
 
     HAS_POSITION_MODE = 1
     HAS_FORCE_MODE = 2
@@ -60,7 +60,7 @@ class HandleAbility(IntFlag):
 
 
 class HandleFlag(IntFlag):
-    """How a device is, in the flags of STATE."""
+    """Condition of a device, in the flags of STATE."""
 
     IS_CONFIGURED = 1
     WATCHDOG_TRIPPED = 2
@@ -73,7 +73,7 @@ class HandleFlag(IntFlag):
 
 
 class HandleHello(NamedTuple):
-    """Identity of a device and what it can do; `session` is new at every boot."""
+    """Identity and abilities of a device; `session` is new at every boot."""
 
     flags: int
     seq: int
@@ -92,7 +92,7 @@ class HandleHello(NamedTuple):
 
     @property
     def identity(self) -> str:
-        """Return who a device is, for a person."""
+        """Return model, number and firmware of the device for a person."""
         emulated = ", emulated" if self.flags & HandleAbility.IS_EMULATED else ""
         return f"{self.model} {self.device_id:016x}, firmware {self.firmware >> 8}.{self.firmware & 0xFF}{emulated}"
 
@@ -103,7 +103,7 @@ class HandleHello(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What the device enforces by itself, in counts; the payload of CONFIG and of the answer to it."""
+    """Limits that the device itself enforces, in counts; the payload of CONFIG and of the answer to it."""
 
     watchdog_ms: int
     travel_min: int
@@ -115,7 +115,7 @@ class Limits(NamedTuple):
 
 
 class ConfigAnswer(NamedTuple):
-    """Answer to CONFIG: what is in force now."""
+    """Answer to CONFIG, with the limits now in force."""
 
     seq: int
     session: int
@@ -160,7 +160,7 @@ Request = tuple[int, bytes]
 
 
 class MalformedFrameError(ValueError):
-    """Bytes between two zeros that are not a frame; `fault` is the kind that is counted."""
+    """Bytes between two zeros are not a frame; `fault` is the kind under which `FrameReader` counts it."""
 
     def __init__(self, fault: Fault, text: str) -> None:
         super().__init__(text)
@@ -168,7 +168,7 @@ class MalformedFrameError(ValueError):
 
 
 def encode_ask(seq: int, nonce: int) -> bytes:
-    """Return the frame that asks a device who it is."""
+    """Return the frame that asks a device for its HELLO, which repeats the nonce."""
     return encode_frame(_ASK.pack(ASK, 0, seq & 0xFFFF, MAJOR, MINOR, nonce & 0xFFFF, 0))
 
 
@@ -178,7 +178,7 @@ def encode_config(seq: int, session: int, limits: Limits) -> bytes:
 
 
 def encode_command(seq: int, session: int, flags: int, mode: int, position: int, force: int) -> bytes:
-    """Return the frame with the reference of a period; position and drive force in counts."""
+    """Return the frame with the command of a period; position and drive force in counts."""
     return encode_frame(_COMMAND.pack(COMMAND, flags, seq & 0xFFFF, session, mode, 0, position, force))
 
 
@@ -188,16 +188,16 @@ def encode_stop(seq: int, session: int) -> bytes:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """Return a payload as it continues the line; ValueError if it is longer than a frame may be."""
+    """Return a payload as a frame for the line; raise ValueError if it is empty or longer than MAX_PAYLOAD."""
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"a payload has 1 to {MAX_PAYLOAD} bytes, not {len(payload)}")
     whole = payload + binascii.crc_hqx(payload, _CRC_START).to_bytes(_CRC_BYTES, "little")
-    # below 254 bytes COBS is this: each run without a zero, behind its length + 1
+    # Below 254 bytes COBS means: each run without a zero is preceded by its length + 1.
     return b"".join(bytes((len(run) + 1,)) + run for run in whole.split(b"\0")) + b"\0"
 
 
 def decode_frame(encoded: bytes) -> bytes:
-    """Return the payload of a frame without its closing zero; MalformedFrameError if it is none."""
+    """Return the payload of a frame given without its closing zero; raise MalformedFrameError if it is no frame."""
     whole = _unstuffed(encoded)
     if len(whole) <= _CRC_BYTES:
         raise MalformedFrameError("length", f"{len(whole)} bytes are too few for a payload and its CRC")
@@ -208,9 +208,9 @@ def decode_frame(encoded: bytes) -> bytes:
 
 
 def parse_answer(payload: bytes) -> Answer:
-    """Return the answer of a device that a payload holds; MalformedFrameError for a type or length that there is not.
+    """Return the answer of a device in a payload; raise MalformedFrameError for an unknown type or wrong length.
 
-    A longer payload of a known type comes from a later minor version: what is appended is left out.
+    A longer payload of a known type comes from a later minor version; the appended bytes are ignored.
     """
     form = _ANSWERS.get(payload[0])
     if form is None:
@@ -232,7 +232,7 @@ _ANSWERS = {HELLO: _HELLO, CONFIGURED: _CONFIG, STATE: _STATE, FAULT: _FAULT}
 
 
 class FrameReader:
-    """Splits a stream of bytes into payloads; whatever is none is counted by kind, and the next zero begins again."""
+    """Splits a stream of bytes into payloads; counts malformed frames by kind, and resumes at the next zero."""
 
     def __init__(self) -> None:
         self.errors: dict[Fault, int] = {"cobs": 0, "crc": 0, "length": 0, "type": 0}
@@ -240,11 +240,11 @@ class FrameReader:
         self._skipping = False
 
     def payloads(self, received: bytes) -> Iterator[bytes]:
-        """Return the payloads that these bytes complete."""
+        """Yield the payloads that these bytes complete."""
         *frames, rest = (self._pending + received).split(b"\0")
         for index, encoded in enumerate(frames):
             skipped = index == 0 and self._skipping
-            # zeros in a row are legal: a sender may put one ahead of a frame to end whatever came before
+            # Several zeros in a row are legal: a sender may put one before a frame to end anything earlier.
             if skipped or not encoded:
                 continue
             try:
@@ -260,7 +260,7 @@ class FrameReader:
             self._skipping = True
 
     def answers(self, received: bytes) -> Iterator[Answer]:
-        """Return the answers of a device that these bytes complete."""
+        """Yield the answers of a device that these bytes complete."""
         for payload in self.payloads(received):
             try:
                 yield parse_answer(payload)
@@ -268,7 +268,7 @@ class FrameReader:
                 self.errors[error.fault] += 1
 
     def reset(self) -> None:
-        """Forget the half of a frame, for a port that was opened again."""
+        """Discard an incomplete frame, after the port was opened again."""
         self._pending, self._skipping = b"", False
 
 

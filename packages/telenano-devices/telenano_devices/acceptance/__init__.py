@@ -1,1 +1,1 @@
-"""Acceptance: a device or an instrument is judged from the recording of one motion of a minute."""
+"""Acceptance tests: they judge a device or an instrument from the recording of one motion of a minute."""

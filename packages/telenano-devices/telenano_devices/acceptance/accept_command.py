@@ -1,4 +1,4 @@
-"""`telenano device accept`: one motion of a minute, and what it shows of a device or an instrument."""
+"""`telenano device accept`: judges a device or an instrument by one motion of a minute."""
 
 import json
 from pathlib import Path
@@ -99,7 +99,7 @@ def _tell(step: "Step") -> None:
 
 
 def section_named(document: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the keys of a section; ConfigError names one of another."""
+    """Return the keys of a section; raise ConfigError, with its name, if there is another section."""
     if other := sorted(set(document) - {name}):
         raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
     section: dict[str, Any] = document.get(name, {})
@@ -111,7 +111,7 @@ def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide
 
     config = config_of(calibration, section)
     if config.driver != "simulated":
-        # a guard takes a pause of this process for its death
+        # A guard takes a pause of this process for its death and retracts the tip.
         run_ahead()
     return make_take(config, guide)
 

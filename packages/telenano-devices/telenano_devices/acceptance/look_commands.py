@@ -1,4 +1,4 @@
-"""`telenano device probe` and `monitor`: who a device is and what it says, undriven."""
+"""`telenano device probe` and `monitor`: identity and readings of a device that is not driven."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ SetOption = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the device, such as haptic_node.coupling.margin."),
 ]
 
-# A function of this kind reads a device once, undriven, and returns what it reported.
+# A function that reads a device once, without driving it, and returns its readings by name.
 Tick = Callable[[], dict[str, Any]]
 
 
@@ -155,7 +155,7 @@ def _probe_instrument(calibration: Path) -> dict[str, Any]:
 
 
 def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
-    """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
+    """Open the device of a driver without driving it; return its declaration, and the coupling of a force device."""
     driver = _driver_of_package(name)
     with code_of(installed("devices")[name].package):
         if takes_force(driver):
@@ -164,7 +164,7 @@ def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
 
 
 def _probe_impedance(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
-    """Open a device without force and return what it declares, with the coupling and its two bounds."""
+    """Open a force device without force, and return its capabilities with the coupling and its two bounds."""
     from telenano_devices.impedance.servo_process import wire_of
 
     chosen = flag_overrides([f"haptic_node.driver={driver.name}", *settings])
@@ -196,7 +196,7 @@ def _probe_impedance(driver: DeviceDriver, settings: list[str]) -> dict[str, Any
 
 
 def _probe_package(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
-    """Open the driver of a package without driving its device, and return what it declares and reads."""
+    """Open the driver of a package without driving its device, and return its declaration and one reading."""
     device, tick = _opened_of_package(driver, settings)
     try:
         read = tick()
@@ -218,7 +218,7 @@ def _probe_package(driver: DeviceDriver, settings: list[str]) -> dict[str, Any]:
 
 
 def _driver_of_package(name: str) -> DeviceDriver:
-    """Return the driver of a package; ConfigError says why there is none, and which package would have it."""
+    """Return the driver of a package; raise ConfigError, with the reason and a package that has it, if missing."""
     drivers = DeviceDriver.all().found
     if name not in drivers:
         raise ConfigError(f"--device {name}: {DeviceDriver.why_missing(name) or known_names(name, drivers)}")
@@ -263,7 +263,7 @@ def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
 
 
 def _instrument_of(calibration: Path) -> Any:
-    """Return the driver of an instrument by its calibration file, to be looked at while it stays retracted."""
+    """Return the driver of an instrument by its calibration file, for reading it while it stays retracted."""
     return driver_of(config_of(calibration, {"attended": True}), _PERIOD_S)
 
 
@@ -288,7 +288,10 @@ def _reads_instrument(driver: Any) -> Tick:
 
 
 def _watch(driver: Any, tick: Tick, duration_s: float) -> dict[str, Any]:
-    """Read a device each millisecond and close it; a simulated one has no report, and so no age of its samples."""
+    """Read a device each millisecond for duration_s [s], close it, and return the statistics.
+
+    A simulated device has no report, and so no age of its samples.
+    """
     ages: list[float] = []
     spent_s: list[float] = []
     statuses: dict[str, int] = {}

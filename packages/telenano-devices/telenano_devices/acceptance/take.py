@@ -1,6 +1,6 @@
-"""Judging a device from one recording, a take: the steps of a motion, a row a millisecond, a verdict for each check.
+"""Judging a device from one recording, a take: the steps of a motion, one row a millisecond, a verdict for each check.
 
-Nothing but rows, steps and facts is read by the checks, so that a take can be judged again from its file.
+The checks read nothing but rows, steps and facts, so that a take can be judged again from its file.
 """
 
 import json
@@ -17,7 +17,7 @@ from telenano.files import open_regular
 from telenano.wire import ConfigError
 
 PERIOD_S = 1e-3
-# A take of two minutes has a third of this; nothing larger is unpacked from a file of somebody else.
+# The largest take that is unpacked from a foreign file; a take of two minutes has a third of this.
 _MOST_BYTES = 64 * 2**20
 Load = Literal["read only", "without load", "with load"]
 LOADS: tuple[Load, ...] = ("read only", "without load", "with load")
@@ -26,7 +26,7 @@ Rows = npt.NDArray[Any]
 
 
 class Step(NamedTuple):
-    """A step of the motion: its name, how long it takes [s], what the person is asked to do, and what is driven."""
+    """A step of the motion: its name, its length [s], the request to the person, and how the device is driven."""
 
     name: str
     seconds: float
@@ -35,15 +35,15 @@ class Step(NamedTuple):
 
 
 class EndedError(Exception):
-    """A person has ended the motion; the message says how."""
+    """The person has ended the motion, in the way that the message states."""
 
 
 class Guide(NamedTuple):
-    """How a person is led through a motion; the defaults show nothing and ask nothing.
+    """Functions that lead a person through a motion; the defaults show nothing and ask nothing.
 
-    met: is told who the device is before anything moves. say: is told of each step as it begins. ask: returns whether a
-    step is wanted; the function that it gets lets a millisecond pass with the device at rest. poll: is called each
-    millisecond. waited: is told how late each one was [s]. Each may raise EndedError, which ends the motion with the
+    met: gets the identity of the device before anything moves. say: gets each step as it begins. ask: returns whether
+    the person wants a step; its second argument lets a millisecond pass with the device at rest. poll: is called each
+    millisecond. waited: gets the lateness of each one [s]. Each may raise EndedError, which ends the motion with the
     device at rest.
     """
 
@@ -58,7 +58,7 @@ SILENT = Guide()
 
 
 class Verdict(NamedTuple):
-    """What a check found: the result, what was measured, and what is wanted."""
+    """The verdict of a check: its name, the result, the finding, and the requirement."""
 
     check: str
     result: Result
@@ -67,7 +67,7 @@ class Verdict(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A part of the page: its heading, a sentence or nothing, and values by name."""
+    """A table of the page: its heading, a sentence or an empty text, and values by name."""
 
     heading: str
     text: str
@@ -75,14 +75,14 @@ class Table(NamedTuple):
 
 
 class Facts(Protocol):
-    """What the checks need besides the rows: a NamedTuple of plain values, and of NamedTuples of those."""
+    """The inputs of the checks besides the rows: a NamedTuple of plain values, and of NamedTuples of those."""
 
     @property
     def identity(self) -> str:
-        """Return who the device is, in words."""
+        """Return the identity of the device in words."""
 
     def tables(self) -> list[Table]:
-        """Return what the page says of the device."""
+        """Return the tables of the page about the device."""
 
     def _asdict(self) -> dict[str, Any]: ...
 
@@ -91,7 +91,7 @@ F = TypeVar("F", bound=Facts)
 
 
 class Take(NamedTuple, Generic[F]):
-    """A recording: a row each millisecond, the steps in order, and what was declared and reported beforehand."""
+    """A recording: a row each millisecond, the steps in order, and the facts of the device."""
 
     rows: Rows
     steps: tuple[Step, ...]
@@ -99,27 +99,27 @@ class Take(NamedTuple, Generic[F]):
 
     @property
     def seconds(self) -> float:
-        """Return how long the motion took [s]."""
+        """Return the duration of the motion [s]."""
         return round(float(self.rows["time_s"].max(initial=0.0)), 3)
 
     def of(self, name: str) -> Rows:
-        """Return the rows of a step; none if the take has no such step."""
+        """Return the rows of a step; an empty array if the take has no such step."""
         numbers = [number for number, step in enumerate(self.steps) if step.name == name]
         rows: Rows = self.rows[np.isin(self.rows["step"], numbers)]
         return rows
 
     def save(self, path: Path | IO[bytes]) -> None:
-        """Write the take as one file of numpy (.npz)."""
+        """Write the take as one NumPy file (.npz)."""
         facts = {key: one._asdict() if hasattr(one, "_asdict") else one for key, one in self.facts._asdict().items()}
         np.savez_compressed(path, rows=self.rows, facts=json.dumps({**facts, "steps": self.steps}))
 
 
 class Kind(NamedTuple, Generic[F]):
-    """What is judged in one way: the type of its rows, its facts by what a file has of them, and its checks in order.
+    """A kind of take: the type of its rows, the function that makes its facts from a file, and its checks in order.
 
-    A check has its name, the function that judges a take, what is wanted, and the steps that it reads, none for all.
-    `pass` and `fail` are of the device, `retake` asks for the motion once more, and `cannot say` names what is missing.
-    say_what_is_missing: whether the checks themselves judge a take in which a step of theirs was not made.
+    A check has a name, the function that judges a take, the requirement in words, and the steps that it reads, empty
+    for all. `pass` and `fail` concern the device, `retake` asks for the motion again, and `cannot say` names what is
+    missing. say_what_is_missing: whether a check itself judges a take in which one of its steps was not made.
     """
 
     row: np.dtype[Any]
@@ -128,11 +128,11 @@ class Kind(NamedTuple, Generic[F]):
     say_what_is_missing: bool = False
 
     def judge(self, take: Take[F]) -> list[Verdict]:
-        """Return the verdict of every check, in order; one whose step was not made asks for it."""
+        """Return the verdicts of all checks, in order; a check whose step was not made asks for a retake."""
         return [Verdict(name, *self._found(take, check, steps), wanted) for name, check, wanted, steps in self.checks]
 
     def load_of(self, take: Take[F], name: str) -> Load:
-        """Return the least that was driven when a check of this name had all that it reads."""
+        """Return the strongest load (see `LOADS`) among the steps that the check of this name reads."""
         needed = next((steps for check, _, _, steps in self.checks if check == name), ())
         loads: list[Load] = [step.load for step in take.steps if step.name in needed]
         return max(loads, key=LOADS.index, default=LOADS[0])
@@ -148,7 +148,7 @@ class Kind(NamedTuple, Generic[F]):
 
 
 def overall(verdicts: list[Verdict]) -> Result:
-    """Return `fail` if one check fails, else `retake` if one asks for it, else `pass`."""
+    """Return `fail` if any check fails, else `retake` if any asks for it, else `pass`."""
     results = {verdict.result for verdict in verdicts}
     for result in ("fail", "retake"):
         if result in results:
@@ -157,7 +157,7 @@ def overall(verdicts: list[Verdict]) -> Result:
 
 
 def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
-    """Return a take, and of which of these kinds it is.
+    """Return the kind of the take in a file, one of `kinds`, and the take.
 
     Raises:
         ConfigError: The file cannot be read, or is no take of such a kind.
@@ -170,10 +170,10 @@ def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
 
 
 def take_of(file: IO[bytes], *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
-    """Return a take from an open file that can be sought in, and of which of these kinds it is.
+    """Return the kind of the take in an open seekable file, one of `kinds`, and the take.
 
     Raises:
-        ValueError: It is no take of such a kind, is damaged, or is larger than a take.
+        ValueError: The file is no take of such a kind, is damaged, or is larger than a take may be.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -187,7 +187,7 @@ def take_of(file: IO[bytes], *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
             raise ValueError("it has other columns or no rows")
         steps = tuple(Step(*step) for step in facts.pop("steps"))
         return kind, Take(rows, steps, kind.facts_of(**facts))
-    # damage may lead numpy, zipfile and zlib anywhere
+    # A damaged file can make numpy, zipfile and zlib raise anything.
     except Exception as error:
         raise ValueError(str(error)) from error
 
@@ -199,7 +199,7 @@ def _tuples(value: Any) -> Any:
 
 
 class Clock(NamedTuple):
-    """A monotonic clock [ns], and what waits until a time of it; a simulated device has its own."""
+    """A monotonic clock [ns], and the function that waits until a time of it; a simulated device has its own."""
 
     now_ns: Callable[[], int]
     wait: Callable[[int], None] = lambda deadline_ns: None
@@ -209,7 +209,7 @@ MACHINE = Clock(time.monotonic_ns, lambda deadline_ns: time.sleep(max(0.0, (dead
 
 
 class Recorder:
-    """The rows of a take as it continues, each at a whole number of milliseconds of a clock."""
+    """Collects the rows of a take, each at a whole number of milliseconds of a clock."""
 
     def __init__(self, steps: tuple[Step, ...], clock: Clock, guide: Guide) -> None:
         self.rows: list[tuple[Any, ...]] = []
@@ -218,11 +218,11 @@ class Recorder:
         self._number, self._begun_ns = 0, clock.now_ns()
 
     def wanted(self, number: int, idle: Callable[[], None]) -> bool:
-        """Ask whether a step is wanted; the time of the question is not one of the motion.
+        """Return whether the person wants a step; the time of the question does not count as time of the motion.
 
         Args:
-            number: Of the step.
-            idle: Lets a millisecond pass with the device at rest.
+            number: The number of the step.
+            idle: The function that lets a millisecond pass with the device at rest.
         """
         before_ns = self._clock.now_ns()
         answer = self._guide.ask(self._steps[number], idle)
@@ -230,12 +230,12 @@ class Recorder:
         return answer
 
     def begin(self, number: int) -> None:
-        """Begin a step, and tell the person of it."""
+        """Begin a step, and announce it to the person."""
         self._number, self.step = number, self._steps[number]
         self._guide.say(self.step)
 
     def wait(self, periods: int = 1) -> None:
-        """Wait until this number of milliseconds after the last of these times."""
+        """Wait until this number of milliseconds after the time of the last call."""
         self._guide.poll()
         self.ticks += periods
         due_ns = self._begun_ns + round(self.ticks * PERIOD_S * 1e9)
@@ -243,20 +243,20 @@ class Recorder:
         self._guide.waited((self._clock.now_ns() - due_ns) * 1e-9)
 
     def add(self, age_s: float, *values: Any) -> None:
-        """Record the age of the sample [s], and what the kind has besides, at the time that was waited for."""
+        """Record a row at the time last waited for: age of the sample [s], and the columns of the kind."""
         self.rows.append((self.ticks * PERIOD_S, self._number, age_s, *values))
 
     def take(self, row: np.dtype[Any], facts: F) -> Take[F]:
-        """Return what was recorded."""
+        """Return the take of the recorded rows."""
         return Take(np.array(self.rows, row), self._steps, facts)
 
 
 def row_of(*columns: Any) -> np.dtype[Any]:
-    """Return the type of the rows of a kind: time and age of the sample [s], number of the step, its own columns."""
+    """Return the dtype of the rows of a kind: time and age of the sample [s], number of the step, its own columns."""
     return np.dtype([("time_s", "f8"), ("step", "i2"), ("age_s", "f8"), *columns])
 
 
-# The checks of both kinds of device find the following in the same way.
+# The following functions are shared by the checks of all kinds of device.
 
 
 def passes(good: bool) -> Result:
@@ -265,7 +265,7 @@ def passes(good: bool) -> Result:
 
 
 def median_age(rows: Rows, most_s: float) -> tuple[Result, str]:
-    """Judge how old samples are, in the median."""
+    """Judge the median age of the samples against most_s [s]."""
     if not len(rows):
         return "retake", "there are no rows"
     p50, p99 = np.percentile(rows["age_s"], (50.0, 99.0))
@@ -273,15 +273,15 @@ def median_age(rows: Rows, most_s: float) -> tuple[Result, str]:
 
 
 def noise(values: Rows | str, most: float, text: str, scale: float) -> tuple[Result, str]:
-    """Judge the standard deviation of values at rest, shape (n,) or (n, axes): that of the worst window and axis.
+    """Judge the standard deviation of values at rest, shape (n,) or (n, axes), in the worst window and axis.
 
-    Each window is half a second, so that a drift does not count.
+    Each window is half a second long, so that a drift does not count.
 
     Args:
-        values: What was read, or why there is nothing to judge.
-        most: The most that passes, in the unit of the values.
-        text: How what was found is written, such as `{:.1f} um`.
-        scale: By which it is multiplied for that.
+        values: The readings, or the reason why there is nothing to judge.
+        most: The largest standard deviation that passes, in the unit of the values.
+        text: The format of the finding, such as `{:.1f} um`.
+        scale: The factor from the unit of the values to that of the text.
     """
     if isinstance(values, str):
         return "retake", values
@@ -291,7 +291,7 @@ def noise(values: Rows | str, most: float, text: str, scale: float) -> tuple[Res
 
 
 def drift(values: Rows | str, most: float, text: str, scale: float) -> tuple[Result, str]:
-    """Judge how far the means of both halves lie apart, on the worst axis; the arguments are those of `noise`."""
+    """Judge the difference of the means of both halves, on the worst axis; the arguments are those of `noise`."""
     if isinstance(values, str):
         return "retake", values
     half = len(values) // 2

@@ -1,1 +1,1 @@
-"""What the drivers, guards and emulations of AFM controllers have in common."""
+"""The common parts of the drivers, guards and emulators of AFM controllers."""

@@ -1,4 +1,4 @@
-"""What the commands of AFM controllers share: their options, the guard that one runs, and the file that one writes."""
+"""Shared parts of the commands of AFM controllers: options, running a guard, and writing a calibration file."""
 
 import signal
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def run_guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
     """Run a guard between a rig and a controller at HOST:PORT until a signal ends it.
 
     Raises:
-        ConfigError: The controller is no HOST:PORT, or the address cannot be listened at.
+        ConfigError: The controller is not given as HOST:PORT, or the guard cannot listen at its address.
     """
     from telenano_devices.controllers.retract_guard import RetractGuard
 
@@ -58,7 +58,7 @@ def run_guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
 def write_fitting(
     path: Path | None, calibration_of: Callable[..., dict[str, object]], afm: "SimulatedAfm", host: str, port: int
 ) -> None:
-    """Write the calibration file that fits an emulated controller, where one is asked for."""
+    """Write the calibration file that fits an emulated controller; do nothing if path is None."""
     if path is not None:
         from telenano_devices.calibration_files import write_document
 

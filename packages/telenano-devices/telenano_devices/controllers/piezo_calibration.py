@@ -1,4 +1,4 @@
-"""Calibration of an AFM controller that takes its z piezo in metres; that of a driver adds to it what it needs."""
+"""Calibration of an AFM controller that takes z in metres; the calibration of each driver is a subclass."""
 
 from typing import Literal, Self
 
@@ -14,7 +14,7 @@ _REACH_M = 1e-3
 
 
 class ControllerAddress(Settings):
-    """Where the controller, or the guard in front of it, is reached."""
+    """The network address of the controller, or of the guard in front of it."""
 
     host: str = Field(min_length=1, max_length=255, description="Name or address")
     port: int = Field(ge=1, le=65535)
@@ -122,11 +122,11 @@ class ControllerCalibration(Settings):
 
     @property
     def identity(self) -> str:
-        """Return what a recording names this calibration by."""
+        """Return the name of this calibration in recordings: driver, host and date."""
         return f"{self.controller} {self.network.host} {self.calibrated.isoformat()}"
 
     def reached_at(self, host: str | None, port: int | None) -> Self:
-        """Return the same controller at another address, where one is given."""
+        """Return the same calibration with another host or port; None keeps the present one."""
         own = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
         return self.model_copy(update={"network": self.network.model_copy(update=own)})
 
@@ -138,11 +138,11 @@ class ControllerCalibration(Settings):
         return self.z.towards_sample * (z_m - self.z.rest_m)
 
     def drives(self, z_m: float) -> bool:
-        """Return whether a z is nearer to the sample than the safe state; one that is no number counts as nearer."""
+        """Return whether a z [m] is nearer to the sample than the safe state; NaN counts as nearer."""
         return not self.base_m(z_m) <= self.base_m(self.z.retract_m) + self.z.tolerance_m
 
     def readings(self, z_m: float, value: float) -> Readings:
-        """Return what z [m] and the deflection's signal mean: base, and force k zeta."""
+        """Return the readings of z [m] and of the deflection's signal: base, and force k zeta."""
         zeta = (value - self.deflection.zero) / self.deflection.per_m
         force = self.cantilever.stiffness_n_per_m * zeta
         contact = force > self.contact_force_n
@@ -150,7 +150,7 @@ class ControllerCalibration(Settings):
         return Readings(sample, abs(value) < self.deflection.limit)
 
     def check(self, limits: SafetyParams) -> list[str]:
-        """Return what does not fit between this file and the limits of the node; empty if all does."""
+        """Return the contradictions between this file and the limits of the node, as texts; empty for none."""
         faults = []
         for name, position_m in (("base_min_m", limits.base_min_m), ("base_max_m", limits.base_max_m)):
             z_m = self.z.rest_m + self.z.towards_sample * position_m

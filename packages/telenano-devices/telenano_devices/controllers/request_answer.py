@@ -1,29 +1,30 @@
-"""Wires on which one request has one answer, strictly in turn: how their messages are cut out of a stream of bytes."""
+"""Cuts messages out of a stream of bytes, for wires on which each request has one answer, strictly in turn."""
 
 from collections.abc import Callable, Generator
 
 from telenano.wire import TelenanoError
 
-# A message of a controller that a loop asks is short; an image has some megabytes.
+# The largest message. Answers to a loop are short; an image has some megabytes.
 LARGEST_BYTES = 64 * 2**20
 
 
 class WireError(TelenanoError, ValueError):
-    """Bytes that are no message of the protocol: the connection has to be made again."""
+    """The bytes received are no message of the protocol: the connection has to be made again."""
 
 
-# Returns the length of the first message of a stream [bytes], 0 while it has not come whole; raises WireError.
+# Function that returns the length of the first message of a stream [bytes], 0 while it is incomplete; may raise
+# WireError.
 Cut = Callable[[bytes], int]
 
-# The requests of a driver, each sent when the answer to the one before is there; None lets a tick pass.
+# Generator of a driver's requests, each sent when the answer to the previous one has come; None lets a tick pass.
 Talk = Generator[bytes | None, bytes, None]
 
 
 class Incoming:
-    """Messages out of a stream of bytes.
+    """Collects a stream of bytes, and returns its messages.
 
     Args:
-        cut: The rule of the protocol.
+        cut: The function of the protocol that finds the length of a message.
     """
 
     def __init__(self, cut: Cut) -> None:
@@ -34,7 +35,7 @@ class Incoming:
         self._bytes += received
 
     def take(self) -> bytes | None:
-        """Return the next whole message, None while there is none; WireError where the bytes are no message."""
+        """Return the next whole message, or None while there is none; raise WireError if the bytes are no message."""
         size = self._cut(self._bytes)
         if not size:
             return None
@@ -43,5 +44,5 @@ class Incoming:
 
     @property
     def pending(self) -> int:
-        """Return how many bytes wait for the rest of their message."""
+        """Return the number of bytes that wait for the rest of their message."""
         return len(self._bytes)

@@ -1,7 +1,7 @@
-"""What the drivers of AFM controllers have in common: a conversation that is a generator.
+"""The common base of drivers of AFM controllers, whose conversation is a generator.
 
-A driver is written as the talk that it has with its controller, from the first question to a cycle that continues for
-ever. A tick gives it the answer that has come and sends the request that it then has.
+A driver is written as its talk with the controller, from the first question to an endless cycle. A tick sends the
+answer that has come into the generator, and the request that it yields to the controller.
 """
 
 import math
@@ -24,19 +24,19 @@ class RequestDriver(TcpDriver[K]):
     """An `AfmDriver` of a controller that answers one request after the other.
 
     Args:
-        calibration: The calibration of this very controller.
+        calibration: The calibration of this particular controller.
         limits: The limits of the node's guard.
-        cut: The rule by which messages are cut out of the stream.
-        model: What the controller is called.
-        attended: Whether a person stands by who retracts the tip when this process dies.
-        options: Those of `TcpDriver`.
+        cut: The function that finds the length of a message in the stream.
+        model: The name of the model of the controller.
+        attended: Whether a person stands by to retract the tip if this process dies.
+        options: Keyword arguments of `TcpDriver`.
 
     Raises:
         DeviceError: Calibration and limits do not fit together.
     """
 
     kind = "controller"
-    # how long a controller may be silent while it is driven [ns]
+    # The longest silence of a controller while it is driven [ns].
     lost_ns = TcpDriver.LOST_NS
 
     def __init__(
@@ -58,22 +58,22 @@ class RequestDriver(TcpDriver[K]):
         self._waiting = False
         self._base_m = limits.retract_position_m
         self._ready_ns = 0
-        # z that was sent [m], and when [ns]: a sample may show any of those since the tick before it
+        # Times [ns] and values [m] of z that were sent: a sample may show any of those since the tick before it.
         self._history: deque[tuple[int, float]] = deque(maxlen=1024)
-        # the place at the rig's 0, 0, the one that is wanted, and the one that was sent last, of the controller [m]
+        # Places in the controller's coordinates [m]: at the rig's 0, 0; the wanted one; and the one sent last.
         self._centre: tuple[float, float] | None = None
         self._place: tuple[float, float] | None = None
         self._sent_place: tuple[float, float] | None = None
-        # those of the exchanges that were not the one before again
+        # Number of exchanges whose values differ from the ones before.
         self.fresh = 0
-        # samples since the tip was found in its safe state, 0 while it is not there
+        # Number of samples since the tip was found in its safe state, 0 while it is elsewhere.
         self._retracted = 0
         self.tick_s = 0.0
         self._values = math.nan, math.nan
 
     @abstractmethod
     def talk(self) -> Talk:
-        """Return the requests from the first question on; `begin_cycles` says when the controller is ready.
+        """Return the generator of requests; it calls `begin_cycles` when the controller is ready.
 
         Raises:
             DeviceError: The controller is another one, refuses, or somebody else has moved the tip.
@@ -85,11 +85,11 @@ class RequestDriver(TcpDriver[K]):
 
     @property
     def lateral_force_n(self) -> tuple[float, float]:
-        """Return zeros: no controller here has a lateral force among what is read."""
+        """Return zeros [N], because no controller here reports a lateral force."""
         return 0.0, 0.0
 
     def move_to(self, x_m: float, y_m: float) -> None:
-        """Put the tip over a place of the sample [m]; ValueError where it is not finite or out of reach."""
+        """Move the tip over a place of the sample [m]; raise ValueError if the place is not finite or out of reach."""
         stage, centre = self.calibration.stage, self._centre
         if stage is None or centre is None or not max(abs(x_m), abs(y_m)) <= stage.reach_m:
             raise ValueError(f"lateral position {x_m}, {y_m} m must be finite and within the reach of the stage")
@@ -101,20 +101,20 @@ class RequestDriver(TcpDriver[K]):
 
     @property
     def heartbeat_s(self) -> float:
-        """Return the silence after which the guard retracts [s]; 0 where a person stands by in its place."""
+        """Return the silence after which the guard retracts [s]; 0 if a person stands by instead of a guard."""
         return 0.0 if self._attended else self.calibration.heartbeat_s
 
     def wanted_z_m(self) -> float:
-        """Return the z that is to be sent now [m]: that of the safe state until the guard has the tip there as well."""
+        """Return the z to send now [m]: that of the safe state until the node's guard has retracted the tip too."""
         return self.calibration.z_m(self._base_m) if self._released else self.calibration.z.retract_m
 
     def begin_cycles(self, identity: str) -> None:
-        """Note that the controller is who it should be, set up and retracted."""
+        """Mark the controller as identified, set up and retracted, so that cycles may begin."""
         self._model, self._ready_ns = identity, self._now_ns()
         self._come_up(identity)
 
     def refuse_without_guard(self) -> None:
-        """Raise DeviceError: nothing would retract the tip."""
+        """Raise DeviceError, because nothing would retract the tip if this process died."""
         raise DeviceError(
             "has no guard in front of it, and would leave the tip where it is when this process dies: run `telenano"
             f" device guard {self.calibration.controller}` beside the controller and give its port, or give --attended"
@@ -122,17 +122,17 @@ class RequestDriver(TcpDriver[K]):
         )
 
     def find_centre(self, x_m: float, y_m: float) -> None:
-        """Take the place where the tip is found first [m] as that of the rig's 0, 0, if the file has no other."""
+        """Set the place of the rig's 0, 0 from the calibration file or, without one, to the first place found [m]."""
         stage = self.calibration.stage
         if stage is not None and self._centre is None:
             self._centre = x_m if stage.x_m is None else stage.x_m, y_m if stage.y_m is None else stage.y_m
             self._place = self._centre
 
     def check_z(self, z_m: float, asked_ns: int) -> None:
-        """Compare z with all that was sent since two ticks ago.
+        """Compare a reported z [m] with every z that was sent since two ticks before asked_ns [ns].
 
         Raises:
-            DeviceError: Somebody else has moved it, or the driver has noted nothing that it sent.
+            DeviceError: Somebody else has moved the tip, or the driver has recorded no z that it sent.
         """
         since_ns = asked_ns - round((2.0 * self.tick_s + 4.0 * self._period_s) * 1e9)
         while len(self._history) > 1 and self._history[1][0] < since_ns:
@@ -149,7 +149,11 @@ class RequestDriver(TcpDriver[K]):
             )
 
     def take_sample(self, z_m: float, value: float, sampled_ns: int) -> None:
-        """Take a sample of z [m] and the deflection's signal, taken at a time of the monotonic clock [ns]."""
+        """Store a sample of z [m] and the deflection's signal, taken at a time of the monotonic clock [ns].
+
+        Raises:
+            DeviceError: One of the values is not finite.
+        """
         if not (math.isfinite(z_m) and math.isfinite(value)):
             raise DeviceError(f"answered with a value that is not a number: z = {z_m} m, a signal of {value}")
         self.fresh += (z_m, value) != self._values

@@ -1,4 +1,4 @@
-"""A server of an emulated controller: one answer to each request, in turn, on connections that share one device."""
+"""A server for emulated controllers: one answer to each request, in turn, on connections that share one device."""
 
 import asyncio
 import time
@@ -32,18 +32,19 @@ async def serve_requests(
     """Serve until the task is cancelled.
 
     Args:
-        cut: The rule of the protocol.
-        respond: Returns the answer to a request that came at a time of the monotonic clock [ns], None for none; what it
-            raises ends the server.
-        pass_time: Lets the device do what is due at a time [ns].
+        cut: The function of the protocol that finds the length of a message.
+        respond: The function that returns the answer to a request received at a time of the monotonic clock [ns], None
+            for no answer; an exception from it ends the server.
+        pass_time: The function that advances the device to a time [ns].
         host: The address to listen at.
         ports: The TCP ports to listen at.
-        on_ready: Called once the ports are bound.
-        most_clients: The most connections at one port; one more is closed at once.
+        on_ready: The function that is called once the ports are bound.
+        most_clients: The largest number of connections at one port; a further one is closed at once.
         pushed: A stream on a port of its own, None for none.
 
     Raises:
         OSError: An address cannot be bound.
+        Exception: The exception that `respond` has raised.
     """
     failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     clients: dict[int, int] = dict.fromkeys(ports, 0)
@@ -63,10 +64,10 @@ async def serve_requests(
                         writer.write(answer)
                         await writer.drain()
         except (WireError, ConnectionError):
-            # bytes that cannot be read end their connection, and nothing else
+            # Malformed bytes end their connection only.
             pass
         except Exception as error:  # noqa: BLE001
-            # it ends the process, as it would that of the device
+            # The exception ends the server, as it would end the process of the real device.
             if not failed.done():
                 failed.set_exception(error)
         finally:
@@ -95,12 +96,12 @@ async def serve_requests(
             server.close()
         for writer in (*writers, *listeners):
             writer.close()
-        # Clients that wait for an answer find that the server has ended.
+        # This lets clients that wait for an answer see the end of their connection.
         await asyncio.sleep(_WATCH_S)
 
 
 def _push(listeners: list[asyncio.StreamWriter], frames: bytes) -> None:
-    """Write to each listener; one that is gone, or does not read, is left out."""
+    """Write to each listener, and remove those that are gone or do not read."""
     for writer in list(listeners):
         if writer.is_closing() or writer.transport.get_write_buffer_size() > _MOST_UNREAD_BYTES:
             listeners.remove(writer)

@@ -1,9 +1,9 @@
 """A guard between the rig and an AFM controller: it retracts the tip when the rig is silent while the tip is near.
 
-A controller keeps z when its connection is lost, and has no watchdog for it. So a process of ours stands on the
-controller's side: it passes requests and answers on, in turn, and each request is a sign of life. When there was none
-for the heartbeat time while the tip was driven, or the connection has ended then, it breaks that connection and sends
-the retraction itself, again and again until the controller says that z is there. Only then is a rig let in again.
+A controller keeps z when its connection is lost, and has no watchdog. So this process runs on the controller's side: it
+forwards requests and answers in turn, and takes each request as a sign of life. If there is none for the heartbeat time
+while the tip is driven, or the connection ends then, it breaks the connection and sends the retraction itself, again
+and again until the controller reports that z is there. Only then may a rig connect again.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ _READ_BYTES = 65536
 
 
 class GuardedController(Protocol):
-    """A controller as the guard sees it: its messages, and what retracts it."""
+    """The guard's view of a controller: the meaning of its messages, and the request that retracts the tip."""
 
     heartbeat_s: float
 
@@ -29,20 +29,20 @@ class GuardedController(Protocol):
         """Return the length of the first message; see `request_answer.Cut`."""
 
     def answer(self, request: bytes, trips: int) -> bytes | None:
-        """Return the guard's own answer with the number of its retractions, None for a request to the controller."""
+        """Return the guard's own answer, with its number of retractions `trips`; None for a request to forward."""
 
     def drives(self, request: bytes) -> bool | None:
-        """Return whether the tip is driven after a request; None for one that does not change it."""
+        """Return whether the tip is driven after a request; None for a request that does not change that."""
 
     def retraction(self) -> bytes:
         """Return the request that retracts the tip."""
 
     def is_retracted(self, answer: bytes) -> bool:
-        """Return whether the answer to it says that the tip is retracted."""
+        """Return whether the answer to `retraction` reports that the tip is retracted."""
 
 
 class SilenceJudge:
-    """Decides when the tip has to be retracted; time is passed in, so a test runs it in virtual time.
+    """Decides when the tip has to be retracted; the caller passes the time, so a test can run it in virtual time.
 
     Args:
         guarded: The controller.
@@ -52,12 +52,12 @@ class SilenceJudge:
         self._guarded = guarded
         self._heard_ns = 0
         self._owed = False
-        # The guard does not know where an earlier one left the tip, so it retracts the tip first of all.
+        # The guard does not know where an earlier guard left the tip, so it retracts the tip first.
         self.driven = self.due = True
         self.trips = 0
 
     def hear(self, request: bytes, now_ns: int) -> bytes | None:
-        """Take a request of the rig; return the guard's own answer, None for one that is to be passed on."""
+        """Take a request of the rig; return the guard's own answer, or None for a request to forward."""
         self._heard_ns = now_ns
         if (answer := self._guarded.answer(request, self.trips)) is not None:
             return answer
@@ -67,11 +67,11 @@ class SilenceJudge:
         return None
 
     def passed_back(self, now_ns: int) -> None:
-        """Note that the rig has its answer: while the controller owes it, the rig has nothing to say."""
+        """Note that the rig has its answer; while it waits for one, its silence does not count."""
         self._owed, self._heard_ns = False, now_ns
 
     def judge(self, now_ns: int, *, connected: bool) -> bool:
-        """Return whether the connection of the rig is to be broken now; `due` then says that a retraction is."""
+        """Return whether to break the connection of the rig now; `due` becomes true when a retraction is needed."""
         silent = not self._owed and now_ns - self._heard_ns > self._guarded.heartbeat_s * 1e9
         if self.due or not self.driven or (connected and not silent):
             return False
@@ -87,13 +87,13 @@ class SilenceJudge:
 
 
 class RetractGuard:
-    """The guard on its sockets.
+    """The guard between the socket of the rig and that of the controller.
 
     Args:
         guarded: The controller.
         controller: Its address and port.
         listen: The address and port of the guard.
-        say: Takes a sentence for a person.
+        say: The function that shows a sentence to a person.
         now_ns: The monotonic clock [ns]; a test replaces it.
     """
 
@@ -113,13 +113,13 @@ class RetractGuard:
         self._client: socket.socket | None = None
         self._server: socket.socket | None = None
         self._from_client, self._from_server = Incoming(guarded.cut), Incoming(guarded.cut)
-        # This tells whose answer the controller owes: the rig's, the guard's own, or none.
+        # Whose request the controller has still to answer: "rig", "guard", or "" for none.
         self._owed = ""
         self._retry_ns = 0
         self._last_text = ""
 
     def run(self, continues: Callable[[], bool]) -> None:
-        """Guard until `continues` returns False, then leave the tip retracted as far as the controller answers."""
+        """Guard until `continues` returns False, then retract the tip, for which the controller has one second."""
         try:
             while continues():
                 self.step()
@@ -134,7 +134,7 @@ class RetractGuard:
                     each.close()
 
     def step(self) -> None:
-        """Pass on what has come, and judge the silence; waits for 2 ms at most."""
+        """Forward the messages that have come, and judge the silence; this waits for 2 ms at most."""
         if self._server is None:
             self._reach(self._now_ns())
         for ready in self._ready():
@@ -155,7 +155,7 @@ class RetractGuard:
             self._send_server(self._guarded.retraction(), "guard")
 
     def _ready(self) -> list[socket.socket]:
-        # The guard lets a rig in when the tip is known to be retracted, and one rig at a time.
+        # A rig may connect only while the tip is known to be retracted, and only one at a time.
         wanted = [self._server, self._client]
         if self._client is None and self._server is not None and not self.judge.due:
             wanted.append(self._listener)
@@ -179,7 +179,7 @@ class RetractGuard:
             return
         self._server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._from_server, self._owed = Incoming(self._guarded.cut), ""
-        # The guard does not know what happened while the controller was away.
+        # The guard does not know what happened while the controller was not reached, so it retracts again.
         self.judge.driven = self.judge.due = True
 
     def _accept(self) -> None:
@@ -251,7 +251,7 @@ class RetractGuard:
 
 
 def _received(line: socket.socket | None) -> bytes:
-    """Return what has come, nothing where the connection has ended."""
+    """Return the bytes that have come, empty if the connection has ended."""
     if line is None:
         return b""
     try:

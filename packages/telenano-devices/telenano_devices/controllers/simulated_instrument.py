@@ -1,4 +1,4 @@
-"""What stands behind an emulated AFM controller: a simulated instrument, and converters in front of it."""
+"""The simulated instrument behind an emulated AFM controller."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from telenano.extend.instruments import AfmDriver
 
 
 class SimulatedAfm(NamedTuple):
-    """A simulated instrument to stand behind an emulated controller, opened; it has the shape of `AfmDriver`."""
+    """An open simulated instrument for an emulated controller, with read-out gain [V/m] and stiffness [N/m]."""
 
     driver: AfmDriver
     volts_per_m: float
@@ -16,7 +16,7 @@ class SimulatedAfm(NamedTuple):
 
 
 def simulated_afm(scenario: Path | None = None) -> SimulatedAfm:
-    """Return the simulated instrument of a scenario that is named or a file, or the default one.
+    """Return the opened simulated instrument of a scenario (a name or a file), or the default one.
 
     with contextlib.closing(simulated_afm(Path("image")).driver) as afm: ...
 

@@ -1,7 +1,7 @@
 /* An emulated arm of three axes with a hand on it, behind the symbols of a vendor's library.
  *
- * m x'' + b x' + c sign(x') = u + F, in the frame of the vendor; F is the hand's, along one axis, and begins with the
- * session. The values of m and b are chosen, not measured. Time is that of the machine, or what a test says.
+ * m x'' + b x' + c sign(x') = u + F, in the frame of the vendor; F is the force of the hand, along one axis, and begins
+ * with the session. The values of m and b are chosen, not measured. Time is that of the machine, or set by a test.
  */
 #ifndef TELENANO_DOUBLE_ARM_H
 #define TELENANO_DOUBLE_ARM_H
@@ -20,7 +20,7 @@
 #define ARM_LATE 1024
 #define ARM_LOOK_S 0.005
 
-/* A moment of a hand that a test has written: an arm with a spring and a damper that means to be at `to`, a force. */
+/* A hand from a test's file at one time: spring k and damper c towards the intended position `to`, and a force. */
 struct hand {
     double at_s, to[3], k, c, force[3];
     int buttons, plugged;
@@ -28,16 +28,16 @@ struct hand {
 
 struct arm {
     double mass_kg, damping, friction_n, radius_m, resolution_m;
-    /* the axis of the hand, and the sign of "towards the sample" along it */
+    /* The axis of the hand, and the sign of "towards the sample" along it. */
     int hand_axis;
     double hand_sign;
     double place[3], speed[3], force[3];
     double session_s, now_s, left_s, virtual_s;
     int points;
     double time_s[ARM_POINTS], hand_n[ARM_POINTS];
-    /* what a test has broken */
+    /* Faults that a test has put in. */
     double offset_m, sign, latency_s;
-    /* a hand of a test, instead of the session's: its force, or held where it is */
+    /* A hand of a test instead of the session's: its force, or one that holds the arm in place. */
     double push_n;
     int pushes, held;
     int frozen, not_a_number, unplugged, uncalibrated, buttons;
@@ -45,12 +45,12 @@ struct arm {
     char failing[ARM_FAILURES][40];
     int failure[ARM_FAILURES];
     pthread_mutex_t lock;
-    /* forces on their way through a drive that is late, and when each acts; at_s is the time of the arm itself */
+    /* Forces delayed by the drive, with the times at which they act; at_s is the time of the arm itself. */
     double drive_delay_s, at_s, late_at[ARM_LATE], late[ARM_LATE][3];
     int late_first, late_last;
-    /* the scheduler of HD calls no more */
+    /* The scheduler of HD no longer calls back. */
     int stopped;
-    /* a hand with an arm, and the rows of a test's file */
+    /* The present hand with its spring and damper, and the rows of a test's file. */
     struct hand arm_of_hand, *rows;
     int row_count, row_now;
     FILE *orders;
@@ -66,13 +66,13 @@ static double arm_clock(const struct arm *a) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-/* Take the force away, and what is on its way. */
+/* Remove the force, and all delayed forces. */
 static void arm_let_go(struct arm *a) {
     memset(a->force, 0, sizeof a->force);
     a->late_first = a->late_last;
 }
 
-/* Drive with a force, at once or after the delay of the drive. */
+/* Command a force, which acts at once or after the delay of the drive. */
 static void arm_drive(struct arm *a, const double force[3]) {
     int next = (a->late_last + 1) % ARM_LATE;
     if (a->drive_delay_s <= 0.0 || next == a->late_first) {
@@ -84,7 +84,7 @@ static void arm_drive(struct arm *a, const double force[3]) {
     a->late_last = next;
 }
 
-/* Read the rows of a hand: time, place, spring, damper, force, buttons, whether the cable is in. */
+/* Read the rows of a hand: time, position, spring, damper, force, buttons, whether the cable is in. */
 static void arm_read_hand(struct arm *a, const char *path) {
     FILE *file = fopen(path, "r");
     struct hand h;
@@ -98,7 +98,7 @@ static void arm_read_hand(struct arm *a, const char *path) {
     if (file) fclose(file);
 }
 
-/* Let the hand of the file be as it is at this time of the session. */
+/* Set the hand to the state that the file gives for the present time of the session. */
 static void arm_follow(struct arm *a) {
     const struct hand *now, *next;
     double share;
@@ -117,7 +117,7 @@ static void arm_follow(struct arm *a) {
     if (a->unplugged == now->plugged) arm_set(a, "unplugged", !now->plugged);
 }
 
-/* Do what a test has written into TELENANO_DOUBLE_ORDERS since the last look: lines such as "unplugged 1". */
+/* Carry out the orders that a test has written to TELENANO_DOUBLE_ORDERS since the last look, such as "unplugged 1". */
 static void arm_look(struct arm *a) {
     const char *path = getenv("TELENANO_DOUBLE_ORDERS");
     char name[40];
@@ -175,7 +175,7 @@ static void arm_step(struct arm *a, double dt) {
     if (a->session_s >= 0.0) a->session_s += dt;
 }
 
-/* Go on to the present time; a process that stood still goes on from now, unless a hand has its own times. */
+/* Advance to the present time; after a long stall skip the lost time, unless the hand has times of its own. */
 static void arm_advance(struct arm *a) {
     double now = arm_clock(a);
     if (a->now_s < 0.0) a->now_s = now;
@@ -195,7 +195,7 @@ static void arm_measured(const struct arm *a, double place[3]) {
     if (a->not_a_number) place[a->hand_axis] = NAN;
 }
 
-/* Return the error that a test wants of this call, 0 for none. */
+/* Return the error with which a test lets this call fail, 0 for none. */
 static int arm_failure(const struct arm *a, const char *call) {
     int i;
     for (i = 0; i < ARM_FAILURES; i++)
@@ -234,7 +234,7 @@ static void arm_set(struct arm *a, const char *name, double value) {
     if (!strcmp(name, "held")) a->held = value != 0.0;
     if (!strcmp(name, "drive_delay_s")) a->drive_delay_s = value;
     if (!strcmp(name, "stopped")) a->stopped = value != 0.0;
-    /* an ordinary arm that means to be so far towards the sample */
+    /* An ordinary arm whose intended position is this far towards the sample. */
     if (!strcmp(name, "hand_m")) {
         memset(&a->arm_of_hand, 0, sizeof a->arm_of_hand);
         a->arm_of_hand.to[a->hand_axis] = a->hand_sign * value;
@@ -266,7 +266,7 @@ static void arm_sleep(struct arm *a, double duration_s) {
     nanosleep(&t, NULL);
 }
 
-/* The file of a hand that TELENANO_DOUBLE_HAND names, for rigs that are started as a whole. */
+/* Read the file of a hand that TELENANO_DOUBLE_HAND names, for rigs that are started as a whole. */
 static void arm_begin(struct arm *a) {
     const char *path = getenv("TELENANO_DOUBLE_HAND");
     if (path && !a->rows) arm_read_hand(a, path);

@@ -1,4 +1,4 @@
-"""A wire between a driver and an emulated controller in virtual time, with the guard in between if wanted."""
+"""A wire between a driver and an emulated controller in virtual time, optionally with the guard in between."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -20,12 +20,12 @@ C = TypeVar("C", GwyscopeCalibration, NanonisCalibration)
 
 
 def calibration(model: type[C], document: dict[str, object], **changes: Any) -> C:
-    """Return the calibration of a controller of a document, with some changes."""
+    """Return the calibration of a document, with changes to some keys."""
     return validate(model, merge(document, changes), "controller.yaml")
 
 
 class ControllerLine(RequestLine):
-    """A line to a controller. respond: its answer to a request. judge: the guard in between, None for none."""
+    """A line to a controller. respond: function that answers a request. judge: guard in between, None for none."""
 
     def __init__(self, guarded: Any = None) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class ControllerLine(RequestLine):
         self.judge = None if guarded is None else SilenceJudge(guarded)
         self.sent: list[bytes] = []
         self._connected = False
-        # when the guard has passed the answer of the controller on, 0 where none is owed
+        # The time at which the guard forwards the answer of the controller [ns], 0 if none is outstanding.
         self._owed_ns = 0
 
     def connect(self, host: str, port: int) -> Any:
@@ -98,7 +98,7 @@ class Gwyscope(ControllerLine):
         afm.open()
         self.model = gwyscope_model.GwyscopeModel(afm, tick_s=tick_s, now_ns=self.now_ns)
         self.driver = GwyscopeAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)
-        # a guard retracts first, and then lets a rig in
+        # A guard retracts first; only then may a rig connect.
         self.pass_ms(1)
 
     def served(self, request: bytes, now_ns: int) -> bytes | None:
@@ -106,7 +106,7 @@ class Gwyscope(ControllerLine):
 
     @property
     def base_m(self) -> float:
-        """Return where the base really is, towards the sample [m]."""
+        """Return the true position of the base, towards the sample [m]."""
         return float(self.model.z_m - gwyscope_model.REST_M)
 
     @property
@@ -145,7 +145,7 @@ class Nanonis(ControllerLine):
 
     @property
     def base_m(self) -> float:
-        """Return where the base really is, towards the sample [m]."""
+        """Return the true position of the base, towards the sample [m]."""
         return float(0.0 - self.model.z_m)
 
     @property
@@ -175,7 +175,7 @@ class LogLine:
         if not self._controller.running:
             return b""
         both: bytes = self._rest + self._controller.model.log.take()
-        # the end of what is there comes with the next
+        # The last bytes come with the next piece.
         cut = max(0, len(both) - 5)
         self._rest = both[cut:]
         return both[:cut]

@@ -1,7 +1,8 @@
 /* The symbols of Force Dimension's DHD that the driver calls, with an emulated omega.3 behind them.
  *
- * Written from the published descriptions of the calls: on success 0 or a positive code, on failure -1, and the reason
- * in dhdErrorGetLast. +X is towards the person, +Y to the right, +Z up. A watchdog that is set takes the force away.
+ * It follows the published descriptions of the calls: they return 0 or a positive code on success, and -1 on failure,
+ * with the reason in dhdErrorGetLast. +X is towards the person, +Y to the right, +Z up. The watchdog, if set, removes
+ * the force.
  */
 #include <stdio.h>
 
@@ -24,7 +25,7 @@ static int opened, expert, enabled, cause;
 static double watchdog_s, commanded_s = -1.0, max_n = -1.0, counted_from_s;
 static long sets;
 
-/* The watchdog of the device itself. */
+/* Apply the device's own watchdog. */
 static void watched(void) {
     if (watchdog_s > 0.0 && commanded_s >= 0.0 && arm_clock(&a) - commanded_s > watchdog_s) {
         arm_let_go(&a);
@@ -50,7 +51,7 @@ static int failed(int error) {
     return error == E_NONE ? 0 : -1;
 }
 
-/* What every call of an open device begins with. */
+/* Begin a call of an open device: check for faults, and advance the arm; returns 0, or -1 with `last` set. */
 static int begun(const char *call, char id) {
     int error = arm_failure(&a, call);
     arm_look(&a);

@@ -1,8 +1,8 @@
 /* The symbols of OpenHaptics' libHD that the driver calls, with an emulated Touch behind them.
  *
- * Written from the published descriptions: a scheduler with a thread of its own calls back 500 or 1000 times a second,
- * places are in mm and speeds in mm/s, +X is to the right, +Y up and +Z towards the person, and errors are on a stack
- * that hdGetError pops.
+ * It follows the published descriptions: a scheduler with a thread of its own calls back 500 or 1000 times a second,
+ * positions are in mm and speeds in mm/s, +X is to the right, +Y up and +Z towards the person, and errors are on a
+ * stack that hdGetError pops.
  */
 #include "arm.h"
 
@@ -196,7 +196,7 @@ void hdSetSchedulerRate(unsigned long hz) {
 void hdStartScheduler(void) {
     if (!begun("hdStartScheduler") || runs) return;
     runs = 1;
-    /* In a time of its own nobody is called but by telenano_double_tick. */
+    /* In virtual time only telenano_double_tick calls back. */
     if (a.virtual_s < 0.0 && pthread_create(&thread, NULL, serve, NULL)) runs = 0;
 }
 void hdStopScheduler(void) {

@@ -9,9 +9,9 @@ from typing import Any
 from telenano_devices.handle.firmware import compiled as compile_library
 
 FOLDER = Path(__file__).parent
-# Scenarios of these tests name the doubles, and the processes of their rigs inherit that they may.
+# Scenarios of these tests load the doubles, which the processes of their rigs may do by this inherited variable.
 os.environ["TELENANO_ALLOW_CODE"] = "1"
-# What `pytest.mark.skipif` is given for a test of them.
+# Keyword arguments of `pytest.mark.skipif` for tests of the doubles.
 WITHOUT_CC: dict[str, Any] = {
     "condition": shutil.which("cc") is None,
     "reason": "the doubles of vendors' libraries need a C compiler: apt install gcc libc6-dev",
@@ -19,14 +19,14 @@ WITHOUT_CC: dict[str, Any] = {
 
 
 def build(name: str) -> Path:
-    """Return the double of `dhd` or `hd`, compiled unless that was done before."""
+    """Return the double of `dhd` or `hd`, compiled unless that is done already."""
     source, header = FOLDER / f"{name}.c", FOLDER / "arm.h"
     flags = ["-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", str(source), "-lm", "-pthread"]
     return compile_library(f"double-{name}", [source, header], flags, "the double of a vendor's library needs")
 
 
 class Double:
-    """What a test does to a double that is loaded in this process, beside the driver."""
+    """Controls a double that is loaded in this process beside the driver, for a test."""
 
     def __init__(self, path: Path) -> None:
         self._lib = ctypes.CDLL(str(path))
@@ -43,13 +43,13 @@ class Double:
         return float(self._lib.telenano_double_get(name.encode()))
 
     def fail(self, call: str, error: int) -> None:
-        """Let a call fail with an error of the vendor, or, with 0, no longer."""
+        """Make a call fail with an error code of the vendor; 0 ends that."""
         self._lib.telenano_double_fail(call.encode(), error)
 
     def hand(self, path: Path) -> None:
-        """Let the hand of a file, as `live_devices.write_hand` writes it, be at the device."""
+        """Put the hand of a file, as `live_devices.write_hand` writes it, at the device."""
         self._lib.telenano_double_hand(str(path).encode())
 
     def tick(self) -> None:
-        """Let the scheduler of HD call once."""
+        """Make the scheduler of HD call back once."""
         self._lib.telenano_double_tick()

@@ -1,4 +1,4 @@
-"""The emulated device of each driver as a process or library of its own, and what a test does to it meanwhile."""
+"""The emulated device of each driver as a process or library of its own, which a test can disturb while it runs."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from typing import Any, Self
 from telenano_devices.doubles import libraries
 from telenano_devices.impedance.emulated_arm import HandMotion
 
-# What a test does, in the words of the doubles: that of the emulated service, for each.
+# The line for the emulated service that does the same as each word of the doubles.
 LINES: dict[str, Callable[[float], str]] = {
     "unplugged": lambda value: "pull" if value else "plug",
     "uncalibrated": lambda value: "lose-home" if value else "home",
@@ -32,8 +32,8 @@ class LiveDevice:
 
     Args:
         kind: haply, dhd or hd.
-        folder: For what a double is told.
-        options: Of `telenano device simulate haply`.
+        folder: The folder of the file with orders for a double.
+        options: Options of `telenano device simulate haply`.
     """
 
     def __init__(self, kind: str, folder: Path, *options: str) -> None:
@@ -42,7 +42,7 @@ class LiveDevice:
         self._offset_m, self._sign = 0.0, 1.0
         self._orders = folder / f"{kind}.orders"
         self.address = ""
-        # What the process of a servo has to know of a double.
+        # Environment variables that the process of a servo needs for a double.
         self.environment: dict[str, str] = {}
         if kind == "haply":
             self.start()
@@ -59,12 +59,12 @@ class LiveDevice:
             os.environ.pop(name, None)
 
     def tell(self, name: str, path: Path) -> None:
-        """Name a file to the servos that this process starts, and to those of a rig with this `environment`."""
+        """Set a variable to a file, for the servos that this process starts and those of a rig with `environment`."""
         self.environment[name] = os.environ[name] = str(path)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Return the settings of the driver's section."""
+        """Return the keys of the driver's section for this device."""
         if self.kind == "haply":
             return {"service": self.address}
         return {"library": str(libraries.build(self.kind))}
@@ -76,7 +76,7 @@ class LiveDevice:
         return [word for key in keys for word in ("--set", f"haptic_node.{key}")]
 
     def start(self) -> None:
-        """Start the emulated service, on the port that it had."""
+        """Start the emulated service, on its former port if it had one."""
         port = self.address.rsplit(":", 1)[-1] or "0"
         command = [sys.executable, "-m", "telenano", "device", "simulate", "haply", "--port", port, *self._options]
         self._process = subprocess.Popen(
@@ -97,7 +97,7 @@ class LiveDevice:
         self._process = None
 
     def do(self, what: str, value: float = 1.0) -> None:
-        """Do to the device what a double is told as `what value`."""
+        """Give the device an order, in the words of the doubles, such as `push_n` 2.0."""
         if self._process is None:
             with self._orders.open("a") as file:
                 file.write(f"{what} {value:g}\n")
@@ -114,7 +114,7 @@ class LiveDevice:
 
 
 def write_hand(path: Path, kind: str, person: Callable[[float], HandMotion], seconds: float) -> None:
-    """Write what a person does at each time of a session for a double, in the frame of its vendor."""
+    """Write the motion of a person during a session of some seconds [s] for a double, in the frame of its vendor."""
 
     def vendor(vector: tuple[float, float, float]) -> str:
         x, y, z = vector

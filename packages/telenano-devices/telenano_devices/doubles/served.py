@@ -1,4 +1,4 @@
-"""The emulated Inverse Service on a port of its own, in a thread of a test."""
+"""Runs the emulated Inverse Service on a port of its own, in a thread of a test."""
 
 import asyncio
 import threading

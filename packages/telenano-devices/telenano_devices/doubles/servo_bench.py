@@ -1,4 +1,4 @@
-"""A servo with one of three emulated devices in virtual time: the node's side, the hand, and what a test breaks."""
+"""A servo with one of three emulated devices in virtual time, with the node's side, the hand, and faults for tests."""
 
 import json
 import math
@@ -28,7 +28,7 @@ DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000
 NOWHERE = (0.0, 0.0, 0.0)
 STIFFNESS_N_PER_M = 300.0
-# Coarser encoders and a lighter arm bear less of it.
+# A device with coarser encoders and a lighter arm allows less damping.
 DAMPING_N_S_PER_M = {"haply": 8.0, "dhd": 8.0, "hd": 2.0}
 
 
@@ -39,7 +39,7 @@ class VirtualTime:
         self.ns = 10**9
         self.passes: Callable[[float], None] = lambda duration_s: None
         self.watch: Callable[[], None] = lambda: None
-        # What a call of a library takes, which returns late
+        # Returns the virtual time [ns] of the library, which is ahead after a call that returns late.
         self.taken_ns: Callable[[], int] = lambda: 0
 
     def now_ns(self) -> int:
@@ -57,7 +57,7 @@ class VirtualTime:
 
 
 class MemoryConversation:
-    """A conversation with an emulated service without a socket; each answer takes 0.2 ms, and more of a late one."""
+    """A conversation with an emulated service without a socket; an answer takes 0.2 ms plus the service's delay."""
 
     def __init__(self, service: HaplyService, time: VirtualTime) -> None:
         self.service, self.time = service, time
@@ -71,7 +71,7 @@ class MemoryConversation:
         self.time.sleep(self.service.late_s)
 
     def wait(self, patience_s: float = 0.0) -> None:
-        """Do nothing: the answer is there as soon as it was asked for."""
+        """Do nothing, because each answer is there immediately."""
 
     def drop(self, keep: int = 0) -> int:
         dropped = max(0, len(self._answers) - keep)
@@ -82,11 +82,11 @@ class MemoryConversation:
         return haply.DECODE(self._answers.pop(0))
 
     def close(self) -> None:
-        """Do nothing: there is no socket."""
+        """Do nothing, because there is no socket."""
 
 
 class EmulatedDevice:
-    """One device with its wire. `do` breaks it in words that all three know."""
+    """One device with its wire. `do` puts in a fault, by names common to all three devices."""
 
     def __init__(self, kind: str, time: VirtualTime, folder: Path, **settings: Any) -> None:
         self.kind, self.time = kind, time
@@ -111,7 +111,7 @@ class EmulatedDevice:
         self.wire = DhdWire(DhdConfig(**settings), **clock) if kind == "dhd" else HdWire(HdConfig(**settings), **clock)
 
     def _pass(self, duration_s: float) -> None:
-        """Let the device go on; the scheduler of HD calls each millisecond of a wait."""
+        """Advance the device by a wait [s]; the scheduler of HD calls back in each millisecond of it."""
         if self.kind == "dhd" or duration_s <= 1e-3:
             self.double.set("virtual_s", self.time.s)
             return
@@ -125,7 +125,7 @@ class EmulatedDevice:
 
     @property
     def force_n(self) -> float:
-        """Length of the force that the motors have [N]."""
+        """Magnitude of the force of the motors [N]."""
         if self.kind == "haply":
             self.service.advance(self.time.s)
             return math.hypot(*self.service.arm.force_n)
@@ -133,7 +133,7 @@ class EmulatedDevice:
 
     @property
     def height_m(self) -> float:
-        """Where the arm really is, away from the sample [m]."""
+        """True position of the arm, positive away from the sample [m]."""
         return self.service.arm.position_m[2] if self.kind == "haply" else self.double.get("place")
 
     def hand(self, push_n: float = 0.0, held: bool = False) -> None:
@@ -165,12 +165,12 @@ class EmulatedDevice:
 
 
 class ServoBench:
-    """The node's side of the shared memory, as the node plays it: it engages a device that is ready.
+    """Acts as the node at the shared memory of a servo: it engages a device that is ready.
 
     Args:
         kind: haply, dhd or hd.
-        folder: Where a copy of the double's library goes, so that each test has one of its own.
-        settings: Of the wire.
+        folder: The folder for a copy of the double's library, so that each test has its own.
+        settings: The settings of the wire.
     """
 
     def __init__(self, kind: str, folder: Path, **settings: Any) -> None:
@@ -188,7 +188,7 @@ class ServoBench:
             runaway_m_per_s=0.3,
         )
         self.reference_m = 0.0
-        # m/s, along z
+        # Speed of the reference along z [m/s].
         self.moves_m_per_s = 0.0
         self.arm_count = 0
         self.silent = self.gone = False
@@ -214,7 +214,7 @@ class ServoBench:
         self._at.sort(key=lambda entry: entry[0])
 
     def run(self, duration_s: float) -> None:
-        """Run the servo's process from its beginning to its end."""
+        """Run the loop of the servo's process, from beginning to end, for duration_s [s] of virtual time."""
         self._end_s = self.s + duration_s
         self.time.watch = lambda: self.forces.append((self.s, self.device.force_n))
         loop = ServoLoop(
@@ -228,7 +228,7 @@ class ServoBench:
         loop.run()
 
     def _is_needed(self) -> bool:
-        """Play the node, a millisecond after the other, whenever the servo asks whether it is there."""
+        """Act as the node each millisecond, whenever the servo asks whether it is still needed; return that."""
         sample = self.shared.sample()
         if sample is not None:
             self.samples.append(sample)

@@ -1,1 +1,1 @@
-"""Force Dimension's and Novint's devices, by the vendor's library."""
+"""Driver of Force Dimension's and Novint's devices, by the vendor's library."""

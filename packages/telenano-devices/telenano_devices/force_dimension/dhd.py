@@ -1,7 +1,7 @@
-"""Force Dimension's omega, delta, sigma and lambda, and Novint's Falcon, by the vendor's DHD library.
+"""Driver of Force Dimension's omega, delta, sigma and lambda, and Novint's Falcon, by the vendor's DHD library.
 
-Every call takes the device as its last argument, which is always passed. On failure it returns -1, and the reason is in
-dhdErrorGetLast. The device's own watchdog is set, because it alone takes the force away when this process dies.
+Every call gets the device as its last argument. On failure a call returns -1, and dhdErrorGetLast has the reason. The
+driver sets the device's own watchdog, because only that removes the force when this process dies.
 
 The device has +x towards the person, +y to the right and +z up.
 """
@@ -33,13 +33,13 @@ LIBRARY = VendorLibrary(
 )
 # 160 steps of 125 us are 20 ms.
 _WATCHDOG_STEPS = 160
-# indices of dhdGetStatus
+# Indices into the array of dhdGetStatus.
 _CONNECTED = 1
 _RESET = 3
 _WRIST = 8
 _ERROR = 9
 _FORCE_OFF = 14
-# What dhdGetStatus has as the cause of a force that is off.
+# Causes of a force that is off, by their code in dhdGetStatus.
 _CAUSES = {
     1: "its force button",
     2: "its speed",
@@ -48,13 +48,13 @@ _CAUSES = {
     5: "its USB",
     6: "its dead-man button",
 }
-# The values of each make are those that CHAI3D declares.
+# The values of each make as CHAI3D declares them.
 _OMEGA = Declared(12.0, 5000.0, 30.0, 0.075)
 _DELTA = Declared(20.0, 5000.0, 30.0, 0.15)
 _SIGMA = Declared(12.0, 4000.0, 30.0, 0.075)
 _LAMBDA = Declared(12.0, 8000.0, 30.0, 0.1125)
 _FALCON = Declared(8.0, 3000.0, 20.0, 0.04)
-# By the code of dhdGetSystemType.
+# The makes by the code of dhdGetSystemType.
 _MAKES = {
     **dict.fromkeys((33, 34, 35, 36, 37), _OMEGA),
     63: _DELTA,
@@ -69,7 +69,7 @@ class DhdWire(LibraryWire):
 
     library = LIBRARY
     frame = Frame("y -x z")
-    # the emulated omega of the tests
+    # Mechanics of the emulated omega of the tests.
     arm = Mechanics(mass_kg=0.25, damping_n_s_per_m=0.5)
     status_every_ns = 20_000_000
     name = "the device of Force Dimension"
@@ -80,7 +80,7 @@ class DhdWire(LibraryWire):
         self._place, self._rows = [ctypes.c_double() for _ in "xyz"], (ctypes.c_double * 9)()
 
     def close(self) -> None:
-        """Set no force, stop and close; what closing alone does to a force is not documented."""
+        """Set zero force, stop and close the device; the effect of closing alone on a force is not documented."""
         if self._lib is None or self._id.value < 0:
             return
         self._lib.dhdSetForce(0.0, 0.0, 0.0, self._id)

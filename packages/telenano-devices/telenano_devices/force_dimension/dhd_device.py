@@ -1,4 +1,4 @@
-"""The driver of Force Dimension's devices and its settings; its wire is imported in the process of the servo."""
+"""Declares the driver of Force Dimension's devices and its settings; only the servo's process imports its wire."""
 
 from pydantic import Field
 

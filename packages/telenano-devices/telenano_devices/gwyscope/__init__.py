@@ -1,1 +1,1 @@
-"""A Gwyscope as an instrument of telenano: driver, guard and emulation."""
+"""The Gwyscope as an instrument of telenano: driver, guard and emulator."""

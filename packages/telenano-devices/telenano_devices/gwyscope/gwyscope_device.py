@@ -1,4 +1,4 @@
-"""The driver of a Gwyscope as telenano finds it, which it imports when a scenario names it."""
+"""Declares the driver of a Gwyscope, which telenano imports when a scenario names it."""
 
 from pathlib import Path
 from typing import Any

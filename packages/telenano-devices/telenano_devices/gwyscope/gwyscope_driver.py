@@ -1,10 +1,10 @@
-"""A Gwyscope as an AFM of the rig: z at once by `set_feedback`, samples at the server's tick by `read`.
+"""The driver of a Gwyscope as the AFM of a rig: `set_feedback` sets z at once, `read` gets samples at its tick.
 
-A cycle is two requests: z is sent and answered with the state of the feedback, then the newest sample is read. The
-server samples at its own tick, 3 ms as shipped, and a repeated time stamp is a repeated sample. Nothing of the server
-protects the tip: it refuses no value, has no watchdog, and keeps feedback and z when a connection is lost. So range
-and sign are checked here before a message is sent, what comes back is compared with what was sent, and a guard
-(`telenano device guard`) stands in front of the server that retracts when this process is silent.
+A cycle is two requests: one sends z and is answered with the state of the feedback, the other reads the newest sample.
+The server samples at its own tick, 3 ms as shipped; a repeated time stamp is a repeated sample. The server does not
+protect the tip: it refuses no value, has no watchdog, and keeps feedback and z when a connection is lost. So the driver
+checks range and sign before it sends a message and compares the answer with it, and a guard (`telenano device guard`)
+in front of the server retracts the tip when this process is silent.
 """
 
 import math
@@ -21,15 +21,16 @@ from telenano_devices.gwyscope.gwyscope_calibration import GwyscopeCalibration
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
 _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
-# The server's tick is measured by this number of steps between distinct samples.
+# Number of steps between distinct samples from which the server's tick is measured.
 _TICKS = 4
-# At most this number of reads are spent on measuring the tick.
+# Largest number of reads for measuring the tick.
 _READS = 200
-# A server whose samples stand for this time does not run its loop.
+# A server whose samples do not advance for this time does not run its loop.
 _CLOCK_STANDS_S = 0.05
 _SLOWEST_TICK_S = 1.0
 _SHIPPED_TICK_S = 3e-3
-# A motion over the sample goes to a z as well, beside the z that is sent at once: it is not to get there.
+# A lateral motion also moves towards a z of its own, which must not disturb the z sent by `set_feedback`: this speed is
+# so low that it never gets there.
 _Z_SPEED_M_PER_S = 1e-12
 _ALWAYS_READ = ("e", "adc1", "adc2")
 
@@ -37,7 +38,7 @@ Answers = Generator[bytes, bytes, dict[str, Any]]
 
 
 class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
-    """An `AfmDriver` on a Gwyscope server; arguments as of `RequestDriver`."""
+    """An `AfmDriver` of a Gwyscope server; the arguments are those of `RequestDriver`."""
 
     def __init__(self, calibration: GwyscopeCalibration, limits: SafetyParams, **options: Any) -> None:
         super().__init__(calibration, limits, gwyscope_wire.cut, "Gwyscope", **options)
@@ -47,18 +48,18 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
 
     @property
     def latency_s(self) -> float:
-        """Return what the controller adds to the round trip [s]: from a command to its sample, in the mean.
+        """Return the latency that the controller adds to the round trip [s]: mean time from a command to its sample.
 
-        The answer to the sample after z comes after two periods and is used for two, 2.5 periods in the mean; and the
-        server samples at its tick, of which half is waited for in the mean. The tick is that of a server as shipped
-        until it is measured.
+        The sample after a z comes after two periods and is used for two, 2.5 periods in the mean; and the server
+        samples at its tick, half of which passes in the mean. Until the tick is measured, it is that of a server as
+        shipped.
         """
         if self.calibration.latency_s is not None:
             return self.calibration.latency_s
         return 2.5 * self._period_s + 0.5 * (self.tick_s or _SHIPPED_TICK_S)
 
     def talk(self) -> Talk:
-        """Return the requests: who it is, what it does at present, z away from the sample, its tick; then cycles."""
+        """Return the requests: guard, version and activity, retraction of z, measurement of the tick; then cycles."""
         yield from self._find_guard()
         wanted = {"version": "", "moving": False} | dict.fromkeys(_BUSY, False)
         answer = yield from self._ask("get", **wanted)
@@ -74,7 +75,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         if self.calibration.stage is not None:
             speed = self.calibration.stage.speed_m_per_s
             yield from self._ask("set_scan", speed=speed, zspeed=_Z_SPEED_M_PER_S)
-        # After a loss the tip goes back to its place, away from the sample.
+        # After a loss the tip is moved back to its place, while it is retracted.
         self._sent_place = None
         signal = self.calibration.deflection.signal
         if signal not in _ALWAYS_READ:
@@ -97,7 +98,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         self.retractions = int(_number(answer, "trips"))
 
     def _ask(self, todo: str, **items: Any) -> Answers:
-        """Send a request and return its answer; DeviceError where the server does not know it."""
+        """Send a request and return its answer; raise DeviceError if the server did not carry it out."""
         answer = _items((yield gwyscope_wire.encode({"todo": todo, **items})))
         reported = answer.get("todo")
         if reported != todo:
@@ -126,18 +127,18 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         if stamp_s != self._stamp_s:
             self._stamp_s, self._stamp_ns = stamp_s, asked_ns
             self.check_z(z_m, asked_ns)
-            # The sample is as old as the server's tick at most when it is asked for.
+            # When it is requested, the sample is at most one tick of the server old.
             self.take_sample(z_m, value, asked_ns - round(self.tick_s * 1e9))
         elif (asked_ns - self._stamp_ns) * 1e-9 > max(_CLOCK_STANDS_S, 4.0 * self.tick_s):
             raise DeviceError(f"its samples stopped at {stamp_s:.3f} s: the server answers, but its loop does not run")
         return answer
 
     def _check_place(self, answer: dict[str, Any]) -> None:
-        """Compare the place with the one that was reached; DeviceError where somebody else has moved it."""
+        """Compare the place with the one sent; raise DeviceError if the tip leaves it after it was reached."""
         stage, x_m, y_m = self.calibration.stage, _number(answer, "x"), _number(answer, "y")
         if self._centre is None:
             self.find_centre(x_m, y_m)
-            # The tip is where it was found, if the file has no other place.
+            # Without another place in the file the tip stays where it was found.
             self._sent_place = (x_m, y_m)
         if stage is None or self._sent_place is None:
             return
@@ -151,7 +152,7 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
             )
 
     def _measure_tick(self) -> Generator[bytes, bytes, None]:
-        """Read until the server's time stamps tell its tick, which a cycle of reads cannot see below a period."""
+        """Measure the server's tick from the time stamps of reads; it cannot be resolved below a period of the loop."""
         self.tick_s = 0.0
         stamps: list[float] = []
         for _ in range(_READS):
@@ -168,12 +169,12 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
 
 
 def _items(frame: bytes) -> dict[str, Any]:
-    """Return the texts, numbers and flags of an answer; an array represents none of these."""
+    """Return the texts, numbers and flags of an answer, without its arrays."""
     return {key: value for key, value in gwyscope_wire.decode(frame).items() if isinstance(value, str | int | float)}
 
 
 def _number(answer: dict[str, Any], name: str) -> float:
-    """Return a finite number out of an answer; DeviceError where it has none of that name."""
+    """Return a finite number of an answer by its name; raise DeviceError if the answer has none."""
     value = answer.get(name)
     if not isinstance(value, int | float) or not math.isfinite(value):
         raise DeviceError(f"answers {answer.get('todo')} without a number {name}: check the names in the calibration")

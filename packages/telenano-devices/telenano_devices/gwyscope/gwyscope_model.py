@@ -1,10 +1,10 @@
-"""A Gwyscope server with the simulated instrument behind it: what it answers, and what it does at its tick.
+"""A model of a Gwyscope server with the simulated instrument behind it: its answers, and its actions at each tick.
 
-Written from what its server does (4.1.19, see `gwyscope_wire`): z of `set_feedback` acts at once, everything else at
-the tick, which moves, regulates and samples. It refuses no value, ends on an item of a wrong type, keeps feedback and z
-when a connection is lost, and puts z to 0 on its command to end. What it has not: ramps, paths of a scan, streams,
-generators; these are answered with "unknown". What is assumed: a motion under way takes z along to the z that it was
-given, and a feedback is an integral of the error. Time is passed in, so that a test runs it in virtual time.
+It follows the behaviour of the server (4.1.19, see `gwyscope_wire`): z of `set_feedback` acts at once, everything else
+at the tick, which moves, regulates and samples. It refuses no value, ends on an item of a wrong type, keeps feedback
+and z when a connection is lost, and sets z to 0 on its command to end. It lacks ramps, paths of a scan, streams and
+generators, and answers these requests with "unknown". Two assumptions: a motion under way moves z to its own target of
+z, and a feedback is an integral of the error. The caller passes the time, so that a test can run it in virtual time.
 """
 
 import math
@@ -24,7 +24,7 @@ RANGE_V = 10.0
 _Z_MOST_M = 1.0e-5
 _XY_MOST_M = 1.0e-4
 _NS = 1_000_000_000
-# the type of each item that is read from a request; another one ends the server
+# The type of each item that is read from a request; another type ends the server.
 _TYPES: dict[str, dict[str, Any]] = {
     "read": {},
     "stop": {},
@@ -40,17 +40,17 @@ _FLAGS = ("moving", "scanning_line", "scanning_adaptive", "scanning_script", "ra
 
 
 class AssertionOfTheServerError(Exception):
-    """An item of a wrong type was read, on which the server's process ends; feedback and z stay as they are."""
+    """An item of a wrong type was read, which ends the server's process; feedback and z stay as they are."""
 
 
 class GwyscopeModel:
     """The server.
 
     Args:
-        afm: The instrument, opened, whose base z moves and whose bridge voltage adc1 has.
+        afm: The opened instrument; z moves its base, and adc1 reads its bridge voltage.
         tick_s: The tick of the server [s].
         noise_v: The standard deviation of a sample of adc1 [V].
-        now_ns: When it begins [ns].
+        now_ns: The time at which the server begins [ns].
     """
 
     def __init__(self, afm: AfmDriver, *, tick_s: float = TICK_S, noise_v: float = 0.0, now_ns: int = 0) -> None:
@@ -79,7 +79,7 @@ class GwyscopeModel:
         self._measure()
 
     def pass_time(self, now_ns: int) -> None:
-        """Do the ticks until now [ns]; a server that stands does none, and takes them up where it is."""
+        """Make the ticks that are due until now_ns [ns]; a server whose loop stands skips them."""
         while now_ns - self._ticked_ns >= self._tick_ns:
             self._ticked_ns += self._tick_ns
             if not self.stands:
@@ -120,7 +120,7 @@ class GwyscopeModel:
         return {"todo": todo} | echo
 
     def end(self) -> None:
-        """Do what the server does on its command to end: z goes to 0."""
+        """Set z to 0, as the server does on its command to end."""
         self._move_z(0.0)
 
     def _value(self, name: str) -> Any:
@@ -131,7 +131,7 @@ class GwyscopeModel:
         if self._target is not None:
             self._continue(*self._target)
         if self.values["feedback"]:
-            # the error in volts, an integral of it in metres
+            # The error is in volts, its integral in metres.
             error_v = self.values["pid_setpoint"] - self._bridge_v
             self._move_z(self.z_m + self.values["pid_i"] * error_v * self._tick_ns / _NS)
         self._measure()

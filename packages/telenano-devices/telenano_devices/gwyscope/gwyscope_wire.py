@@ -1,10 +1,10 @@
-"""Messages of a Gwyscope: each is one serialised GwyObject named GS, without the magic of a file.
+"""Messages of a Gwyscope as bytes and back: each is one serialised GwyObject named GS, without the magic of a file.
 
     "GS" NUL, size (uint32, little-endian), then items: key NUL, one letter for the type, value
 
-Letters: b one byte, i int32, d float64, s text NUL, D uint32 count and this number of float64. A server reads an item
-by the type that it expects, and ends where another one comes, so the type of a Python value decides: bool b, int i,
-float d, str s, array D. Source: NenoVision/GwyScope-Fork-Stabilizer, server 4.1.19, and gwyfile 0.3.0.
+Letters: b one byte, i int32, d float64, s text NUL, D uint32 count and this many float64. The type of a Python value
+decides: bool b, int i, float d, str s, array D. It must be right, because a server ends on a type that it does not
+expect. Source: NenoVision/GwyScope-Fork-Stabilizer, server 4.1.19, and gwyfile 0.3.0.
 """
 
 import struct
@@ -26,7 +26,7 @@ def encode(message: Message) -> bytes:
     """Return a message as bytes.
 
     Raises:
-        TypeError: A value has a type that the protocol has no letter for.
+        TypeError: The protocol has no letter for the type of a value.
     """
     items = b"".join(key.encode() + b"\0" + _value(value) for key, value in message.items())
     return _NAME + _SIZE.pack(len(items)) + items
@@ -50,7 +50,7 @@ def decode(frame: bytes) -> dict[str, Any]:
     """Return the items of a message.
 
     Raises:
-        WireError: The bytes are no message, or it has an item of a type that Gwyscope does not send.
+        WireError: The bytes are no message, or an item has a type that Gwyscope does not send.
     """
     if cut(frame) != len(frame):
         raise WireError(f"a message of {len(frame)} bytes cannot be read: it is not of the length that it states")
@@ -65,7 +65,7 @@ def decode(frame: bytes) -> dict[str, Any]:
 
 
 def _item(frame: bytes, place: int) -> tuple[Any, int]:
-    """Return the value whose letter stands at a place, and the place behind it."""
+    """Return the value whose letter stands at `place`, and the index of the byte after it."""
     letter, place = frame[place : place + 1].decode("latin-1"), place + 1
     if letter == "s":
         return _text(frame, place)

@@ -1,1 +1,1 @@
-"""A handle behind a serial port: its firmware, an emulation of it, and its calibration."""
+"""The handle on a serial port: its firmware, an emulator, and its calibration."""

@@ -1,7 +1,7 @@
-"""The flashable image of the ATmega328P board in simavr, joined to the compiled motor and the simulated hand.
+"""Runs the flashable image of the ATmega328P board in simavr, with the compiled motor and the simulated hand.
 
 The image is the one that `make flash` writes. Time is counted in cycles of its processor. The plant is that of the
-emulated handle: duty of the bridge in, sensor out. A board without a force sensor estimates the force by its drive.
+emulated handle: duty of the bridge in, sensor out. The board has no force sensor and estimates the force by its drive.
 """
 
 import ctypes
@@ -17,13 +17,13 @@ RUNNER = SOURCES.parent / "emulator" / "avr328p.c"
 FREQUENCY_HZ = 16_000_000
 CYCLES_A_TICK = FREQUENCY_HZ // 1000
 DEVICE_ID = 0x0102030405060708
-# a turn of the sensor is read in this number of steps
+# The number of steps in a turn of the sensor.
 SENSOR_STEPS = 1024
 SENSOR_MV = 5000
-# The arm moves this far for a turn of the sensor [m].
+# Travel of the arm for a turn of the sensor [m].
 M_PER_TURN = 10e-3
 M_PER_COUNT = M_PER_TURN / SENSOR_STEPS
-# The sensor stands at this count when x = 0.
+# Count of the sensor at x = 0.
 _ZERO_COUNTS = 512
 FULL_DUTY = 255
 # The drive is a hundredth of the strong motor of the plant, which makes a handle of 25 N.
@@ -34,7 +34,7 @@ _ROOM = 8192
 
 
 class AvrBoard:
-    """The processor with its image: bytes, sensor and switch in, bytes and duty out.
+    """The processor with its image; inputs are bytes, sensor and e-stop switch, outputs are bytes and duty.
 
     Raises:
         FirmwareError: simavr or a compiler is missing, or the image cannot be read.
@@ -61,11 +61,11 @@ class AvrBoard:
 
     @property
     def duty(self) -> int:
-        """Return the duty of the bridge as its pins have it, -255 to 255."""
+        """Return the duty of the bridge at its pins, -255 to 255."""
         return int(self._functions.board_drive(self._board))
 
     def run(self, cycles: int) -> None:
-        """Run the processor.
+        """Run the processor for a number of cycles.
 
         Raises:
             FirmwareError: The processor has crashed.
@@ -74,8 +74,8 @@ class AvrBoard:
             raise FirmwareError(f"the processor has stopped after {self.cycles} cycles")
 
     def set_position(self, counts: int) -> None:
-        """Turn the sensor; it goes round after SENSOR_STEPS counts."""
-        # the middle of a step of the converter, rounded to the millivolt that simavr takes
+        """Turn the sensor to a count, modulo SENSOR_STEPS."""
+        # The voltage is the middle of a step of the converter, rounded to the millivolts of simavr.
         millivolts = (counts % SENSOR_STEPS + 0.5) * SENSOR_MV / SENSOR_STEPS
         self._functions.board_set_sensor(self._board, round(millivolts))
 
@@ -83,20 +83,20 @@ class AvrBoard:
         self._functions.board_set_estop(self._board, int(pressed))
 
     def hold(self, *, still: bool) -> None:
-        """Make the program stand still where it is, as one that hangs, or let it continue."""
+        """Stop the program, as if it hung, or let it continue."""
         self._functions.board_hold(self._board, int(still))
 
     def receive(self, received: bytes) -> None:
         self._functions.board_receive(self._board, received, len(received))
 
     def sent(self) -> bytes:
-        """Return what the board has sent since the last call."""
+        """Return the bytes that the board has sent since the last call."""
         length = self._functions.board_sent(self._board, self._buffer, _ROOM)
         return self._buffer.raw[:length]
 
 
 class AvrHandle:
-    """A handle with that board, a millisecond at a time, as `EmulatedHandle` is."""
+    """A handle with that board, advanced by milliseconds, with the interface of `EmulatedHandle`."""
 
     def __init__(self, config: HapticConfig) -> None:
         self._plant = plant_of(config)
@@ -113,7 +113,7 @@ class AvrHandle:
         return self.board.sent()
 
     def advance(self) -> None:
-        """Continue by a millisecond: plant, sensor, processor."""
+        """Advance plant, sensor and processor by a millisecond."""
         before_m, duty = self._plant.state.plant.motor.position_m, self.board.duty
         command = DriveCommand(MODE_OFF, 0.0, 0.0)
         if duty:
@@ -126,7 +126,7 @@ class AvrHandle:
 
 
 def calibration_of(config: HapticConfig) -> dict[str, object]:
-    """Return the content of a calibration file that fits the emulated board; its force is what the drive holds."""
+    """Return the content of a calibration file that fits the emulated board; its force is that of the drive."""
     from datetime import UTC, datetime
 
     # The force of a duty count follows from that of a millivolt.

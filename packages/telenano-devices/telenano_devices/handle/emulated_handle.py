@@ -1,7 +1,7 @@
-"""An emulated handle: the firmware's core joined to the compiled motor and the simulated hand, in its own time.
+"""An emulated handle: the firmware's core with the compiled motor and the simulated hand, in virtual time.
 
-The plant is that of the simulated driver, its servo left out: the firmware closes that loop, in counts, once a
-millisecond. The drive is a voltage, a millivolt a count.
+The plant is that of the simulated driver without its servo: the firmware closes that loop, in counts, once a
+millisecond. The drive is a voltage of one millivolt a count.
 """
 
 from datetime import UTC, datetime
@@ -20,10 +20,10 @@ DEVICE_ID = 0x0102030405060708
 M_PER_COUNT = 1e-8
 N_PER_COUNT = 1e-4
 V_PER_COUNT = 1e-3
-# counts at x = 0 and without a hand: not 0, so that a calibration which leaves them out shows
+# Counts at x = 0 and without a hand; they are not 0, so that a calibration which omits them shows an error.
 POSITION_ZERO = 20480
 FORCE_ZERO = 8388
-# the servo of the plant as a voltage source: in a tick the arm moves 40 um at most, which changes it by 40 uV
+# Servo gain that makes the plant a voltage source: in a tick the arm moves at most 40 um, which changes it by 40 uV.
 _SOURCE_V_PER_M = 1.0
 _SUPPLY_10MV = 4800
 _FLAGS = (
@@ -42,7 +42,7 @@ def drive_n_per_count(motor: MotorParams) -> float:
 
 
 def plant_of(config: HapticConfig) -> Any:
-    """Return the motor of a configuration as a voltage source, with the hand on it and without disturbances, open."""
+    """Return the opened motor of a configuration as a voltage source, with its hand, without disturbances."""
     source = config.device.model_copy(update={"servo_gain_v_per_m": _SOURCE_V_PER_M})
     plain = HapticConfig(operator=config.operator).model_copy(update={"device": source})
     plant = plain.to_simulated_device()
@@ -51,7 +51,7 @@ def plant_of(config: HapticConfig) -> Any:
 
 
 class EmulatedHandle:
-    """A handle in virtual time: `advance` takes the device from one millisecond to the next.
+    """A handle in virtual time, which `advance` moves on by one millisecond.
 
     Args:
         config: The configuration whose device and operator are emulated.
@@ -69,7 +69,7 @@ class EmulatedHandle:
         self.reset(session)
 
     def reset(self, session: int) -> None:
-        """Boot the firmware, as after a loss of its supply; the arm stays where it is."""
+        """Boot the firmware, as after a power failure; the arm stays where it is."""
         self._drive = self._session_ticks = 0
         identity = BoardIdentity(
             device_id=DEVICE_ID,
@@ -84,7 +84,7 @@ class EmulatedHandle:
         self.core = FirmwareCore(identity)
 
     def place(self, position_m: float) -> None:
-        """Put the arm against a gauge [m], towards the sample > 0, where it stays until it is driven."""
+        """Hold the arm at a gauge [m], towards the sample > 0, until it is driven."""
         self._gauge_m = position_m
 
     def load(self, force_n: float) -> None:
@@ -98,7 +98,7 @@ class EmulatedHandle:
         return self.core.sent()
 
     def advance(self) -> None:
-        """Continue by a millisecond: plant, sample, firmware."""
+        """Advance by a millisecond: plant, sample, firmware."""
         self.time_us += TICK_US
         self._session_ticks = self._session_ticks + 1 if self.core.session_runs else 0
         session_s = self._session_ticks * _TICK_S if self._session_ticks else -1.0
@@ -134,7 +134,7 @@ class EmulatedHandle:
 
     @property
     def position_m(self) -> float:
-        """Where the arm really is [m]."""
+        """True position of the arm [m]."""
         return float(self._plant.state.plant.motor.position_m)
 
     @property

@@ -1,4 +1,4 @@
-"""Calibration of a handle by gauges and masses: raw samples of a device that is never driven, and straight lines."""
+"""Raw samples for the calibration of a handle by gauges and masses; the device is never driven."""
 
 from typing import NamedTuple
 
@@ -20,11 +20,11 @@ class RawPoint(NamedTuple):
 
 
 def sample_raw(handle: SerialHandle, duration_s: float) -> RawPoint:
-    """Return the means of a handle over a time [s], from what it sends by itself; it is never driven.
+    """Return the means over the samples that a handle sends unasked; the handle is not driven, and closed at the end.
 
     Args:
         handle: A handle that is not open yet, without a calibration.
-        duration_s: How long to listen [s].
+        duration_s: The time to listen [s].
 
     Raises:
         DeviceError: No device answers, or it sends too few samples.

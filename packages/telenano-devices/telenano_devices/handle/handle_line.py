@@ -1,4 +1,4 @@
-"""A wire between the driver of the handle and the emulated handle in virtual time, whose bytes a test can replace."""
+"""A wire in virtual time between the driver of the handle and the emulated handle; a test can replace its bytes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ _MS = 1_000_000
 
 
 def calibration(**changes: Any) -> HandleCalibration:
-    """Return the calibration of the emulated handle, with some changes."""
+    """Return the calibration of the emulated handle, with changes to some keys."""
     return validate(HandleCalibration, {**calibration_of(HapticConfig()), **changes}, "handle.yaml")
 
 
@@ -30,11 +30,11 @@ class HandleLine:
         self.now_ns = 10**9
         self.handle = EmulatedHandle(HapticConfig(), session=0xBEEF)
         self.plugged, self.reading = True, True
-        # another program that has the port open
+        # Name of another program that has the port open, empty for none.
         self.holder = ""
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
         self.to_device: Callable[[bytes], bytes] = lambda sent: sent
-        # of what the device sent [ms]
+        # Delay of the bytes from the device [ms].
         self.latency_ms = 0.0
         self.opened = 0
         self.closed = 0
@@ -85,7 +85,7 @@ class HandleLine:
     def _collect(self) -> None:
         sent = self.to_host(self.handle.sent())
         if sent and self.plugged:
-            # in order, whatever the latency was before
+            # Bytes stay in order when the latency changes.
             before_ns = self._waiting[-1][0] if self._waiting else 0
             self._waiting.append((max(before_ns, self.now_ns + round(self.latency_ms * _MS)), sent))
 

@@ -1,4 +1,4 @@
-"""The emulated handle in real time on a pseudo-terminal: what a serial port with a board on it looks like."""
+"""Runs the emulated handle in real time on a pseudo-terminal, which looks like a serial port with a board."""
 
 import contextlib
 import fcntl
@@ -15,29 +15,29 @@ from telenano_devices.handle.emulated_handle import TICK_US
 
 _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
-# A process that stalled for longer continues from now, because a board does not make up for lost time.
+# After a longer stall the emulation continues from the present, because a board does not catch up with lost time.
 _LONGEST_NS = 50 * _TICK_NS
-# The host is gone after this long, because it sends a thousand commands a second.
+# Silence after which the host counts as gone, since it sends a thousand commands a second.
 _ABANDONED_NS = 200 * _TICK_NS
 
 
 class EmulatedBoard(Protocol):
-    """A board in a time of its own, a millisecond at a time."""
+    """A board in virtual time, advanced by milliseconds."""
 
     def receive(self, received: bytes) -> None: ...
 
     def sent(self) -> bytes:
-        """Return what it has sent since the last call."""
+        """Return the bytes that the board has sent since the last call."""
 
     def advance(self) -> None:
-        """Continue by a millisecond."""
+        """Advance by a millisecond."""
 
     def reset(self, session: int) -> None:
-        """Boot again; a board that counts its sessions itself takes its own number."""
+        """Boot again; a board that counts its sessions itself ignores `session`."""
 
 
 class HandleOnPty:
-    """A handle whose port is `link`, a symbolic link as those of /dev/serial/by-id.
+    """A handle whose port is `link`, a symbolic link like those of /dev/serial/by-id.
 
     Raises:
         OSError: The link cannot be made.
@@ -54,10 +54,10 @@ class HandleOnPty:
         return self._master >= 0
 
     def plug_in(self) -> None:
-        """Put the cable in; harmless when it is."""
+        """Plug the cable in; harmless when it is in."""
         if self.plugged:
             return
-        # the other end stays open here as well, or the port would end with its first reader
+        # The slave end stays open here too, or the port would end with its first reader.
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -77,7 +77,7 @@ class HandleOnPty:
             self._link.unlink()
 
     def run(self, continues: Callable[[], bool]) -> None:
-        """Run in real time as long as `continues` returns true; it is asked once a millisecond."""
+        """Run in real time while `continues`, called once a millisecond, returns True."""
         self._next_ns = time.monotonic_ns()
         while continues():
             self._next_ns += _TICK_NS
@@ -90,13 +90,13 @@ class HandleOnPty:
             self._release_abandoned()
 
     def _release_abandoned(self) -> None:
-        """Clear the mark of a host that was killed: its port would be free, and here the other end is still open."""
+        """Clear the exclusive mark of a host that was killed; a real port would be free, but here the slave is open."""
         if self.plugged and self._next_ns - self._received_ns > _ABANDONED_NS:
             self._received_ns = self._next_ns
             fcntl.ioctl(self._slave, termios.TIOCNXCL)
 
     def _listen(self, wait_s: float) -> None:
-        """Wait for bytes, and answer what they ask."""
+        """Wait up to wait_s [s] for bytes, pass them to the handle, and send its answer."""
         if not self.plugged:
             time.sleep(wait_s)
             return

@@ -1,4 +1,4 @@
-"""`telenano device simulate handle`: an emulated handle in this terminal."""
+"""`telenano device simulate handle`: runs an emulated handle in this terminal."""
 
 import math
 import os
@@ -83,7 +83,7 @@ def simulate_handle(
 
 
 def handled(handle: Any, line: str) -> str:
-    """Do at an emulated handle what a line says, and return what was done, or what would be right."""
+    """Apply a typed line (gauge or mass) to an emulated handle, and return a sentence about it or the usage."""
     word, _, text = line.strip().partition(" ")
     try:
         value = float(text)
@@ -99,5 +99,5 @@ def handled(handle: Any, line: str) -> str:
 
 
 def _boot() -> int:
-    """Return the number of a session; 0 represents none."""
+    """Return a random session number, which is not 0, because 0 means none."""
     return int.from_bytes(os.urandom(2)) or 1

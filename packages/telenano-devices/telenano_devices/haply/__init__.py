@@ -1,1 +1,1 @@
-"""Haply's Inverse3 with a VerseGrip: driver and emulated service."""
+"""Haply's Inverse3 with a VerseGrip: the driver and an emulated service."""

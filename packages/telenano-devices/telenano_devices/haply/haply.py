@@ -1,10 +1,10 @@
-"""Haply Inverse3 with a VerseGrip: the JSON over WebSocket of its service, format 3.x on port 10001.
+"""Driver of Haply's Inverse3 with a VerseGrip, by the JSON over WebSocket of its service, format 3.x on port 10001.
 
-The service sends one full message when a client connects, and after that exactly one message of states for each one
-that it receives. A state carries neither time nor number, so its age is the time from sending to receipt. It counts for
-the newest message only: what has come before a request, or before another message, was not asked for and is dropped and
-counted, and a service that continues with it is lost. A reading that is frozen shows only as a place that stands still
-under a force that changes; the coupling looks for that.
+The service sends one full message when a client connects, and then exactly one message of states for each message that
+it receives. A state carries neither time nor number, so its age is the time from sending to receipt, and only the
+newest message counts as the answer: messages that come before the request, or before another one, were not asked for;
+they are dropped and counted, and a service that keeps sending them is lost. A frozen reading shows only as a position
+that stands still under a changing force, which the coupling detects.
 
 Frames: the device has +x to the right, +y away from the person and +z up, which is the master frame.
 """
@@ -28,26 +28,26 @@ from telenano_devices.impedance.vendor_service import Conversation, Exchange, Ve
 from telenano_devices.impedance.wires import Cadence, Declared, Mechanics, declared
 
 SERVICE = "ws://127.0.0.1:10001"
-# the emulated Inverse3
+# Mechanics of the emulated Inverse3.
 ARM = Mechanics(mass_kg=0.20, damping_n_s_per_m=0.20)
 INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
 INVERSE_SERVICE = VendorService(
     "Inverse Service", "the Haply Inverse3", "haptic_node.haply.service", SERVICE, "format 3.x", INSTALL
 )
-# What Haply's CHAI3D driver declares.
+# The values that Haply's CHAI3D driver declares.
 _MAKE = Declared(10.0, 1000.0, 6.0)
 # Radii of the workspace, by the type of the device.
 _RADII_M = {"inverse3": 0.10, "inverse3x": 0.10, "minverse": 0.04}
 EMULATED = "telenano emulator"
-# The names of the profile of the service while a session runs, and while none does.
+# The names of the service's profile while a session runs, and while none runs.
 SESSION_RUNS = "org.telenano:session-runs"
 SESSION_RESTS = "org.telenano:servo"
-# The service has this time to answer when it is opened.
+# Time limit of the service's answer when it is opened.
 _OPEN_S = 3.0
-# The service may take as long for a place as the coupling tolerates silence.
+# Time limit of the answer to a request: the silence that the coupling tolerates.
 _SILENT_S = 0.05
 _CHECK_S = 0.1
-# A rendered force that differs from the sent one by more than this share of it, and _FORCE_N, deserves a remark.
+# A rendered force that differs from the sent one by more than this share of it plus _FORCE_N is reported.
 _FORCE_SHARE = 0.1
 _FORCE_N = 0.1
 
@@ -57,7 +57,7 @@ _ENCODER = msgspec.json.Encoder()
 
 
 class HaplyWire:
-    """An `ImpedanceWire` to one Inverse3; a test replaces what opens the conversation, clock [ns] and waiting."""
+    """An `ImpedanceWire` to one Inverse3; a test replaces connect, the clock now_ns [ns] and sleep."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class HaplyWire:
         self._settings, self._service, self._deadman = settings, settings.service, settings.deadman
         self._connect = connect or (lambda address: Conversation(INVERSE_SERVICE, address, DECODE))
         self._now_ns, self._sleep = now_ns, sleep
-        # The presets that end in `centered` put zero into the centre of the workspace.
+        # Presets that end in `centered` put zero at the centre of the workspace.
         self._filters: dict[str, Any] = {"preset": {"preset": settings.preset}}
         if settings.force_gate is not None:
             self._filters["force_gate"] = {"gain": settings.force_gate}
@@ -101,7 +101,7 @@ class HaplyWire:
         self._emulated = config.device_info.model == EMULATED
         self._session, self._differs = None, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
-        # A service that was lost and is back continues with the session of before.
+        # A service that comes back after a loss continues with the session of before.
         first = {
             "session": {"configure": {"profile": {"name": SESSION_RUNS if self._runs else SESSION_RESTS}}},
             "inverse3": [{"device_id": self._id, "configure": self._filters, "commands": {"probe_position": {}}}],
@@ -123,11 +123,14 @@ class HaplyWire:
 
     @property
     def unasked(self) -> int:
-        """Return how many messages came without a request since the device was opened."""
+        """Return the number of messages without a request since the device was opened."""
         return 0 if self._exchange is None else self._exchange.unasked
 
     def run(self, turn: Turn) -> None:
-        """Ask at an absolute cadence; one that an answer comes too late for moves on, and is not made up for."""
+        """Ask the service at absolute deadlines and pass each sample to `turn`, until it returns None.
+
+        A deadline that a late answer misses is skipped, not made up for.
+        """
         if self._conversation is None:
             raise DeviceError(f"{self._service}: the service is not open")
         force: Vector = ZERO
@@ -146,7 +149,7 @@ class HaplyWire:
         self._session = runs if self._emulated else None
 
     def close(self) -> None:
-        """Send no force, and leave: the device returns to idle when nothing commands it."""
+        """Send zero force and disconnect; the device returns to idle when nothing commands it."""
         if self._conversation is None:
             return
         with contextlib.suppress(DeviceError):
@@ -156,7 +159,11 @@ class HaplyWire:
         self._conversation = None
 
     def _find(self, conversation: Conversation[Answer]) -> tuple[Arm, bool]:
-        """Return the Inverse3 that is configured, or the only one, and whether there is a grip; wait for the device."""
+        """Wait for the configured Inverse3, or the only one; return it, and whether there is a grip.
+
+        Raises:
+            DeviceError: No such device appears in time, or there are several.
+        """
         wanted, answer = self._settings.device_id, conversation.receive(_OPEN_S)
         end_s = self._now_ns() * 1e-9 + _OPEN_S
         while not answer.arms(wanted):
@@ -174,7 +181,7 @@ class HaplyWire:
         return arms[0], bool(answer.grips)
 
     def _message(self, force: Vector) -> bytes:
-        """Return the request with a force, and with the state of the session where that has changed."""
+        """Return the request with a force [N], and with the state of the session if that has changed."""
         message = b'%b{"x":%.6f,"y":%.6f,"z":%.6f}%b' % (self._head, *force, self._tail)
         if self._session is not None:
             name = SESSION_RUNS if self._session else SESSION_RESTS
@@ -202,7 +209,7 @@ class HaplyWire:
         return DeviceSample(place, taken_ns, orientation, buttons, held, heard_ns, error)
 
     def _compare(self, sent: Vector, rendered: Vector) -> None:
-        """Find a service that renders another force than it is sent: none at all, or a filtered one."""
+        """Detect a service that renders another force than the one sent; raise DeviceError if it renders none."""
         if math.dist(sent, rendered) <= _FORCE_N + _FORCE_SHARE * math.hypot(*sent):
             self._differs = 0
             return
@@ -217,10 +224,10 @@ class HaplyWire:
         StructuredLog("servo").warning(text, device=self._id, sent_n=math.hypot(*sent), found_n=math.hypot(*rendered))
 
     def _gripped(self, answer: Answer, now_ns: int) -> tuple[Quaternion, int]:
-        """Return orientation and buttons of the grip; one that sleeps or is gone is as old as its last word."""
+        """Return orientation and buttons of the grip; a missing or sleeping grip keeps the time of its last report."""
         grip = next(iter(answer.grips), None)
         if grip is None or grip.state is None or not grip.status.awake:
-            # A button that is not heard is not held.
+            # A button that is not reported counts as released.
             return self._orientation, 0
         o, self._grip_ns = grip.state.orientation, now_ns
         self._orientation = UPRIGHT if o is None else (o.w, o.x, o.y, o.z)

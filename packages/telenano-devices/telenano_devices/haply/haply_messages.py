@@ -1,4 +1,4 @@
-"""The messages of Haply's Inverse Service, JSON of format 3.x, as far as the driver reads them."""
+"""The messages of Haply's Inverse Service, JSON of format 3.x, with the fields that the driver reads."""
 
 import math
 
@@ -11,7 +11,7 @@ BUTTONS = ("a", "b", "c")
 
 
 class Xyz(msgspec.Struct, frozen=True):
-    """A vector of the wire; JSON has no word for what is no number but null."""
+    """A vector of the wire; null stands for a component that is NaN, which JSON cannot express."""
 
     x: float | None
     y: float | None
@@ -31,21 +31,21 @@ class Wxyz(msgspec.Struct, frozen=True):
 
 
 class ArmState(msgspec.Struct, frozen=True):
-    """What an Inverse3 says with each answer."""
+    """The state of an Inverse3 in each answer."""
 
     cursor_position: Xyz
     current_cursor_force: Xyz | None = None
 
 
 class ArmStatus(msgspec.Struct, frozen=True):
-    """Whether it may be used."""
+    """Whether the Inverse3 may be used."""
 
     calibrated: bool = True
     ready: bool = True
 
 
 class ArmInfo(msgspec.Struct, frozen=True):
-    """Who it is."""
+    """Model and firmware of the Inverse3."""
 
     model: str = ""
     major_version: int = 0
@@ -53,7 +53,7 @@ class ArmInfo(msgspec.Struct, frozen=True):
 
 
 class ArmConfig(msgspec.Struct, frozen=True):
-    """What a full message has besides."""
+    """The additional content of a full message."""
 
     type: str = "inverse3"
     device_info: ArmInfo = ArmInfo()
@@ -69,7 +69,7 @@ class Arm(msgspec.Struct, frozen=True):
 
 
 class GripState(msgspec.Struct, frozen=True):
-    """What a grip says; a wired one has one button."""
+    """The state of a grip; a wired grip has one button."""
 
     orientation: Wxyz | None = None
     buttons: dict[str, bool] = {}
@@ -78,12 +78,12 @@ class GripState(msgspec.Struct, frozen=True):
 
     @property
     def pressed(self) -> int:
-        """Return the buttons as bits, those of `BUTTONS`."""
+        """Return the pressed buttons as bits, in the order of `BUTTONS`."""
         return sum(self.buttons.get(name, False) << i for i, name in enumerate(BUTTONS)) | self.button
 
 
 class GripStatus(msgspec.Struct, frozen=True):
-    """Whether it may be heard."""
+    """Whether the grip is awake and reports."""
 
     awake: bool = True
 
@@ -97,7 +97,7 @@ class Grip(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """A message of the service; devices are found by their ids, because the order of a list is not promised."""
+    """A message of the service; devices are found by their ids, because the order of the lists is not guaranteed."""
 
     inverse3: list[Arm] = []
     wireless_verse_grip: list[Grip] = []
@@ -109,5 +109,5 @@ class Answer(msgspec.Struct, frozen=True):
         return [*self.wireless_verse_grip, *self.verse_grip]
 
     def arms(self, device_id: str | None) -> list[Arm]:
-        """Return the Inverse3 of an id; all of them without one."""
+        """Return the Inverse3 devices with this id, or all of them for None."""
         return [arm for arm in self.inverse3 if device_id in (None, arm.device_id)]

@@ -1,8 +1,8 @@
 """An emulated Inverse Service: the JSON of format 3.x over WebSocket, with an Inverse3, a VerseGrip and a hand.
 
-It answers each message with one message of states, as the service does, and keeps no command for longer than a tick of
-a client, or `FORCE_HOLD_S` without one; how long the real service holds a force is documented nowhere. The force gate
-and the damper are models of their own: what the real ones do is not published.
+It answers each message with one message of states, as the service does. A force lasts until the next message of the
+client, or `FORCE_HOLD_S` without one; for how long the real service holds a force is not documented. The force gate and
+the damper are our own models, because the real ones are not published.
 """
 
 import asyncio
@@ -19,18 +19,18 @@ from telenano_devices.impedance.emulated_service import EmulatedService, serve_s
 
 FORCE_HOLD_S = 0.05
 PROJECT_VERSION = "3.5.0"
-# The grip hears and speaks at some 50 Hz.
+# Period of the grip, which reports at some 50 Hz.
 _GRIP_S = 0.02
-# The force gate takes a share of a force that turns round so often in a second.
+# The force gate reduces a force that changes its sign more often than this.
 _GATE_HZ = 30.0
 _GATE_S = 0.1
-# Stiffness and damping are those of an ordinary arm.
+# Stiffness and damping of an ordinary arm.
 _ARM_N_PER_M = 300.0
 _ARM_N_S_PER_M = 5.0
 
 
 class HaplyService:
-    """The state of the service and of its devices, advanced by the time that its caller gives.
+    """The state of the service and of its devices; the caller passes the time.
 
     Args:
         arm: The mechanics with the hand.
@@ -41,11 +41,11 @@ class HaplyService:
     def __init__(self, arm: EmulatedArm, device_id: str = "049D", grip: bool = True) -> None:
         self.arm, self.device_id = arm, device_id
         self.has_grip, self.grip_awake = grip, True
-        # A person at the arm presses the buttons and pulls the cable as well.
+        # A person at the arm also presses the buttons and pulls the cable.
         self.has_person = arm.person is not None
         self.buttons = dict.fromkeys(BUTTONS, False)
         self.plugged = self.calibrated = True
-        # Faults: the place stays what it is on the wire; it is no number; it is moved; the force acts the other way.
+        # Faults: the reported position is frozen, not a number, or offset [m]; the force acts with the wrong sign.
         self.frozen: Vector | None = None
         self.not_a_number = False
         self.offset_m = 0.0
@@ -63,11 +63,11 @@ class HaplyService:
         self._sign_before = 0.0
 
     def connected(self) -> dict[str, Any]:
-        """Return the message that every client gets first."""
+        """Return the first message to every client."""
         return {"session_id": 0, **self._states(full=True)}
 
     def answer(self, message: bytes | str, now_s: float) -> dict[str, Any]:
-        """Take one message of a client at a time [s], and return the states that answer it."""
+        """Handle a message of a client at a time [s], and return the states that answer it."""
         self.advance(now_s)
         self.messages += 1
         request = json.loads(message)
@@ -84,7 +84,7 @@ class HaplyService:
         return self._states(full="force_render_full_state" in session)
 
     def advance(self, now_s: float) -> None:
-        """Go on to a time [s]; a force that is not repeated ends."""
+        """Advance to a time [s]; a force that is not repeated ends."""
         before_s, self._now_s = self._now_s, now_s
         if before_s is None:
             return
@@ -112,7 +112,7 @@ class HaplyService:
         return ZERO
 
     def _render(self, force: Vector, now_s: float) -> None:
-        """Send the force through damper and gate to the motors."""
+        """Apply the force [N] to the motors, through gate and damper."""
         self._commanded_s = now_s
         v = self.arm.velocity_m_per_s
         kept = self._gate_share(force, now_s)
@@ -121,7 +121,7 @@ class HaplyService:
         self.arm.drive((self.sign * x, self.sign * y, self.sign * z))
 
     def _gate_share(self, force: Vector, now_s: float) -> float:
-        """Return what the oscillation guard leaves of a force: less of one that turns round often."""
+        """Return the share of a force that the force gate leaves; less if the force changes its sign often."""
         sign = math.copysign(1.0, force[2]) if force[2] else self._sign_before
         if sign != self._sign_before:
             self._turns.append(now_s)
@@ -169,7 +169,7 @@ class HaplyService:
             },
         }
         if self.not_a_number:
-            # JSON has no other word for it.
+            # JSON cannot express NaN.
             device["state"]["cursor_position"]["z"] = None
         if full:
             device["config"] = {
@@ -197,7 +197,7 @@ ORDERS = (
 
 
 def obey(service: HaplyService, line: str) -> str:
-    """Do to an emulated service what a line says, and return what was done, or what would be right."""
+    """Apply a typed line to an emulated service, and return a sentence about it or the known orders."""
     word, _, rest = line.strip().partition(" ")
     simple: dict[str, tuple[str, Any, str]] = {
         "pull": ("plugged", False, "the Inverse3 is unplugged"),
@@ -253,7 +253,7 @@ async def serve_haply(
     lines: "asyncio.Queue[str] | None" = None,
     say: Callable[[str], None] = print,
 ) -> None:
-    """Serve until cancelled, as `serve_service` does; what a person types is for `obey`."""
+    """Serve until cancelled, as `serve_service` does; `obey` handles the lines that a person types."""
     version = {"git_tag": "emulated", "git_describe": EMULATED, "project_version": PROJECT_VERSION}
     emulated = EmulatedService(
         "the emulated Inverse Service",

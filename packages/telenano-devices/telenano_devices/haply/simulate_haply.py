@@ -1,4 +1,4 @@
-"""`telenano device simulate haply`: an emulated Inverse Service."""
+"""`telenano device simulate haply`: runs an emulated Inverse Service."""
 
 import asyncio
 import sys

@@ -1,11 +1,11 @@
-"""Haptic devices for telenano: Haply's Inverse3, those of Force Dimension, 3D Systems' Touch, and one of your own.
+"""Force devices for telenano: Haply's Inverse3, those of Force Dimension, 3D Systems' Touch, and one of your own.
 
     from telenano_devices.impedance import impedance_driver
 
     MY_DEVICE = impedance_driver("my_device", MyConfig, "my_package.wire:MyWire", "the device, for a list")
 
-What is named here is imported when it is first used, because the node imports what declares a driver, and the process
-of the servo its wire.
+The names of this module are imported when they are first used, because the node needs only the declaration of a driver,
+and the process of the servo only its wire.
 """
 
 from typing import TYPE_CHECKING

@@ -2,9 +2,10 @@
 
     m x'' + b x' = u + F_hand,   u the force of the coupling, held for a sample time T and late by D
 
-exact over each part of a period in which u is constant. The hand on the normal axis is that of the configuration; its
-force depends on where the arm goes, and the two are solved together (the model of the hand is linear, or held at its
-limit). The hand on the lateral axes is a spring and a damper on a path of its own, or a force from outside.
+solved exactly over each part of a period in which u is constant. The hand on the normal axis is that of the
+configuration; its force depends on the motion of the arm, and the two are solved together (the model of the hand is
+linear, or clipped at its limit). The hand on the lateral axes is a spring and a damper on a path of its own, or a force
+from outside.
 """
 
 import math
@@ -35,7 +36,7 @@ from telenano_devices.impedance.coupling import (
 
 
 class LateralHand(NamedTuple):
-    """The hand on the lateral axes: corners of its path, times [s] and x and y [m], its spring and damper, a force."""
+    """The hand on the lateral axes: corners of its path (times [s], x, y [m]), its spring and damper, a force [N]."""
 
     times_s: NDArray[np.float64]
     x_m: NDArray[np.float64]
@@ -48,7 +49,7 @@ class LateralHand(NamedTuple):
 class CoupledParams(NamedTuple):
     """Constants of device, coupling and hand.
 
-    servo_period_s, delay_s: T and D. reach_m: half the workspace, about its centre, on each axis.
+    servo_period_s, delay_s: T and D [s]. reach_m: half the workspace on each axis, about its centre [m].
     """
 
     settings: CouplingSettings
@@ -62,9 +63,10 @@ class CoupledParams(NamedTuple):
 
 
 class CoupledState(NamedTuple):
-    """State of device, coupling and hand; `late`: forces that the drive has not carried out, the oldest first.
+    """State of device, coupling and hand; `late`: forces [N] that the drive has not yet applied, the oldest first.
 
-    reference_m: of the last command while engaged, along the paper's axis; arm_count: counts what a person armed.
+    reference_m: reference of the last command, along the paper's axis [m]; engaged: whether that command drove the
+    device; arm_count: number of times that a person has armed.
     """
 
     coupling: CouplingState
@@ -94,7 +96,7 @@ def initial_coupled(params: CoupledParams, position_m: float, operator: Any) -> 
 
 @compiled
 def arm_step(mass_kg: float, b: float, x: float, v: float, force_n: float, h: float) -> tuple[float, float]:
-    """Return place and velocity of m x'' + b x' = F after h [s] under a constant force, exactly."""
+    """Return position [m] and velocity [m/s] of m x'' + b x' = F after h [s] under a constant force, exactly."""
     if b == 0.0:
         a = force_n / mass_kg
         return x + (v + 0.5 * a * h) * h, v + a * h
@@ -107,7 +109,7 @@ def arm_step(mass_kg: float, b: float, x: float, v: float, force_n: float, h: fl
 def _normal_step(
     params: CoupledParams, operator: Any, x: float, v: float, drive_n: float, session_s: float, h: float
 ) -> tuple[Any, float, float]:
-    """Return hand, place and velocity along the paper's axis after h, the hand's force being that of the way made."""
+    """Return hand, position and velocity along the paper's axis after h [s], with the hand's force for that motion."""
     free, _ = arm_step(params.mass_kg, params.damping_n_s_per_m, x, v, drive_n, h)
     _, first = operator_step(params.operator, operator, OperatorInputs(session_s, x, free), h)
     force = first.force_n
@@ -115,7 +117,7 @@ def _normal_step(
     if guess != free:
         _, second = operator_step(params.operator, operator, OperatorInputs(session_s, x, guess), h)
         slope = (second.force_n - force) / (guess - free)
-        # The way is free + (guess - free) F / force, and F is linear in it.
+        # The end of the motion is free + (guess - free) F / force, and F is linear in it.
         force = force / (1.0 - slope * (guess - free) / force)
     end, speed = arm_step(params.mass_kg, params.damping_n_s_per_m, x, v, drive_n + force, h)
     operator, _ = operator_step(params.operator, operator, OperatorInputs(session_s, x, end), h)
@@ -126,9 +128,9 @@ def _normal_step(
 def _lateral_step(
     params: CoupledParams, path_m: Pair, x: float, v: float, pushed_n: float, held: bool, h: float
 ) -> tuple[float, float]:
-    """Return place and velocity after h on a lateral axis, where the hand is at path_m at the two ends of the step.
+    """Return position and velocity after h [s] on a lateral axis; path_m: the hand at the two ends of the step [m].
 
-    held: the session runs, so that there is a hand.
+    held: whether the session runs, so that there is a hand.
     """
     m, b = params.mass_kg, params.damping_n_s_per_m
     k = params.lateral.stiffness_n_per_m if held else 0.0
@@ -146,7 +148,7 @@ def _lateral_step(
 def _moved(
     params: CoupledParams, state: CoupledState, force: Vector, session_s: float, h: float
 ) -> tuple[Vector, Vector, Any]:
-    """Return places, velocities and hand after h under a constant force of the drive; session_s is at the end."""
+    """Return positions, velocities and hand after h [s] under a constant force of the drive; session_s: at the end."""
     p, v, side = state.position_m, state.velocity_m_per_s, params.lateral
     held = session_s >= 0.0
     operator, x, speed = _normal_step(params, state.operator, 0.0 - p[2], 0.0 - v[2], 0.0 - force[2], session_s, h)
@@ -168,7 +170,7 @@ def _moved(
 
 @compiled
 def _stopped(x: float, v: float, reach_m: float) -> tuple[float, float]:
-    """Return place and velocity at the end stops, which take the speed."""
+    """Return position and velocity limited by the end stops, which set the speed to zero."""
     if abs(x) > reach_m:
         return math.copysign(reach_m, x), 0.0
     return x, v
@@ -178,7 +180,7 @@ def _stopped(x: float, v: float, reach_m: float) -> tuple[float, float]:
 def servo_step(
     params: CoupledParams, state: CoupledState, reference: CouplingReference, session_s: float
 ) -> CoupledState:
-    """Advance by one sample time of the servo: it samples, drives, and the arm moves; session_s is at the end [s]."""
+    """Advance by one sample time of the servo, which samples and drives, and move the arm; session_s: at the end."""
     t = params.servo_period_s
     reading = CouplingReading(state.position_m, 0.0, True, 0.0)
     force, coupling = coupling_step(state.coupling, params.settings, reference, reading, t)
@@ -211,7 +213,7 @@ def _with_motion(
 
 @compiled
 def waits(state: CoupledState) -> bool:
-    """Return whether the device gives no force for a reason of its own."""
+    """Return whether the coupling gives no force for a reason of its own."""
     return state.coupling.gate not in (GATE_ACTIVE, GATE_READY)
 
 

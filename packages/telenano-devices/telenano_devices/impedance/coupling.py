@@ -1,23 +1,23 @@
 """The virtual coupling between a law's reference and a device that takes a force (impedance type), and its safety.
 
-The laws are of admittance type: they take the force of the hand and give a position. A device of impedance type gives a
-position and takes a force, so a spring and a damper are put between the two (J. E. Colgate, M. C. Stanley, J. M. Brown,
-"Issues in the haptic display of tool use", IROS 1995; R. J. Adams and B. Hannaford, "Stable haptic interaction with
-virtual environments", IEEE Trans. Robotics and Automation 15, 1999):
+The laws are of admittance type: they take the force of the hand and return a position. A device of impedance type
+returns a position and takes a force, so a spring and a damper connect the two (J. E. Colgate, M. C. Stanley, J. M.
+Brown, "Issues in the haptic display of tool use", IROS 1995; R. J. Adams and B. Hannaford, "Stable haptic interaction
+with virtual environments", IEEE Trans. Robotics and Automation 15, 1999):
 
     f[k] = -(K r + B w)[k] + f_ref,   r = x - x_ref,   w = (r[k] - r[k-1]) / T, low-passed with exp(-2 pi f_c T)
 
-f acts on the hand, and -f is the estimate of the operator's force that the law takes. At rest it is the hand's force.
+f acts on the hand, and the law takes -f as the estimate of the operator's force; at rest the two are equal.
 
 Two bounds on K, for a sample time T, a delay D of the drive, a physical damping b and a moving mass m of the device:
 
     passive: b > K (T/2 + D) + |B|      (J. E. Colgate and G. G. Schenkel, J. Robotic Systems 14, 1997)
     stable:  K <= (b + B) / (T/2 + D)   hands off, reference clamped (J. J. Gil et al.; T. Hulin et al.), over a margin,
-             and m >= `least_mass_kg`, because what B does is late as well
+             and m >= `least_mass_kg`, because the damper B also acts late
 
-The step runs in the servo of the device, where T and D are known, and so do the rules that take the force away: see
-`Gate`. The force goes to zero at once, and comes back from zero at no more than the slew. A reading that cannot be
-believed (no number, a jump, a place that stands still under a force that changes) is refused until a person arms it.
+The step runs in the servo of the device, where T and D are known. So do the rules that remove the force, see `Gate`:
+the force goes to zero at once, and returns from zero at most at the slew rate. An implausible reading (not a number, a
+jump, a position that stands still under a changing force) is refused until a person arms again.
 
 Vectors are in the master frame of the messages: z away from the sample, so pushing is -z.
 """
@@ -32,16 +32,17 @@ Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
-# the orientation of a device that has no wrist
+# The orientation of a device without a wrist.
 UPRIGHT: Quaternion = SpatialReading().orientation
 
-# The default is called stable and not passive: vendors' devices lie between the two bounds.
+# Margin of the default stiffness below the stable bound. The default is stable but not passive: the devices of vendors
+# lie between the two bounds.
 STABLE_MARGIN = 4.0
-# A hand is no faster than this [m/s]; what the place changes by beyond it is compared with `jump_m`.
+# The greatest speed of a hand [m/s]; the change of position beyond it is compared with `jump_m`.
 _FASTEST_M_PER_S = 2.0
 
 
-# The compiled steps have them as integers.
+# Compiled code uses the gates as integers.
 GATE_ACTIVE = int(Gate.ACTIVE)
 GATE_READY = int(Gate.READY)
 GATE_RELEASED = int(Gate.RELEASED)
@@ -57,14 +58,16 @@ GATE_RUNAWAY = int(Gate.RUNAWAY)
 
 
 class CouplingSettings(NamedTuple):
-    """K [N/m] and B [N s/m] per axis, limits of the force, and what is taken for silence, rest, jump and frozen.
+    """K [N/m] and B [N s/m] per axis, limits of the force, and the criteria of silence, rest, jump and freezing.
 
-    max_force_n, max_slew_n_per_s: of the length of the force vector. velocity_filter_hz: f_c, 0 for none.
-    deadman_age_s: oldest word of a grip about its button; a grip speaks at some 50 Hz and falls asleep when it is left.
-    rest_s: how long the hand has to stay within rest_m. jump_m: more in one step, beyond what a hand
-    moves at 2 m/s, is no motion of a hand. frozen_s: how long a place may be the same to the last bit while the force
-    has changed by frozen_force_n; 0 for ever. runaway_m_per_s: speed against more than half of the greatest force; no
-    hand has it, but a device that pushes the wrong way soon does. extrapolation_s: how far a reference is moved ahead.
+    max_force_n, max_slew_n_per_s: limits of the magnitude of the force vector and of its change. velocity_filter_hz:
+    f_c [Hz], 0 for none. silence_s: longest age of command or reading [s]. deadman_age_s: longest age of a report of
+    the dead-man button [s]; a grip reports at some 50 Hz and falls asleep when it is left. rest_s: time for which the
+    hand has to stay within rest_m [m] before there is force. jump_m: a step longer than this plus the way at 2 m/s is
+    no motion of a hand [m]. frozen_s: longest time for which the position may be exactly the same while the force has
+    changed by frozen_force_n [s]; 0 for no limit. runaway_m_per_s: speed against more than half of the greatest force
+    that no hand reaches, but a device that pushes the wrong way soon does. extrapolation_s: longest time by which a
+    reference is extrapolated [s].
     """
 
     stiffness_n_per_m: Vector
@@ -85,10 +88,10 @@ class CouplingSettings(NamedTuple):
 
 
 class CouplingReference(NamedTuple):
-    """What the node asks for: x_ref and its velocity, and the force that is added, as for a lateral axis.
+    """The command of the node: x_ref [m] and its velocity [m/s], and a force that is added, f_ref [N].
 
-    engaged: the law drives the device (the guard's mode is position). age_s: since the node wrote it. arm_count: counts
-    up when a person arms, which ends a refusal.
+    engaged: the law drives the device (the guard's mode is position). age_s: time since the node wrote the command [s].
+    arm_count: increases when a person arms, which ends a refusal.
     """
 
     position_m: Vector
@@ -100,7 +103,7 @@ class CouplingReference(NamedTuple):
 
 
 class CouplingReading(NamedTuple):
-    """What the device says: its place, how old that is, and the button that has to be held, with its own age."""
+    """The reading of the device: its position [m] with its age [s], and the dead-man button with its own age [s]."""
 
     position_m: Vector
     age_s: float
@@ -109,14 +112,15 @@ class CouplingReading(NamedTuple):
 
 
 class CouplingState(NamedTuple):
-    """What the coupling remembers.
+    """State of the coupling.
 
-    gate: one of `Gate`; limited: clamp or slew acts. force_n: sent last; own_force_n: the same without f_ref.
-    position_m, reference_m: at the last step. rate_m_per_s: w after its filter. started: there was a place.
-    rest_place_m, rest_s: where the hand has been, and for how long. still_force_n: the force when the place last
-    changed; still_s: how long it has been the same while the force was another. arm_count: the newest obeyed.
-    hand_energy_j: what the hand has put in, less what it got. coupling_energy_j: what spring and damper have taken in,
-    less what they gave out; below zero the coupling makes energy.
+    gate: one of `Gate`; limited: clamp or slew acts. force_n: force sent last [N]; own_force_n: the same without f_ref.
+    position_m, reference_m: those of the last step [m]. rate_m_per_s: w after its filter; velocity_m_per_s: velocity of
+    the device after the same filter. started: there was a position. rest_place_m, rest_s: position near which the hand
+    has stayed, and for how long. still_force_n: force when the position last changed; still_s: time for which it has
+    been the same although the force was another. arm_count: newest count that was obeyed. hand_energy_j: net energy
+    from the hand [J]. coupling_energy_j: net energy that spring and damper have absorbed [J]; below zero the coupling
+    generates energy.
     """
 
     gate: int
@@ -145,7 +149,7 @@ def coupling_at_start(arm_count: int = 0) -> CouplingState:
 
 
 def passive_stiffness_n_per_m(b_n_s_per_m: float, damping_n_s_per_m: float, sample_s: float, delay_s: float) -> float:
-    """Return the greatest K [N/m] that is passive against any passive hand; 0.0 if none is: K (T/2 + D) + |B| < b."""
+    """Return the K [N/m] below which any passive hand is safe, by K (T/2 + D) + |B| < b; 0.0 if there is none."""
     return max(b_n_s_per_m - abs(damping_n_s_per_m), 0.0) / (0.5 * sample_s + delay_s)
 
 
@@ -159,10 +163,10 @@ def least_mass_kg(
 ) -> float:
     """Return the moving mass [kg] above which K and B are stable: infinite at the stable bound, B n for K = 0.
 
-    A sample of the place acts for T/2 + D in the mean, one of the rate after T + D, and by its low-pass j T later with
-    the weight (1 - a) a^j, a = exp(-2 pi f_c T); n and s are mean and mean square of that. A swing z = exp(i w T) that
-    lasts needs m u w <= K + B n u w and (b + B) <= K (T/2 + D) + B s u w / 2, with u = (2/T) sin(w T/2): see
-    docs/coupling.md. No w has both if m > B n + K B s / (2 (b + B - K (T/2 + D))).
+    A sample of the position acts T/2 + D late in the mean, one of the rate T + D late, and its low-pass adds a delay of
+    j T with the weight (1 - a) a^j, a = exp(-2 pi f_c T); n and s are mean and mean square of the latter. A lasting
+    oscillation z = exp(i w T) needs m u w <= K + B n u w and (b + B) <= K (T/2 + D) + B s u w / 2, with
+    u = (2/T) sin(w T/2): see docs/coupling.md. No w fulfils both if m > B n + K B s / (2 (b + B - K (T/2 + D))).
     """
     a = math.exp(-2.0 * math.pi * filter_hz * sample_s) if filter_hz > 0.0 else 0.0
     mean_s = sample_s + delay_s + sample_s * a / (1.0 - a)
@@ -202,7 +206,7 @@ def _scaled(a: Vector, factor: float) -> Vector:
 def _fault(
     settings: CouplingSettings, state: CouplingState, place: Vector, started: bool, still_s: float, dt: float
 ) -> int:
-    """Return why the reading cannot be believed, or GATE_ACTIVE."""
+    """Return the gate of an implausible reading, or GATE_ACTIVE for a plausible one."""
     if not _finite(place):
         return GATE_NOT_A_NUMBER
     if started:
@@ -221,10 +225,10 @@ def _fault(
 def _gate(
     settings: CouplingSettings, gate: int, reference: CouplingReference, reading: CouplingReading, rested: bool
 ) -> int:
-    """Return the gate for a reading that can be believed.
+    """Return the gate for a plausible reading.
 
-    After a gate was closed the node has to have let go once, so that it begins again where the hand is. Written so
-    that an age that is not a number counts as too old.
+    After a closed gate the node has to disengage once, so that it begins again at the position of the hand. The
+    comparisons are written so that an age that is NaN counts as too old.
     """
     if not reading.age_s <= settings.silence_s:
         return GATE_DEVICE_SILENT
@@ -254,7 +258,7 @@ def _target(settings: CouplingSettings, reference: CouplingReference) -> Vector:
 
 @compiled
 def _limited(settings: CouplingSettings, before: Vector, wanted: Vector, dt: float) -> tuple[Vector, bool]:
-    """Return the force after clamp and slew, and whether one of them acts."""
+    """Return the force [N] after clamp and slew limit, and whether one of them acts."""
     force, limited = wanted, False
     size = _length(force)
     if size > settings.max_force_n:
@@ -278,11 +282,11 @@ def coupling_step(
     """Return the force on the hand [N] for the next period, and the state after this sample.
 
     Args:
-        state: The state after the sample before.
-        settings: Gains, limits and what is refused.
-        reference: The newest word of the node.
-        reading: The newest word of the device.
-        dt: The time since the step before [s], > 0.
+        state: The state after the previous sample.
+        settings: Gains, limits and criteria of refusal.
+        reference: The newest command of the node.
+        reading: The newest reading of the device.
+        dt: The time since the previous step [s], > 0.
 
     Raises:
         ValueError: dt is not a positive time.
@@ -292,9 +296,9 @@ def coupling_step(
     refused = state.gate >= GATE_NOT_A_NUMBER
     if refused and reference.arm_count == state.arm_count:
         return ZERO, _without_force(state, state.gate)
-    # The place that an armed device has is taken as it comes.
+    # After arming, the first position is accepted as it is.
     started = state.started and not refused
-    # A force that a gate has taken away is no such change: the handle may lie in its holder.
+    # A force that a gate has removed does not count as a change: the handle may lie in its holder.
     same = started and state.gate == GATE_ACTIVE and reading.position_m == state.position_m
     changed = same and _length(_minus(state.force_n, state.still_force_n)) > settings.frozen_force_n
     still_s = state.still_s + dt if changed else 0.0
@@ -306,7 +310,7 @@ def coupling_step(
 
 @compiled
 def _without_force(state: CouplingState, gate: int) -> CouplingState:
-    """Return the state under a refusal, which keeps the last place: what is refused moves nothing."""
+    """Return the state under a refusal, which keeps the last position, because a refused reading moves nothing."""
     return CouplingState(
         gate=gate,
         limited=False,
@@ -348,7 +352,10 @@ def _step_of_a_good_reading(
     checks: tuple[bool, bool, float],
     dt: float,
 ) -> tuple[Vector, CouplingState]:
-    """Set gate, force and accounts; `checks`: there was a place before, it was this one, and its `still_s`."""
+    """Return force and state for a plausible reading.
+
+    checks: whether there was a position before, whether it was the same, and `still_s` [s].
+    """
     place = reading.position_m
     started, same, still_s = checks
     moved = _minus(place, state.position_m) if started else ZERO
@@ -407,15 +414,15 @@ def reading_of(
     handle: tuple[Quaternion, int],
     energies_j: tuple[float, float],
 ) -> DeviceReading:
-    """Return the sample of a device along the paper's axis: the force that its coupling sent is that of the hand.
+    """Return the reading of a device along the paper's axis; minus the force of the coupling is that of the hand.
 
     Args:
-        place: The place [m].
-        velocity: The velocity [m/s].
-        force: The force that was sent [N].
+        place: The position in the master frame [m].
+        velocity: The velocity in the master frame [m/s].
+        force: The force that the coupling sent, in the master frame [N].
         marks: Whether clamp or slew acts, whether the arm is at an end stop, and the gate.
         handle: Orientation and buttons.
-        energies_j: The accounts of the hand and of the coupling [J].
+        energies_j: The energy accounts of the hand and of the coupling [J].
     """
     limited, at_end, gate = marks
     spatial = SpatialReading(

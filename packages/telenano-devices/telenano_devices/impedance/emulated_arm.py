@@ -1,8 +1,8 @@
-"""The mechanics of an emulated device of impedance type, with a hand on it, in the time that it is given.
+"""The mechanics of an emulated device of impedance type, with a hand on it, in virtual time.
 
-m x'' + b x' = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of
-the simulated hand, which acts along z alone: towards the sample is -z; a person has all three axes. m and b are chosen
-for the emulator, not measured. The drive may be late.
+m x'' + b x' = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of the simulated
+hand, which acts along z only (towards the sample is -z), or that of a simulated person, who acts along all three axes.
+m and b are chosen for the emulator, not measured. The drive may be late.
 """
 
 import math
@@ -21,14 +21,14 @@ from telenano_devices.impedance.wires import Mechanics
 RADIUS_M = 0.10
 # The resolution of the encoders.
 _STEP_M = 1e-6
-# The mechanics are integrated in steps of this length.
+# Step of the integration of the mechanics.
 _SUBSTEP_S = 0.25e-3
-# A process that stood still for longer continues from now, as the emulated handle does.
+# After a longer stall the emulation continues from the present, like the emulated handle.
 _LONGEST_S = 0.05
 
 
 class HandMotion(NamedTuple):
-    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
+    """The hand at one time: its intended position, spring and damper, an additional force, buttons, and the cable."""
 
     place_m: Vector = ZERO
     stiffness_n_per_m: float = 0.0
@@ -39,24 +39,25 @@ class HandMotion(NamedTuple):
 
 
 class EmulatedArm:
-    """An arm at rest at the centre of its workspace; `force_n` is the drive, until it is changed.
+    """An arm that starts at rest at the centre of its workspace; `force_n` is the force of the drive now [N].
 
     Args:
-        hand: The hand, as one of the models of `operator_models`.
-        arm: Its mass and damping.
-        person: What a person does at each time of the session [s], in the place of the hand; before it begins, nothing.
+        hand: The parameters of the hand, one of the models of `operator_models`.
+        arm: The mass and damping of the arm.
+        person: The function from a time of the session [s] to the motion of a person, who replaces the hand; before the
+            session the person does nothing.
     """
 
     def __init__(self, hand: Any, arm: Mechanics, person: Callable[[float], HandMotion] | None = None) -> None:
         self._arm = arm
         self.force_n, self.person = ZERO, person
-        # Forces act so much later, and these are on their way, each with its time on the clock of the arm.
+        # Delay of the drive, and the delayed forces, each with the time of the arm's clock at which it acts.
         self.drive_delay_s = self.time_s = 0.0
         self._late: deque[tuple[float, Vector]] = deque()
         self.position_m: Vector = ZERO
         self.velocity_m_per_s: Vector = ZERO
         self.session_s: float | None = None
-        # A hand instead of the session's: its force towards the sample [N], or one that holds the arm where it is.
+        # A hand instead of the session's: its force towards the sample [N], or a hand that holds the arm in place.
         self.push_n: float | None = None
         self.held = False
         self._hand_params, self._hand = hand, operator_at_rest(hand, 0.0)
@@ -65,29 +66,29 @@ class EmulatedArm:
 
     @property
     def motion(self) -> HandMotion | None:
-        """Return what the person does now; None where there is none, or before the session."""
+        """Return the present motion of the person; None without a person, or before the session."""
         return None if self.person is None or self.session_s is None else self.person(self.session_s)
 
     def drive(self, force: Vector) -> None:
-        """Drive with a force, which acts after the delay of the drive."""
+        """Command a force [N], which acts after the delay of the drive."""
         if self.drive_delay_s > 0.0:
             self._late.append((self.time_s + self._left_s + self.drive_delay_s, force))
         else:
             self.force_n = force
 
     def let_go(self) -> None:
-        """Take the force away at once, and what is in transit."""
+        """Remove the force at once, and all delayed forces."""
         self._late.clear()
         self.force_n = ZERO
 
     def start_session(self, runs: bool) -> None:
-        """Let the hand begin its force profile, or end it."""
+        """Begin the session, and with it the force profile of the hand, or end it."""
         if runs != (self.session_s is not None):
             self.session_s = 0.0 if runs else None
 
     def advance(self, duration_s: float) -> None:
-        """Continue by a time [s], in whole steps; what is left is kept for the next call."""
-        # A person continues with the take, whatever stood still.
+        """Advance by a time [s], in whole steps; the rest is kept for the next call."""
+        # With a person the whole time passes, because the take goes on during a stall.
         self._left_s += duration_s if self.person is not None else min(duration_s, _LONGEST_S)
         while self._left_s >= _SUBSTEP_S:
             self._left_s -= _SUBSTEP_S
@@ -95,7 +96,7 @@ class EmulatedArm:
 
     @property
     def measured_m(self) -> Vector:
-        """Return the place as the encoders have it [m]."""
+        """Return the position as the encoders read it [m]."""
         x, y, z = self.position_m
         return (round(x / _STEP_M) * _STEP_M, round(y / _STEP_M) * _STEP_M, round(z / _STEP_M) * _STEP_M)
 
@@ -135,7 +136,7 @@ class EmulatedArm:
 
 
 def hand_of(scenario: Path | None = None) -> Any:
-    """Return the simulated hand of a scenario that is named or a file, or the default one, for `operator_step`.
+    """Return the parameters of the hand of a scenario (name or file), or the default ones, for `operator_step`.
 
     hand_of(Path("fig12"))
 

@@ -1,4 +1,4 @@
-"""An emulated service of a vendor's, over WebSocket, and the lines that a person types to break it."""
+"""Serves an emulated vendor's service over WebSocket, and obeys the lines that a person types to put faults in."""
 
 import asyncio
 import json
@@ -15,11 +15,11 @@ from telenano_devices.impedance.vendor_service import NEEDS_WEBSOCKETS
 
 
 class EmulatedService(NamedTuple):
-    """What a service says.
+    """The behaviour of an emulated service.
 
-    name: the service in words. connected: the message that every client gets first. answer: what answers a message at a
-    time [s]. late_s: how late answers are now [s]. version: what HTTP answers at /version. format: of its
-    messages.
+    name: the service in words. connected: returns the first message to every client. answer: returns the answer to a
+    message at a time [s]. late_s: returns the present delay of answers [s]. version: data that HTTP returns at
+    /version. format: name of the format of its messages.
     """
 
     name: str
@@ -43,10 +43,10 @@ async def serve_service(
     Args:
         service: The service.
         at: The address to serve on and its port, 0 for any.
-        ready: Called once, with the port.
-        lines: What a person types.
-        obey: Does what a line says, and returns what was done.
-        say: Prints that.
+        ready: The function that is called once, with the port.
+        lines: The lines that a person types.
+        obey: The function that carries out a line and returns a sentence about it.
+        say: The function that prints this sentence.
 
     Raises:
         DeviceError: websockets is not installed.
@@ -82,7 +82,7 @@ async def serve_service(
         while lines is not None:
             say(obey(await lines.get()))
 
-    # A person reads what the service does, not each connection.
+    # A person reads the actions of the service here, so the log of each connection is suppressed.
     logging.getLogger("websockets.server").setLevel(logging.WARNING)
     options: dict[str, Any] = {"compression": None, "ping_interval": None, "process_request": http}
     async with serve(converse, *at, **options) as server:
@@ -95,7 +95,7 @@ async def serve_service(
 
 
 def typed_lines() -> "asyncio.Queue[str]":
-    """Return what a person types from now on, line by line; called in a running loop."""
+    """Return a queue of the lines that a person types from now on; call it in a running event loop."""
     lines: asyncio.Queue[str] = asyncio.Queue()
     loop, begun = asyncio.get_running_loop(), bytearray()
 
@@ -106,16 +106,16 @@ def typed_lines() -> "asyncio.Queue[str]":
         for line in typed or ():
             lines.put_nowait(line)
 
-    # A file or the null device cannot be waited for, and gives no lines.
+    # An event loop cannot wait for a file or the null device, so these give no lines.
     if not sys.stdin.closed and (sys.stdin.isatty() or Path("/dev/stdin").is_fifo()):
         loop.add_reader(sys.stdin, read)
     return lines
 
 
 def whole_lines(descriptor: int, begun: bytearray) -> list[str] | None:
-    """Return every line that waits at a descriptor, None at its end; what is begun of another is kept in `begun`.
+    """Return all complete lines that wait at a descriptor, None at its end; `begun` keeps the part of a further line.
 
-    A file object would give the first, keep the others, and nothing would be left to wait for.
+    A file object would return the first line and buffer the others, for which the event loop would not wake up.
     """
     data = os.read(descriptor, 65_536)
     begun += data

@@ -1,4 +1,4 @@
-"""The drivers of devices that take a force: simulated, or real with the coupling in a process of its own."""
+"""Declares drivers of devices that take a force: the simulated one, and real ones with the coupling in a process."""
 
 import importlib
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Impedance(NamedTuple):
-    """What the process of the servo needs of a driver: `module:name` of what makes the wire of its settings."""
+    """The part of a driver that the servo's process needs: `module:name` of the function that makes its wire."""
 
     path: str
 
@@ -34,10 +34,10 @@ def impedance_driver(
     Args:
         name: The value of `haptic_node.driver`, and the name of the section with its settings.
         config: The model of that section.
-        wire: The class or function that makes the wire of the settings, as `my_package.wire:MyWire`. It is imported in
-            the process of the servo alone, where the coupling runs at the rate of the device.
-        what: The devices, for a list.
-        experimental: Whether it has driven an emulator and never a real device, which the node then reports.
+        wire: The class or function that makes the wire from the settings, such as `my_package.wire:MyWire`. Only the
+            process of the servo imports it, where the coupling runs at the rate of the device.
+        what: The devices in words, for a list.
+        experimental: Whether the driver has driven only an emulator and no real device, which the node then reports.
     """
 
     def build(
@@ -56,12 +56,12 @@ def impedance_driver(
 
 
 def takes_force(driver: DeviceDriver | None) -> bool:
-    """Return whether a driver is one of `impedance_driver`, or of the simulated device."""
+    """Return whether a driver comes from `impedance_driver`, or is that of the simulated device."""
     return driver is not None and (driver is SIMULATED or isinstance(driver.own, Impedance))
 
 
 def force_drivers() -> list[str]:
-    """Return the drivers of installed packages whose devices take a force, the simulated one first."""
+    """Return the names of the installed drivers whose devices take a force, the simulated one first."""
     found = DeviceDriver.all().found
     return sorted((name for name in found if takes_force(found[name])), key=lambda name: name != SIMULATED_IMPEDANCE)
 

@@ -17,17 +17,17 @@ from telenano_devices.impedance.coupling import (
     stable_stiffness_n_per_m,
 )
 
-# From no force to the greatest one takes this long at least [s].
+# Least time from zero to the greatest force [s], by default.
 _FULL_FORCE_S = 0.01
-# A change of the force [N] that no hand, spring of some 1000 N/m at most, answers with less than 1 mm.
+# A change of the force [N] under which any hand, a spring of some 1000 N/m at most, moves by 1 mm or more.
 _FROZEN_N = 1.0
 
 
 class Bounds(NamedTuple):
-    """The coupling beside its two bounds [N/m], the least moving mass that it needs [kg], and that of the device.
+    """The coupling with its two bounds [N/m], the least moving mass that it needs [kg], and the mass of the device.
 
-    verdict: `passive` below the passive bound, else `stable` below the stable one over its margin where the device has
-    the mass, else `unproven`. mass_kg: 0.0 where it is not declared.
+    verdict: `passive` below the passive bound, else `stable` up to the stable bound over its margin if the mass of the
+    device suffices, else `unproven`. mass_kg: 0.0 if it is not declared.
     """
 
     stiffness_n_per_m: float
@@ -40,7 +40,7 @@ class Bounds(NamedTuple):
     verdict: Literal["passive", "stable", "unproven"]
 
     def sentence(self) -> str:
-        """Return what a person reads."""
+        """Return a sentence about the coupling and its bounds for a person."""
         return (
             f"coupling K = {self.stiffness_n_per_m:.4g} N/m, B = {self.damping_n_s_per_m:.4g} N s/m: {self.verdict};"
             f" passive up to {self.passive_n_per_m:.4g} N/m, stable up to {self.stable_n_per_m:.4g} N/m"
@@ -121,10 +121,10 @@ class CouplingConfig(Settings):
     )
 
     def to_settings(self, device: Capabilities) -> CouplingSettings:
-        """Return the constants of the coupling for what a device declares.
+        """Return the constants of the coupling for a device with these capabilities.
 
         Raises:
-            DeviceError: The moving mass that it declares is too small for the damping alone, on one of the axes.
+            DeviceError: The declared moving mass is too small for the damping alone, on one of the axes.
         """
         b = self.damping_n_s_per_m
         damping = 0.5 * device.max_damping_n_s_per_m if b is None else b
@@ -163,12 +163,12 @@ class CouplingConfig(Settings):
         )
 
     def bounds(self, device: Capabilities) -> Bounds:
-        """Return the coupling along the paper's axis beside its bounds; DeviceError as in `to_settings`."""
+        """Return the coupling along the paper's axis with its bounds; raise DeviceError as `to_settings` does."""
         return bounds_of(self.to_settings(device), device, self.margin)
 
 
 def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float = STABLE_MARGIN) -> Bounds:
-    """Return a coupling along the paper's axis beside its bounds at a device; margin: of the stable one."""
+    """Return a coupling along the paper's axis with its bounds for a device; `margin` is that of the stable bound."""
     k, b = settings.stiffness_n_per_m[2], settings.damping_n_s_per_m[2]
     timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
     passive, stable = passive_stiffness_n_per_m(*timing), stable_stiffness_n_per_m(*timing)
@@ -182,7 +182,7 @@ def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float = 
 
 
 class DeviceModel(NamedTuple):
-    """What makes of devices are like: chosen for emulators, not measured, but for what their makers declare."""
+    """Constants of a make of devices: chosen for emulators, not measured, except for those that the maker declares."""
 
     mass_kg: float
     damping_n_s_per_m: float
@@ -230,7 +230,7 @@ class SimulatedImpedanceConfig(Settings):
         return MODELS[self.model]
 
     def capabilities(self) -> Capabilities:
-        """Return what the device declares."""
+        """Return the capabilities that the device declares."""
         model = self._model
         rate_hz = model.rate_hz if self.rate_hz is None else self.rate_hz
         return Capabilities(

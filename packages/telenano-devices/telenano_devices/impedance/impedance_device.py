@@ -1,4 +1,4 @@
-"""A device of impedance type behind its servo, as the node sees it: a `HapticDevice` made of a `ServoLink`."""
+"""The node's view of a device of impedance type behind its servo: a `HapticDevice` on top of a `ServoLink`."""
 
 import time
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from telenano_devices.impedance.coupling import ZERO, reading_of
 from telenano_devices.impedance.impedance_config import CouplingConfig
 from telenano_devices.impedance.servo import ServoCommand, ServoLink, ServoSample
 
-# A sample that is older than this is stale, and one that is older than the silence of the coupling is lost.
+# A sample older than this is stale; beyond the silence of the coupling the device is lost.
 _STALE_S = 0.005
 _SILENT = "the servo of the device is silent: the device counts as lost"
 
 
 class ImpedanceDevice:
-    """The node's side of a device whose servo renders the coupling: it sends references and takes samples."""
+    """The node's side of a device whose servo renders the coupling: it sends references and receives samples."""
 
     state: Any = None
 
@@ -63,7 +63,7 @@ class ImpedanceDevice:
         self._send(DriveCommand(MODE_OFF, 0.0, 0.0))
 
     def close(self) -> None:
-        """Take the force away and end the servo; harmless when already closed."""
+        """Remove the force and end the servo; harmless when already closed."""
         if self._opened:
             self.make_safe()
             self._opened = False
@@ -77,7 +77,7 @@ class ImpedanceDevice:
         self._send(command)
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Return the newest sample of the servo, and note in the report how old it is."""
+        """Return the newest sample of the servo, and update the report with its age and status."""
         self._require_open()
         sample = self._link.newest(session_time_s, dt_s)
         if sample is not None:
@@ -91,12 +91,12 @@ class ImpedanceDevice:
             status, text = "lost", _SILENT
         self._report = HapticReport(status, age_s, False, text)
         if status == "lost":
-            # The force of the last sample is none that acts now.
+            # The force of the last sample no longer acts.
             return reading_of_sample(self._sample._replace(velocity_m_per_s=ZERO, force_n=ZERO))
         return reading_of_sample(self._sample)
 
     def make_safe(self) -> None:
-        """Let go of the hand now: the servo gives no force to a device that is not engaged."""
+        """Disengage the device now, so that the servo gives no force."""
         if self._opened:
             self._send(DriveCommand(MODE_OFF, 0.0, 0.0))
 
@@ -127,7 +127,7 @@ class ImpedanceDevice:
 
 
 def reading_of_sample(sample: ServoSample) -> DeviceReading:
-    """Return what a servo reported along the paper's axis."""
+    """Return the sample of a servo as a reading along the paper's axis."""
     marks, energies_j = (sample.limited, False, sample.gate), (sample.hand_energy_j, sample.coupling_energy_j)
     handle = sample.orientation, sample.buttons
     return reading_of(sample.position_m, sample.velocity_m_per_s, sample.force_n, marks, handle, energies_j)

@@ -1,6 +1,6 @@
-"""What the servo's process needs of a device of impedance type: it is opened, runs a loop of its own, and is closed.
+"""The interface of a device of impedance type to the servo's process: open it, run its loop, and close it.
 
-Places, velocities and forces are in the master frame of the messages, x to the right of the person, y away from the
+Positions, velocities and forces are in the master frame of the messages: x to the right of the person, y away from the
 person, z up, away from the sample, with the centre of the workspace at zero.
 """
 
@@ -12,7 +12,7 @@ from telenano.extend.hands import Capabilities
 from telenano_devices.impedance.coupling import Quaternion, Vector
 from telenano_devices.impedance.servo import DeviceSample
 
-# Takes a sample and returns the force on the hand [N], or None when the servo ends.
+# Function from a sample to the force on the hand [N], or None when the servo ends.
 Turn = Callable[[DeviceSample], Vector | None]
 
 
@@ -23,25 +23,25 @@ class ImpedanceWire(Protocol):
         """Find the device and come up without force.
 
         Raises:
-            DeviceError: It is not there or not able; the message says what is missing and where to get it.
+            DeviceError: The device is absent or unfit; the message says what is missing and where to get it.
         """
 
     def run(self, turn: Turn) -> None:
-        """Call `turn` with each sample, at the rate of the device, and send what it returns, until that is None.
+        """Call `turn` with each sample, at the rate of the device, and send the force that it returns, until None.
 
         Raises:
             DeviceError: The device is lost.
         """
 
     def session(self, runs: bool) -> None:
-        """Tell an emulated device whether the session runs, for its simulated hand; a real one is sent nothing."""
+        """Tell an emulated device whether the session runs, for its simulated hand; send nothing to a real one."""
 
     def close(self) -> None:
-        """Take the force away and let the device go; harmless when already closed, and never raises."""
+        """Remove the force and release the device; harmless when already closed, and never raises."""
 
 
 def quaternion_of(r: tuple[tuple[float, float, float], ...]) -> Quaternion:
-    """Return the unit quaternion (w, x, y, z) of a rotation matrix, w >= 0, by the greatest of its four squares."""
+    """Return the unit quaternion (w, x, y, z) of a rotation matrix, w >= 0, computed from its largest component."""
     squares = (
         1.0 + r[0][0] + r[1][1] + r[2][2],
         1.0 + r[0][0] - r[1][1] - r[2][2],

@@ -1,9 +1,9 @@
-"""The servo of an impedance device, and what it and the node tell each other.
+"""The servo of an impedance device, and the messages between it and the node.
 
-The servo reads the device, calls `Servo.step`, and writes the force, at the device's own rate. It is in a process of
+The servo reads the device, calls `Servo.step`, and writes the force, at the device's own rate. It runs in a process of
 its own, or in the vendor's callback in such a process, never in a thread beside the loop of the node; a simulated
-device runs it in virtual time. The node sends a `ServoCommand` each period and takes the newest `ServoSample`; neither
-waits. Between processes both cross in a `Slot` of shared memory each.
+device runs it in virtual time. The node sends a `ServoCommand` each period and reads the newest `ServoSample`; neither
+side waits. Between processes each of the two is in a `Slot` of shared memory.
 """
 
 import math
@@ -27,15 +27,15 @@ from telenano_devices.impedance.coupling import (
     coupling_step,
 )
 
-# An error is a sentence of at most this number of bytes.
+# The largest size of an error text [bytes].
 ERROR_BYTES = 240
 
 
 class ServoCommand(NamedTuple):
-    """What the node asks of the servo, once a period: its silence takes the force away.
+    """The command of the node to the servo, once a period; without it the servo removes the force.
 
-    sent_ns: when, on the monotonic clock that both processes share. The others are those of `CouplingReference`, in the
-    master frame. stop: the servo is to leave its loop, with no force.
+    sent_ns: time of sending on the monotonic clock that both processes share [ns]. stop: the servo has to leave its
+    loop, with no force. The other fields are those of `CouplingReference`, in the master frame.
     """
 
     counter: int
@@ -50,10 +50,11 @@ class ServoCommand(NamedTuple):
 
 
 class DeviceSample(NamedTuple):
-    """What the device reported to the servo: its place, when it was taken, and what else it has.
+    """A sample of the device for the servo: position [m], time, orientation, buttons and dead-man button.
 
-    taken_ns: when the servo had it from the device, on the monotonic clock; a sample that is repeated keeps it.
-    deadman_ns: when the state of the dead-man button was heard. error: a sentence if the device is lost, else empty.
+    taken_ns: time at which the servo got it, on the monotonic clock [ns]; a repeated sample keeps its time. deadman_ns:
+    time at which the state of the dead-man button was reported [ns]. error: a sentence if the device is lost or must
+    not be driven, else empty.
     """
 
     position_m: Vector
@@ -66,10 +67,10 @@ class DeviceSample(NamedTuple):
 
 
 class ServoSample(NamedTuple):
-    """What the servo tells the node after each of its steps; see `CouplingState` for what is not explained here.
+    """The report of the servo to the node after each step; see `CouplingState` for the fields not explained here.
 
-    steps: counts the steps of the servo. late: of these, how many came more than half a period late. worst_s: the
-    longest time between two steps since the servo began.
+    counter: number of steps of the servo. answered: counter of the newest command. late: number of steps that came more
+    than half a period late. worst_s: longest time between two steps since the servo began [s].
     """
 
     counter: int = 0
@@ -91,11 +92,11 @@ class ServoSample(NamedTuple):
 
 
 class ServoLink(Protocol):
-    """The way of the node to one impedance device and its servo. A driver of a make of devices is one of these."""
+    """The node's connection to one impedance device and its servo."""
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device can do; known once it is open."""
+        """Return the capabilities of the device; known once it is open."""
 
     def open(self) -> None:
         """Find the device, start its servo, and come up without force.
@@ -105,20 +106,20 @@ class ServoLink(Protocol):
         """
 
     def send(self, command: ServoCommand) -> None:
-        """Hand the command of this period to the servo, without waiting."""
+        """Pass the command of this period to the servo, without waiting."""
 
     def newest(self, session_time_s: float, dt_s: float) -> ServoSample | None:
-        """Return the newest sample of the servo without waiting; None before there was one.
+        """Return the newest sample of the servo without waiting; None before the first.
 
         The times are for a device whose hand is simulated; see `HapticDevice.read`.
         """
 
     def close(self) -> None:
-        """Take the force away, end the servo and disconnect; harmless when already closed, and never raises."""
+        """Remove the force, end the servo and disconnect; harmless when already closed, and never raises."""
 
 
 class Servo:
-    """One device's coupling, called by whatever loop the device has; it has no clock and no input or output."""
+    """The coupling of one device, called by the loop of that device; it has no clock and no input or output."""
 
     def __init__(self, period_s: float) -> None:
         self.state = coupling_at_start(0)
@@ -129,13 +130,13 @@ class Servo:
     def step(
         self, command: ServoCommand | None, sample: DeviceSample, now_ns: int, dt_s: float
     ) -> tuple[Vector, ServoSample]:
-        """Return the force to write to the device now [N, master frame], and what the node is to hear.
+        """Return the force to write to the device now [N, master frame], and the sample for the node.
 
         Args:
-            command: The newest command; None before the first, and then there is no force.
-            sample: The newest word of the device.
-            now_ns: The present time on the monotonic clock.
-            dt_s: The time since the step before [s], > 0.
+            command: The newest command; None before the first, when there is no force.
+            sample: The newest sample of the device.
+            now_ns: The present time on the monotonic clock [ns].
+            dt_s: The time since the previous step [s], > 0.
         """
         force = ZERO
         if command is not None:
@@ -143,7 +144,7 @@ class Servo:
             reference = CouplingReference(
                 c.position_m, c.velocity_m_per_s, c.force_n, c.engaged, (now_ns - c.sent_ns) * 1e-9, c.arm_count
             )
-            # A device that is not there, or must not be driven, has no force at once, however young its sample is.
+            # A device that is lost or must not be driven gets no force at once, even with a fresh sample.
             reading = CouplingReading(
                 sample.position_m,
                 math.inf if sample.error else (now_ns - sample.taken_ns) * 1e-9,
@@ -152,7 +153,7 @@ class Servo:
             )
             force, self.state = coupling_step(self.state, c.settings, reference, reading, dt_s)
         self._steps += 1
-        # The first step has nothing before it, and what it took to begin is no lateness.
+        # The time before the first step is no lateness.
         if self._steps > 1:
             self._late += dt_s > 1.5 * self._period_s
             self._worst_s = max(self._worst_s, dt_s)
@@ -178,20 +179,20 @@ class Servo:
 
 
 T = TypeVar("T", bound=tuple[Any, ...])
-# checksum and length of what follows
+# Checksum and length of the packed value that follows.
 _HEAD = struct.Struct("<II")
-# A device may give numbers of numpy.
+# A device may return NumPy scalars.
 _encode = msgspec.msgpack.Encoder(enc_hook=methodcaller("item")).encode
 
 
 class Slot(Generic[T]):
-    """One value of a kind in shared memory, the newest, from one writer to one reader, neither of which waits.
+    """The newest value of one type in shared memory, from one writer to one reader, neither of which waits.
 
-    It has a checksum, so that a reader never takes a value that was half written, also on a processor that orders its
-    stores otherwise, and also where the writer died in the middle.
+    It has a checksum, so that a reader never accepts a half-written value, even on a processor that reorders stores, or
+    if the writer died in the middle.
     """
 
-    # Twice what a sample with the longest error takes [bytes].
+    # Size of a slot [bytes], twice that of a sample with the longest error.
     size = 1024
 
     def __init__(self, kind: type[T]) -> None:
@@ -204,7 +205,7 @@ class Slot(Generic[T]):
         memory[: _HEAD.size + len(packed)] = _HEAD.pack(zlib.crc32(packed, 1), len(packed)) + packed
 
     def read(self, memory: memoryview) -> T | None:
-        """Return the newest whole value; the one before while another is written; None before the first."""
+        """Return the newest complete value, the previous one while another is being written, None before the first."""
         for _ in range(3):
             whole = bytes(memory[: self.size])
             check, length = _HEAD.unpack_from(whole)

@@ -1,9 +1,9 @@
-"""The process of a servo: the coupling at the rate of a device of impedance type, beside the node's loop.
+"""The process of a servo: it runs the coupling at the rate of a device of impedance type, beside the node's loop.
 
-The node starts this module as a program and writes one line of JSON to its input, which device and where the shared
-memory is; the process answers with a line, what the device can do or why it is not there.
-After that both talk through shared memory. The force is zero without a word of the node for 50 ms, and the process
-ends with the node.
+The node starts this module as a program and writes one line of JSON to its input, with the device and the file of the
+shared memory; the process answers with one line, the capabilities of the device or the reason why it is not there.
+After that both communicate through shared memory. The force is zero after 50 ms without a command of the node, and the
+process ends with the node.
 """
 
 import contextlib
@@ -33,21 +33,21 @@ RETRY_S = 0.5
 _SERVO = "telenano_devices.impedance.servo_process"
 OPEN_S = 15.0
 _POLL_S = 0.01
-# What a servo says of its device has some hundred bytes.
+# The largest first answer of a servo [bytes]; it usually has some hundred bytes.
 _LONGEST_ANSWER = 1 << 20
 _END_S = 1.0
-# A servo that stood still for longer does not take the whole motion for one step of its filters.
+# The longest step of the servo's filters, even after a longer stall.
 _LONGEST_STEP_S = 0.05
 _SHARED_MEMORY = Path("/dev/shm")
-# The flags that the node sets for the servo: a session runs, and the servo is to end.
+# The flags that the node sets for the servo: a session runs, and the servo has to end.
 _RUNS = 1
 _STOP = 2
-# The place before the first sample [m].
+# The position before the first sample [m].
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
 class SharedServo:
-    """The memory of both processes: a command, a sample, and a byte of flags, over any writable buffer of `SIZE`."""
+    """The memory shared by both processes: a command, a sample and a byte of flags, in a writable buffer of `SIZE`."""
 
     SIZE = 2 * Slot.size + 1
 
@@ -60,7 +60,7 @@ class SharedServo:
         self._newest: ServoCommand | None = None
 
     def command(self) -> ServoCommand | None:
-        """Return the newest command; one that was read before is not decoded again, for a servo of 4 kHz."""
+        """Return the newest command; an unchanged one is not decoded again, to save time in a servo of 4 kHz."""
         raw = bytes(self._places[0])
         if raw != self._seen:
             self._newest, self._seen = self._command.read(self._places[0]), raw
@@ -76,7 +76,7 @@ class SharedServo:
         self._sample.write(self._places[1], sample)
 
     def flag(self, runs: bool, stop: bool) -> None:
-        """Say whether the session runs, and whether the servo is to end."""
+        """Set the flags: whether the session runs, and whether the servo has to end."""
         self._flags[0] = _RUNS * runs + _STOP * stop
 
     @property
@@ -100,11 +100,11 @@ class ServoLoop:
 
     Args:
         shared: The memory.
-        wire: The device, open.
-        found: What it reported of itself; another one that comes back in its place is refused.
+        wire: The opened device.
+        found: Its capabilities; after a loss a device with another identity is refused.
         now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits while the device is lost.
-        is_needed: Whether the node is still there.
+        sleep: The function that waits while the device is lost.
+        is_needed: The function that returns whether the node is still there.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class ServoLoop:
         self._session_runs = False
 
     def run(self) -> None:
-        """Serve the device until the node ends; one that is lost is looked for again every half second."""
+        """Serve the device until the node ends; after a loss try to open it again every half second."""
         error = ""
         while not error or self._reopened(error):
             try:
@@ -138,7 +138,7 @@ class ServoLoop:
                 self._let_go()
 
     def turn(self, sample: DeviceSample) -> Vector | None:
-        """Return the force that answers a sample, and tell the node; None if the node is gone or asks for the end."""
+        """Return the force for a sample [N], and report to the node; None if the node is gone or ends the servo."""
         if self._ends():
             return None
         if self._shared.session_runs != self._session_runs:
@@ -151,8 +151,8 @@ class ServoLoop:
 
     def _step(self, sample: DeviceSample) -> Vector:
         now_ns = self._now_ns()
-        # A servo that stood still after it had read the device steps at once after its next reading, and the hand has
-        # moved in the whole time between the two: in the time between the steps it would have jumped.
+        # If the process stalls between a reading and its step, the next step follows at once. The hand has moved during
+        # the whole time between the two readings; within the short time between the steps it would seem to jump.
         passed_ns = max(now_ns - self._turn_ns, sample.taken_ns - self._sample.taken_ns)
         passed_s = passed_ns * 1e-9 if self._turn_ns else self._period_s
         self._turn_ns, self._sample = now_ns, sample
@@ -162,7 +162,7 @@ class ServoLoop:
         return force
 
     def _reopened(self, error: str) -> bool:
-        """Wait until the device is back, and tell the node why it waits; False if the node has ended before."""
+        """Wait until the device is back, reporting the error to the node; return False if the node ends before."""
         waited_s = 0.0
         while not self._ends():
             self._step(self._sample._replace(error=error))
@@ -174,7 +174,7 @@ class ServoLoop:
             try:
                 capabilities = self._wire.open()
                 if capabilities.identity == self._found.identity:
-                    # What the coupling knew is of the device before its loss: it begins with the hand at rest.
+                    # The state of the coupling is from before the loss, so it begins again with the hand at rest.
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
@@ -194,7 +194,7 @@ class ProcessLink:
 
     Args:
         kind: The name of the driver.
-        settings: Those of its section.
+        settings: The settings of its section.
     """
 
     def __init__(self, kind: str, settings: dict[str, Any]) -> None:
@@ -207,21 +207,21 @@ class ProcessLink:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device reported of itself; DeviceError before it was open."""
+        """Return the capabilities that the device reported; raise DeviceError before `open`."""
         if self._found is None:
             raise DeviceError(f"haptic_node.{self._kind}: what the device can do is known once it is open")
         return self._found
 
     @property
     def pid(self) -> int:
-        """Return the number of the servo's process, 0 if there is none."""
+        """Return the process id of the servo, 0 if there is none."""
         return 0 if self._process is None else self._process.pid
 
     def open(self) -> None:
-        """Start the servo and wait until it has the device.
+        """Start the servo and wait until it has opened the device.
 
         Raises:
-            DeviceError: The device is not there; the sentence is that of its driver.
+            DeviceError: The device is not there, with the message of its driver, or the servo does not answer.
         """
         self._start()
         assert self._process is not None and self._process.stdout is not None
@@ -252,7 +252,7 @@ class ProcessLink:
         code = self._process.poll()
         if code is None:
             return self._shared.sample()
-        # The force went with the process: the service and the device take it away when no command comes.
+        # The force ended with the process: service and device remove it when no command comes.
         error = f"the process of the servo has ended with code {code}; it is started again"
         if time.monotonic_ns() >= self._retry_ns:
             self._retry_ns = time.monotonic_ns() + round(RETRY_S * 1e9)
@@ -306,10 +306,10 @@ class ProcessLink:
 
 
 def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
-    """Return the wire of a driver of a package, which is imported now; the others are not.
+    """Return the wire of a driver; only the package of this driver is imported.
 
     Raises:
-        ConfigError: The settings are none of this driver.
+        ConfigError: The settings do not fit the driver.
         DeviceError: There is no such driver, or its device takes no force.
     """
     driver = DeviceDriver.haptic(kind)
@@ -321,7 +321,7 @@ def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
 def main() -> int:
     """Serve the device that the node names; return 0, or 2 if it could not be opened."""
     parent = os.getppid()
-    # The node tells its end through the shared memory; Ctrl-C reaches the whole group of processes.
+    # The node ends the servo through the shared memory. Ctrl-C is ignored, because it reaches the whole process group.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: ended.append(number))
@@ -342,7 +342,7 @@ def main() -> int:
     finally:
         wire.close()
         if os.getppid() != parent:
-            # A node that was killed could not remove it.
+            # A killed node could not remove the file.
             Path(order["shared"]).unlink(missing_ok=True)
 
 

@@ -1,4 +1,4 @@
-"""How a vendor's library that the user installs is found, loaded and called; no part of one is in this tree."""
+"""Finds, loads and calls a vendor's library that the user has installed; this tree contains no part of any."""
 
 import ctypes
 import ctypes.util
@@ -18,11 +18,11 @@ from telenano_devices.impedance.wires import Cadence, Declared, Frame, Mechanics
 
 
 class VendorLibrary(NamedTuple):
-    """A library: what it is for, the names of its files, the folders of its own, and where to get it.
+    """A library: its name and purpose, the names of its files, its usual folders, and where to get it.
 
-    setting: the key of a scenario that names the file outright. install: a sentence for a person. calls: the functions
-    as C declares them, without the names of arguments, such as `int dhdOpenSerial(int)`. types: those of `calls` that
-    are not of C, by name.
+    setting: key of a scenario that names the file itself. install: advice for a person. calls: C declarations of the
+    functions without the names of arguments, such as `int dhdOpenSerial(int)`. types: types in `calls` that are not
+    those of C, by name.
     """
 
     what: str
@@ -34,7 +34,7 @@ class VendorLibrary(NamedTuple):
     types: Mapping[str, Any] = MappingProxyType({})
 
     def prototypes(self) -> Iterator[tuple[str, Any, list[Any]]]:
-        """Yield name, type of the result and types of the arguments of each function."""
+        """Yield name, result type and argument types of each function."""
         for result, name, arguments in re.findall(r"([\w*]+) (\w+)\(([^)]*)\)", self.calls):
             yield name, self._type(result), [self._type(each.strip()) for each in arguments.split(",") if each.strip()]
 
@@ -53,12 +53,12 @@ _TYPES: dict[str, Any] = {
         "void": None,
     },
 }
-# What a library for tests has besides: it is told of the session, so that its hand begins.
+# An additional function of libraries for tests, which tells them whether the session runs, for their hand.
 _DOUBLE = "telenano_double_session"
 
 
 def find(library: VendorLibrary) -> str:
-    """Return the file of a library, or its name where the loader of the system finds it; empty if it is not there."""
+    """Return the file of a library, or its name if the system's loader finds it; empty if it is not installed."""
     folders = [Path(os.path.expandvars(folder)).expanduser() for folder in library.folders]
     for name in library.names:
         for folder in folders:
@@ -73,10 +73,10 @@ def find(library: VendorLibrary) -> str:
 
 
 def load(library: VendorLibrary, path: str | None) -> ctypes.CDLL:
-    """Load a library, from a path that the settings give and the user allows, or where it is found.
+    """Load a library, from a path in the settings that the user allows, or from where `find` finds it.
 
     Raises:
-        DeviceError: It is not there, or it cannot be loaded; the message says where to get it.
+        DeviceError: The path is not allowed, or the library is not installed or cannot be loaded.
     """
     if path and (text := refused_code(library.setting, path)):
         raise DeviceError(text)
@@ -90,7 +90,7 @@ def load(library: VendorLibrary, path: str | None) -> ctypes.CDLL:
 
 
 def _declare(loaded: ctypes.CDLL, library: VendorLibrary) -> None:
-    """Give each call its result and its arguments; DeviceError where one is missing."""
+    """Declare the result and argument types of each function; raise DeviceError if the library lacks one."""
     for name, result, arguments in library.prototypes():
         try:
             call = getattr(loaded, name)
@@ -107,29 +107,29 @@ def is_double(loaded: ctypes.CDLL) -> bool:
 
 
 def text_of(value: bytes | None, otherwise: str = "") -> str:
-    """Return a text of a library."""
+    """Return a text from a library, or `otherwise` if it is empty."""
     return (value or otherwise.encode()).decode(errors="replace")
 
 
 class LibraryWire:
     """An `ImpedanceWire` to a device behind a vendor's library, which is loaded once.
 
-    A subclass finds the device, reads it, writes a force, and says what is wrong with it. `run` does so at an absolute
-    cadence, and a scheduler of the library calls `answered`.
+    A subclass finds the device, reads it, writes a force, and reports faults. `run` does so at absolute deadlines; for
+    a library with its own scheduler, that scheduler calls `answered` instead.
 
     Args:
-        settings: Those of the driver, with the keys `library`, `rate_hz` and `deadman_button`.
-        now_ns: The monotonic clock [ns], which a test replaces.
-        sleep: Waits for a time [s].
+        settings: The settings of the driver, with the keys `library`, `rate_hz` and `deadman_button`.
+        now_ns: The monotonic clock [ns]; a test replaces it.
+        sleep: The function that waits for a time [s].
     """
 
     library: ClassVar[VendorLibrary]
     frame: ClassVar[Frame]
-    # the arm of the library for tests
+    # Mechanics of the emulated arm in the library for tests.
     arm: ClassVar[Mechanics]
-    # How often the device is asked what is wrong with it [ns]; 0 is at each sample.
+    # Period of the calls of `trouble` [ns]; 0 means at each sample.
     status_every_ns: ClassVar[int] = 0
-    # the device in words, before it is known
+    # The device in words; `declared` replaces it by the identity.
     name: str
 
     def __init__(
@@ -144,7 +144,11 @@ class LibraryWire:
         self._status_ns, self._error = 0, ""
 
     def open(self) -> Capabilities:
-        """Load the library and find the device; DeviceError says what is missing, and the device is closed."""
+        """Load the library, find the device and return its capabilities.
+
+        Raises:
+            DeviceError: Library or device is missing or unfit; the device is then closed.
+        """
         if self._lib is None:
             loaded = load(self.library, self._settings.library)
             _declare(loaded, self.library)
@@ -157,13 +161,13 @@ class LibraryWire:
             raise
 
     def run(self, turn: Turn) -> None:
-        """Answer at an absolute cadence; a call that takes longer than a period sets the rate itself."""
+        """Answer samples at absolute deadlines; a call that takes longer than a period determines the rate."""
         cadence = Cadence(self._settings.rate_hz, self._now_ns, self._sleep)
         while self.answered(turn):
             cadence.wait()
 
     def answered(self, turn: Turn) -> bool:
-        """Read the device and write the force that answers; return whether there is to be another sample."""
+        """Read the device, call `turn`, and write the force that it returns; return whether to continue."""
         if self._lib is None:
             raise DeviceError(f"{self.name} is not open")
         taken_ns = self._now_ns()
@@ -183,23 +187,23 @@ class LibraryWire:
         return force is not None
 
     def session(self, runs: bool) -> None:
-        """Tell a library for tests whether the session runs; a vendor's is sent nothing."""
+        """Tell a library for tests whether the session runs; do nothing for a vendor's library."""
         if self._lib is not None and is_double(self._lib):
             getattr(self._lib, _DOUBLE)(ctypes.c_int(runs))
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a function of the library and return its result; DeviceError where it failed."""
+        """Call a function of the library and return its result; raise DeviceError if it failed."""
         result = getattr(self._lib, name)(*arguments)
         self.check(name, result)
         return result
 
     def check(self, call: str, result: Any = None) -> None:
-        """Raise DeviceError where a call has failed."""
+        """Raise DeviceError if a call has failed."""
         if reason := self.reason(result):
             raise DeviceError(f"{self.name}: {call} failed: {reason}")
 
     def declared(self, identity: str, make: Declared, buttons: tuple[str, ...], has_orientation: bool) -> Capabilities:
-        """Return what the device declares, by which it is named after that."""
+        """Return the capabilities of the device, and take `name` from their identity."""
         number = self._settings.deadman_button
         able = declared(
             identity,
@@ -214,15 +218,15 @@ class LibraryWire:
         return able
 
     def close(self) -> None:
-        """Take the force away and let the device go; harmless when already closed."""
+        """Remove the force and release the device; harmless when already closed."""
         raise NotImplementedError
 
     def come_up(self) -> Capabilities:
-        """Find the device with no force, and return what it declares; DeviceError says what is missing."""
+        """Open the device without force, and return its capabilities; raise DeviceError if it is missing."""
         raise NotImplementedError
 
     def read(self) -> tuple[Sequence[float], int, Sequence[Sequence[float]] | None]:
-        """Return place [m], buttons as bits and the rows of the handle's rotation, None without one, in its frame."""
+        """Return position [m], buttons as bits and rows of the handle's rotation or None, in the device's frame."""
         raise NotImplementedError
 
     def write(self, force: Vector) -> None:
@@ -230,9 +234,9 @@ class LibraryWire:
         raise NotImplementedError
 
     def trouble(self) -> str:
-        """Return why the device must not be driven now; empty if it may. DeviceError where it is gone."""
+        """Return why the device must not be driven now, empty if it may; raise DeviceError if it is gone."""
         raise NotImplementedError
 
     def reason(self, result: Any) -> str:
-        """Return why the call with that result has failed; empty if it has not."""
+        """Return why the call with this result failed; empty if it succeeded."""
         raise NotImplementedError

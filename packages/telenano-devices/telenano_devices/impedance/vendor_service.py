@@ -1,4 +1,4 @@
-"""A vendor's service that a driver talks to by WebSocket, for wires in the process of a servo."""
+"""The WebSocket conversation with a vendor's service, for wires in the process of a servo."""
 
 import contextlib
 import select
@@ -10,21 +10,21 @@ from telenano.extend.hands import DeviceError
 from telenano.runtime import StructuredLog
 
 NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
-# What an answer may take [s].
+# Time limit of an answer [s].
 ANSWER_S = 0.5
-# Waiting is divided into these looks: a process that stood still as a whole has missed one of them.
+# A wait is divided into this many looks, because a stall of the whole process costs only one of them.
 _LOOKS = 5
-# A service that has more to read at once than this never ends.
+# The largest number of reads at once; a service with more to read sends without end.
 _MOST_READS = 64
-# This number of answers more with messages that were not requested than without are no accident.
+# Excess of answers with unrequested messages over answers without them that is no accident.
 _MOST_UNASKED = 50
 T = TypeVar("T")
 
 
 class VendorService(NamedTuple):
-    """A service in words: its name, its device, the key of its address, a usual one, its format, and how it starts.
+    """Texts about a service: name, device, key of its address, usual address, format, and advice for starting it.
 
-    open_s: what finding it may take [s].
+    open_s: time limit of the connection [s].
     """
 
     name: str
@@ -37,15 +37,15 @@ class VendorService(NamedTuple):
 
 
 class Conversation(Generic[T]):
-    """A WebSocket to a service on a plain socket: what is sent and received takes no thread and no event loop.
+    """A WebSocket to a service on a plain socket, without a thread and without an event loop.
 
     Args:
         about: The service.
         address: Its address, such as ws://127.0.0.1:10001.
-        decode: Reads a message; what it raises says that the message is another one.
+        decode: The function that decodes a message; its ValueError means that the message has another format.
 
     Raises:
-        DeviceError: Nothing answers at the address.
+        DeviceError: No such service answers at the address, or websockets is not installed.
     """
 
     def __init__(self, about: VendorService, address: str, decode: Callable[[bytes], T]) -> None:
@@ -101,7 +101,7 @@ class Conversation(Generic[T]):
         """Return the next message.
 
         Raises:
-            DeviceError: The service is gone, silent, or says what cannot be read.
+            DeviceError: The service is gone or silent, or the message cannot be decoded.
         """
         self.wait(patience_s)
         text = self._messages.pop(0)
@@ -112,7 +112,7 @@ class Conversation(Generic[T]):
             raise DeviceError(f"{self._service}: {unknown}") from error
 
     def drop(self, keep: int = 0) -> int:
-        """Drop the messages that have come, but the newest `keep`, without waiting; return how many they were.
+        """Drop the messages that have come except the newest `keep`, without waiting; return the number dropped.
 
         Raises:
             DeviceError: The service is gone, or sends without end.
@@ -140,7 +140,7 @@ class Conversation(Generic[T]):
             raise DeviceError(f"{self._service}: the service has closed the connection: {self._about.start}") from error
 
     def _receive(self) -> bool:
-        """Take what comes in the time of a look; False if nothing does."""
+        """Receive bytes within the time of a look; return False if none come."""
         from websockets.frames import Frame, Opcode
 
         try:
@@ -158,7 +158,7 @@ class Conversation(Generic[T]):
                     raise DeviceError(f"{self._service}: the service has ended the session")
                 if event.opcode in (Opcode.TEXT, Opcode.BINARY):
                     self._messages.append(bytes(event.data))
-        # Pongs and the answer to a close
+        # This sends pongs and the answer to a close.
         self._flush()
         return True
 
@@ -166,34 +166,34 @@ class Conversation(Generic[T]):
 class Exchange(Generic[T]):
     """Requests to a service that sends one message for each one that it receives, without time or number.
 
-    What has come before a request, or before another message, was not asked for: it is dropped and counted, and a
-    service that continues with it is lost.
+    Messages that come before the request, or before a newer message, were not requested: they are dropped and counted,
+    and a service that keeps sending them is lost.
 
     Args:
-        conversation: That with the service.
-        name: The service in an error.
+        conversation: The conversation with the service.
+        name: The name of the service in errors.
         now_ns: The monotonic clock [ns].
     """
 
     def __init__(self, conversation: Conversation[T], name: str, now_ns: Callable[[], int]) -> None:
         self._conversation, self._name, self._now_ns = conversation, name, now_ns
         self._sent_ns = now_ns()
-        # messages that came without a request, and for how many answers more they did than did not
+        # Number of unrequested messages; and the excess of answers with such messages over answers without.
         self.unasked = self._unasked_lately = 0
 
     def ask(self, request: bytes, patience_s: float) -> tuple[T, int]:
-        """Return the answer to a request, and the time since which its content was taken [ns].
+        """Return the answer to a request, and the earliest time at which its content can have been taken [ns].
 
         Raises:
-            DeviceError: The service is gone, silent for `patience_s`, or sends without being asked.
+            DeviceError: The service is gone, silent for `patience_s` [s], or keeps sending unrequested messages.
         """
         unasked = self._conversation.drop()
-        # The content is taken between sending and receipt: its age is bounded by the earlier of the two.
+        # The content is taken between sending and receipt, so the time of sending bounds its age.
         before_ns, self._sent_ns = self._sent_ns, self._now_ns()
         self._conversation.send(request)
         self._conversation.wait(patience_s)
         self._count(unasked + self._conversation.drop(keep=1))
-        # Where more came than was asked for, this may be the answer to the request before.
+        # With unrequested messages about, this may be the answer to the previous request.
         taken_ns = before_ns if self._unasked_lately else self._sent_ns
         return self._conversation.receive(), taken_ns
 

@@ -1,10 +1,12 @@
-"""What wires of devices that take a force have in common: cadence, frame, dead-man button, and what they declare.
+"""Common parts of wires of devices that take a force: cadence, frame, dead-man button and capabilities.
 
-frame = Frame("y -x z")                       # x of the master frame is y of the device, and y is its -x
-cadence = Cadence(settings.rate_hz)
-while (force := turn(frame.sample(place, taken_ns, buttons=mask, deadman=settings.deadman_button))) is not None:
-send(*frame.to_device(force))
-cadence.wait()
+The loop of a wire combines them:
+
+    frame = Frame("y -x z")                   # x of the master frame is y of the device, and y is its -x
+    cadence = Cadence(settings.rate_hz)
+    while (force := turn(frame.sample(place, taken_ns, buttons=mask, deadman=settings.deadman_button))) is not None:
+        send(*frame.to_device(force))
+        cadence.wait()
 """
 
 import time
@@ -20,13 +22,13 @@ Span = tuple[float, float]
 
 
 class Frame:
-    """The axes of a device in those of the master: x to the right of the person, y away from the person, z up.
+    """The axes of a device relative to the master frame: x to the right of the person, y away from the person, z up.
 
     Args:
-        axes: For each axis of the master the one of the device, with its sign, such as `y -x z`.
+        axes: For each axis of the master frame the axis of the device with its sign, such as `y -x z`.
 
     Raises:
-        ValueError: An axis is missing, or is none.
+        ValueError: An axis is missing or unknown.
     """
 
     def __init__(self, axes: str) -> None:
@@ -36,19 +38,19 @@ class Frame:
         self._axes = tuple(("xyz".index(name[-1]), -1.0 if name[0] == "-" else 1.0) for name in named)
 
     def to_master(self, of_device: Sequence[float]) -> Vector:
-        """Return a vector of the device in the master frame."""
+        """Convert a vector from the device's frame to the master frame."""
         (a, s), (b, t), (c, u) = self._axes
         return (s * of_device[a], t * of_device[b], u * of_device[c])
 
     def to_device(self, of_master: Vector) -> Vector:
-        """Return a vector of the master frame in that of the device."""
+        """Convert a vector from the master frame to the device's frame."""
         turned = [0.0, 0.0, 0.0]
         for (axis, sign), value in zip(self._axes, of_master, strict=True):
             turned[axis] = sign * value
         return (turned[0], turned[1], turned[2])
 
     def orientation(self, rows: Sequence[Sequence[float]]) -> Quaternion:
-        """Return the orientation of a rotation matrix D in the frame of the device, by its rows: R = P D P^T."""
+        """Return the orientation, in the master frame, of a rotation matrix D in the device's frame: R = P D P^T."""
         turned = [self.to_master(row) for row in rows]
         return quaternion_of(tuple(_times(sign, turned[axis]) for axis, sign in self._axes))
 
@@ -62,15 +64,15 @@ class Frame:
         orientation: Quaternion = UPRIGHT,
         error: str = "",
     ) -> DeviceSample:
-        """Return a sample of a place in the frame of the device [m].
+        """Return a sample in the master frame.
 
         Args:
-            place: The place in the frame of the device [m].
-            taken_ns: When it was taken, on the monotonic clock [ns].
+            place: The position in the frame of the device [m].
+            taken_ns: The time of the sample on the monotonic clock [ns].
             buttons: A bit for each button that is held.
             deadman: The number of the button without which there is no force; None for none.
             orientation: The orientation of the handle in the master frame.
-            error: Why the device must not be driven now; empty if it may.
+            error: The reason why the device must not be driven now; empty if it may.
         """
         held = deadman is None or bool(buttons >> deadman & 1)
         return DeviceSample(self.to_master(place), taken_ns, orientation, buttons, held, taken_ns, error)
@@ -81,12 +83,12 @@ def _times(sign: float, vector: Vector) -> Vector:
 
 
 class Cadence:
-    """An absolute cadence: a turn that takes longer than its period moves those after it, and is not made up for.
+    """Absolute deadlines for a loop; a turn that takes longer than its period delays those after it.
 
     Args:
-        rate_hz: The turns in a second [Hz].
+        rate_hz: The number of turns a second [Hz].
         now_ns: The monotonic clock [ns].
-        sleep: Waits for a time [s].
+        sleep: The function that waits for a time [s].
     """
 
     def __init__(
@@ -99,16 +101,16 @@ class Cadence:
         self._due_ns = now_ns()
 
     def wait(self) -> None:
-        """Wait until the next turn is due."""
+        """Wait until the next turn is due; long delays are not made up for."""
         self._due_ns = max(self._due_ns + self._period_ns, self._now_ns() - self._period_ns)
         if (left_ns := self._due_ns - self._now_ns()) > 0:
             self._sleep(left_ns * 1e-9)
 
 
 class Declared(NamedTuple):
-    """What a make declares: greatest force [N], stiffness [N/m], damping [N s/m], and the radius of its workspace [m].
+    """Declared values of a make: greatest force [N], stiffness [N/m], damping [N s/m], radius of the workspace [m].
 
-    A workspace that is no ball has `ends` of x, y and z in the master frame [m] in place of a radius.
+    For a workspace that is not a ball, `ends` gives the limits of x, y and z in the master frame [m] instead.
     """
 
     force_n: float
@@ -119,7 +121,7 @@ class Declared(NamedTuple):
 
 
 class Mechanics(NamedTuple):
-    """The arm of an emulator: chosen, and not measured; that of a real device is not known, which is zero."""
+    """Mass and damping of an emulated arm, chosen, not measured; zero for the unknown values of a real device."""
 
     mass_kg: float = 0.0
     damping_n_s_per_m: float = 0.0
@@ -135,13 +137,14 @@ def declared(
     deadman: str = "",
     has_orientation: bool = False,
 ) -> Capabilities:
-    """Return what a device of three axes that takes a force declares.
+    """Return the capabilities of a device of three axes that takes a force.
 
-    The force of a sample is sent within its period, and a period more is allowed for the line.
+    The declared delay of the drive is one period: the force for a sample is sent within its period, and one period is
+    allowed for the line.
 
     Args:
         identity: The device in words, with its serial number.
-        make: What its make declares.
+        make: The declared values of its make.
         rate_hz: The rate of the servo [Hz].
         arm: The arm of an emulated device; None for a real one.
         buttons: The names of the buttons.
@@ -155,7 +158,7 @@ def declared(
         max_force_n=make.force_n,
         max_stiffness_n_per_m=make.stiffness_n_per_m,
         max_damping_n_s_per_m=make.damping_n_s_per_m,
-        # Along the paper's axis, which goes down.
+        # These are along the paper's axis, which points down.
         workspace_min_m=-z[1],
         workspace_max_m=-z[0],
         modes=(MODE_OFF, MODE_POSITION),

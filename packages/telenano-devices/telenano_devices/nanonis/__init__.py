@@ -1,1 +1,1 @@
-"""A Nanonis controller as an instrument of telenano: driver, guard, client and emulation."""
+"""The Nanonis controller as an instrument of telenano: driver, guard, client and emulator."""

@@ -1,4 +1,4 @@
-"""A client of Nanonis that waits for its answers: for scripts, and for an approach before a rig drives its input."""
+"""A blocking client of Nanonis, for scripts, and for an approach before a rig drives the external input."""
 
 import math
 import socket
@@ -12,25 +12,25 @@ from telenano_devices.nanonis.nanonis_wire import NanonisRefusalError
 
 _READ_BYTES = 65536
 _POLL_S = 0.05
-# The client waits this long for an answer.
+# Time limit of an answer.
 _ANSWER_S = 5.0
-# z must come to rest, and the z-controller be off, within this time.
+# Time limit for z to come to rest, and for the z-controller to switch off.
 _REST_WITHIN_S = 60.0
-# z is at rest when it moves by less than _REST_M between this number of looks.
+# z is at rest when it moves by less than _REST_M over this number of looks.
 _RESTS = 6
-# An approach goes faster than this between the looks.
+# An approach moves further than this between the looks.
 _REST_M = 2e-9
 
 
 class NanonisClient:
-    """A connection on which one call follows the other; after a failure it is closed, and cannot be used again.
+    """A connection for one call after the other; a broken connection is closed and cannot be used again.
 
     Args:
         host: The address of the controller.
         port: One of its ports.
 
     Raises:
-        DeviceError: The controller is not reached.
+        DeviceError: The controller cannot be reached.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -43,16 +43,16 @@ class NanonisClient:
         self._incoming = Incoming(nanonis_wire.cut)
 
     def call(self, command: str, *arguments: Any) -> list[Any]:
-        """Return what a command of `nanonis_wire.COMMANDS` returns.
+        """Return the values of the answer to a command of `nanonis_wire.COMMANDS`.
 
         Raises:
-            DeviceError: The controller refuses it, does not answer in time, or answers what cannot be read.
+            DeviceError: The controller refuses it, does not answer in time, or its answer cannot be read.
         """
         try:
             end_s = time.monotonic() + _ANSWER_S
             self._line.sendall(nanonis_wire.request(command, *arguments))
             while (answer := self._incoming.take()) is None:
-                # The limit of the socket is that of each part of an answer.
+                # The timeout of the socket limits each part of an answer; this limits the whole answer.
                 if time.monotonic() > end_s:
                     raise TimeoutError("timed out")
                 received = self._line.recv(_READ_BYTES)
@@ -77,7 +77,7 @@ class NanonisClient:
 
 
 def _settle(client: NanonisClient, setpoint: float) -> None:
-    """Switch the z-controller on and wait until z is at rest."""
+    """Switch the z-controller on, and wait until z is at rest; raise DeviceError if that takes too long."""
     client.call("ZCtrl.SetpntSet", setpoint)
     client.call("ZCtrl.OnOffSet", 1)
     end, past = client.now_s() + _REST_WITHIN_S, [math.inf]
@@ -89,17 +89,17 @@ def _settle(client: NanonisClient, setpoint: float) -> None:
 
 
 def approach(client: NanonisClient, setpoint: float, lift_m: float) -> float:
-    """Approach by the controller's z-controller, switch it off, and let it lift the tip; return z then [m].
+    """Approach with the controller's z-controller, switch it off with a lift of the tip, and return z then [m].
 
-    The tip is left there, for a rig that drives the external input of the controller.
+    The tip stays there, for a rig that drives the external input of the controller.
 
     Args:
         client: The connection.
         setpoint: The set-point, in the unit of the controller's signal.
-        lift_m: How far the tip is lifted [m].
+        lift_m: The lift of the tip [m].
 
     Raises:
-        DeviceError: The controller refuses or finds no surface; the tip is withdrawn then.
+        DeviceError: The controller refuses or finds no surface; the tip is then withdrawn.
     """
     try:
         client.call("ZCtrl.TipLiftSet", lift_m)

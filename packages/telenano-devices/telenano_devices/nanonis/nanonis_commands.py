@@ -59,7 +59,7 @@ def simulate_nanonis(
             ready = f"a model of a LabJack T7 at its external input is at {host}:{t7_port}"
             part = nanonis_model.ExternalInput(model)
             serving.append(t7_in_front_of(part, t7, afm, (host, t7_port), lambda: typer.echo(ready)))
-        # A port serves one client, as at the instrument.
+        # A port serves one client, as on the instrument.
         serving.append(
             serve_requests(
                 nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
@@ -69,7 +69,7 @@ def simulate_nanonis(
 
 
 async def _all_of(serving: "list[Coroutine[Any, Any, None]]") -> None:
-    """Serve until one of the servers ends."""
+    """Run the servers together; an error in one ends them all."""
     async with asyncio.TaskGroup() as group:
         for each in serving:
             group.create_task(each)

@@ -1,4 +1,4 @@
-"""The driver of a Nanonis controller as telenano finds it, which it imports when a scenario names it."""
+"""Declares the driver of a Nanonis controller, which telenano imports when a scenario names it."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ NANONIS = DeviceDriver(
     ControllerSettings,
     _nanonis,
     keywords=("period_s", "attended"),
-    # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
+    # These figures hold for a Tap of 20 ms. With a TCP Logger the samples are newer, but z is as slow.
     capabilities=AfmCapabilities(
         400.0,
         50.0,

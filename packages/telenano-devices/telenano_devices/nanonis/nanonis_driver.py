@@ -1,10 +1,10 @@
-"""A Nanonis controller as a slow AFM of the rig, over its TCP programming interface.
+"""The driver of a Nanonis controller as a slow AFM of the rig, over its TCP programming interface.
 
-z is set with the z-controller off, float32 and without a ramp of its own, so the guard of the node decides its speed.
-Values are averaged and published every Tap, and polled without waiting: a sample is as old as a Tap when it comes.
-Where the TCP Logger runs, its frames are read on a port of their own and are newer. Before z is set, the tip is
-withdrawn, and limits and safe tip of the controller are set and read back, because nothing in it acts when a connection
-is lost.
+The driver sets z with the z-controller off, as float32 and without a ramp in the controller, so the guard of the node
+decides its speed. The controller averages and publishes values every Tap, and the driver polls them without waiting: a
+sample is up to a Tap old when it comes. With a TCP Logger, the driver reads its newer frames on a port of their own.
+Before it sets z, it withdraws the tip, sets limits and safe tip of the controller, and reads them back, because the
+controller does nothing by itself when a connection is lost.
 """
 
 import math
@@ -33,33 +33,33 @@ _OFF = 1
 _ON = 2
 _SAFE_TIP = 5
 _STATES = {1: "is off", 2: "is on", 3: "holds", 4: "is being switched off", 6: "withdraws"}
-# a withdrawal takes the range over the rate; more than this many questions about it are not asked
+# Largest number of questions for the end of a withdrawal, which takes the range over the rate.
 _MOST_ASKED = 5000
 _STATUS_EVERY = 10
-# After an approach z rests when it moves by less than _REST_M in this number of looks.
+# After an approach z is at rest when it moves by less than _REST_M over this number of looks.
 _RESTS = 6
 _REST_M = 2e-9
-# The signal of a tip at rest is this near to the set-point, as a share of it.
+# Largest distance of the signal of a tip at rest from the set-point, as a share of it.
 _NEAR_SHARE = 0.25
-# Looks, and requests for lines of an image, are no more frequent than one in this time.
+# Least time between two looks, and between two requests for lines of an image.
 _LOOK_NS = 50_000_000
-# a request and its answer over a network and through the vendor's software
+# Time limit of a request and its answer over a network and through the vendor's software.
 _LOST_NS = 250_000_000
 _LONGEST_TAP_S = 10.0
 _SHIPPED_TAP_S = 20e-3
 _LOG_HEADER = struct.Struct(">IfQH")
-# The TCP Logger is in this state with a frame of samples.
+# State of the TCP Logger in a frame of samples.
 _LOG_DATA = 4
-# A frame of the TCP Logger has at most this number of signals.
+# Largest number of signals in a frame of the TCP Logger.
 _MOST_CHANNELS = 24
-# this number of reads of a tick find the end of what has come, or it has none
+# Largest number of reads in a tick; a stream without an end after them is given up for this tick.
 _MOST_RECEIVED = 64
 
 Answers = Generator[bytes, bytes, list[Any]]
 
 
 class NanonisAfm(RequestDriver[NanonisCalibration]):
-    """An `AfmDriver` on a Nanonis controller; arguments as of `RequestDriver`."""
+    """An `AfmDriver` of a Nanonis controller; the arguments are those of `RequestDriver`."""
 
     lost_ns = _LOST_NS
 
@@ -67,8 +67,8 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         super().__init__(calibration, limits, nanonis_wire.cut, "Nanonis", **options)
         self._indexes: list[int] = []
         self._channels: dict[str, float] = {}
-        # the image that is wanted, the one that was taken, the lines of it that were not asked for yet, and whether a
-        # scan of this rig runs in the controller
+        # The wanted image, the image that was taken, its lines that `take_line` has not returned yet, and whether a
+        # scan of this rig runs in the controller.
         self._image: OwnImage | None = None
         self._taken: OwnImage | None = None
         self._lines: deque[OwnLine] = deque()
@@ -78,11 +78,11 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
 
     @property
     def latency_s(self) -> float:
-        """Return what the controller adds to the round trip [s]: from a command to its sample, in the mean.
+        """Return the latency that the controller adds to the round trip [s]: mean time from a command to its sample.
 
-        The answer comes after two periods and is used for two; a value is averaged over a Tap and published after it,
-        and waits for half of the next one in the mean. Until the Tap is measured it is that of a controller
-        as shipped, and none where the file names a TCP Logger.
+        The answer comes after two periods and is used for two. A value is averaged over a Tap and published after it,
+        and its publication is half a Tap old in the mean: together one Tap. Until the Tap is known, it is that of a
+        controller as shipped, or zero if the file names a TCP Logger.
         """
         if self.calibration.latency_s is not None:
             return self.calibration.latency_s
@@ -91,7 +91,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
 
     @property
     def channels(self) -> Mapping[str, float]:
-        """Return what was measured besides the deflection, by the names of the calibration, in SI units."""
+        """Return the channels measured besides the deflection, by the names of the calibration, in SI units."""
         return self._channels
 
     @property
@@ -99,23 +99,23 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         return self
 
     def want_image(self, image: OwnImage | None) -> None:
-        """Begin an image, or continue with it; None ends it, with the tip withdrawn."""
+        """Begin an image, or continue it; None ends it and withdraws the tip."""
         if image is None or self._image is None:
             self._lines.clear()
             self._taken = None
         self._image = image
 
     def retract(self) -> bool:
-        """End an image that is under way, and go to the safe position; see `RequestDriver.retract`."""
+        """End an image under way, and go to the safe position; see `TcpDriver.retract`."""
         self.want_image(None)
         return super().retract()
 
     def take_line(self) -> OwnLine | None:
-        """Return the next line of the image that is whole, once; None where there is none."""
+        """Return the next complete line of the image, each once; None if there is none."""
         return self._lines.popleft() if self._lines else None
 
     def talk(self) -> Talk:
-        """Return the requests: who it is, tip withdrawn, limits and safe tip; then cycles."""
+        """Return the requests: guard, signals, withdrawal of the tip, limits and safe tip; then cycles."""
         if not self._attended:
             yield from self._find_guard()
         names = (yield from self._ask("Signals.NamesGet"))[0]
@@ -127,7 +127,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
             raise DeviceError(f"has no signal {missing[0]!r}: {key} must be one of its names")
         self._indexes = [names.index(name) for name in wanted]
         if self._scans:
-            # A scan of this rig may have gone on while the connection was lost.
+            # A scan of this rig may have continued while the connection was lost.
             yield from self._ask("Scan.Action", 1, 1)
             self._scans = False
         if (yield from self._ask("Scan.StatusGet"))[0]:
@@ -163,20 +163,24 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
     def _find_guard(self) -> Generator[bytes, bytes, None]:
         answer = yield nanonis_wire.HEADER.pack(GUARD_COMMAND.encode(), 0, 1, 0)
         body = answer[nanonis_wire.HEADER.size :]
-        # the number of its retractions, and the error block of no error
+        # The answer is the number of its retractions and an error block without an error.
         if len(body) != 12 or any(body[4:]):
             self.refuse_without_guard()
         self.retractions = int(nanonis_wire.unpack("I", body)[0][0])
 
     def _ask(self, command: str, *arguments: Any) -> Answers:
-        """Send a request and return its values; DeviceError where the controller refuses it."""
+        """Send a request and return the values of its answer; raise DeviceError if the controller refuses it."""
         try:
             return nanonis_wire.returned(command, (yield nanonis_wire.request(command, *arguments)))
         except NanonisRefusalError as error:
             raise DeviceError(f"refuses {command}{arguments or ''}: {error}") from None
 
     def _withdraw(self) -> Generator[bytes, bytes, None]:
-        """Switch the z-controller off and go to the upper limit, and wait until that is done."""
+        """Switch the z-controller off, withdraw to the upper limit, and wait until that is done.
+
+        Raises:
+            DeviceError: The safe tip is triggered, or the withdrawal does not end.
+        """
         yield from self._ask("ZCtrl.Withdraw", 0, -1)
         for _ in range(_MOST_ASKED):
             status = (yield from self._ask("ZCtrl.StatusGet"))[0]
@@ -187,7 +191,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         raise DeviceError("has not withdrawn the tip: its z-controller is still on after 5000 requests")
 
     def _protect(self) -> Generator[bytes, bytes, None]:
-        """Set the limits of z and the safe tip, and read them back; DeviceError where they are others."""
+        """Set limits of z, tip lift and safe tip, and read them back; raise DeviceError if they differ."""
         z = self.calibration.z
         yield from self._ask("ZCtrl.LimitsEnabledSet", 1)
         yield from self._ask("ZCtrl.LimitsSet", z.max_m, z.min_m)
@@ -212,7 +216,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         yield from self._ask("ZCtrl.ZPosSet", z_m)
 
     def _take_image(self, wanted: OwnImage) -> Generator[bytes, bytes, None]:
-        """Let the controller approach by its z-controller and scan; keep the lines, and withdraw whatever ends it."""
+        """Let the controller approach with its z-controller and scan; keep the lines, and withdraw at any end."""
         own = self.calibration
         volts = own.deflection.per_m * wanted.setpoint_n / own.cantilever.stiffness_n_per_m
         yield from self._ask("ZCtrl.SetpntSet", own.deflection.zero + volts)
@@ -232,7 +236,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         yield from self._withdraw()
         self._history.clear()
         yield from self._send_z(self.wanted_z_m())
-        # The scan has moved the tip over the sample; it goes back to where the rig has it.
+        # The scan has moved the tip over the sample, so its place is sent again.
         self._sent_place, self._ready_ns, self._taken = None, self._now_ns(), wanted
 
     def _scan(self, wanted: OwnImage) -> Generator[bytes, bytes, None]:
@@ -255,7 +259,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
             if self._now_ns() - grabbed_ns < every_ns:
                 continue
             grabbed_ns = self._now_ns()
-            # What has ended the scan is told before the frames that are no longer there.
+            # Check first for the cause of an ended scan, because its frames are then missing.
             yield from self._check_status(_ON)
             runs = (yield from self._ask("Scan.StatusGet"))[0]
             frames = []
@@ -265,7 +269,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
                     raise DeviceError(f"returned {name!r} of {frame.shape}, {_Z_SIGNAL!r} of {lines, pixels} was due")
                 frames.append(frame)
             while taken < 2 * lines and np.isfinite(row := frames[taken % 2][taken // 2]).all():
-                # A height counts away from the sample, as the base does with the other sign.
+                # A height counts away from the sample, so it is minus the base.
                 height_m = np.array([0.0 - self.calibration.base_m(float(z_m)) for z_m in row])
                 self._lines.append(OwnLine(taken // 2, taken % 2 == 1, height_m))
                 taken += 1
@@ -273,7 +277,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
                 raise DeviceError("somebody has stopped the scan; the tip is withdrawn, and stays so until armed")
 
     def _watch_image(self) -> Generator[bytes, bytes, None]:
-        """Take a sample while the controller regulates, and look at its state now and then."""
+        """Take a sample while the controller regulates, and check its state from time to time."""
         yield from self._sample(is_own=False)
         self._watched += 1
         if self._watched % _STATUS_EVERY == 0:
@@ -295,11 +299,11 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         self._take(values, asked_ns, self.tick_s, is_own=is_own)
 
     def _take(self, values: list[float], asked_ns: int, old_s: float, *, is_own: bool) -> None:
-        """Take values that were old_s [s] old at most when they were asked for; is_own: z is the one that was sent."""
+        """Store values that were at most old_s [s] old when requested; is_own: z has to be one that was sent."""
         value, z_m, x_m, y_m, *further = values
         channels = self.calibration.channels.items()
         self._channels = {name: each.si * reading for (name, each), reading in zip(channels, further, strict=True)}
-        # A value may be older than the handshake until a Tap has gone by since then.
+        # Soon after the handshake a value may be older than it, so z is not compared yet.
         if is_own and asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
             self.check_z(z_m, asked_ns)
         self.find_centre(x_m, y_m)
@@ -324,7 +328,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
 
 
 def _rests(past: deque[tuple[float, float]], setpoint: float, size: float) -> bool:
-    """Return whether z [m] stands and the signal is at the set-point, in the last looks (z, signal)."""
+    """Return whether, over the last looks (z [m], signal), z stands still and the signal is near the set-point."""
     if len(past) < _RESTS:
         return False
     heights, values = zip(*past, strict=True)
@@ -333,42 +337,42 @@ def _rests(past: deque[tuple[float, float]], setpoint: float, size: float) -> bo
 
 
 class FrameLog:
-    """The frames that a TCP Logger pushes.
+    """Receives the frames that a TCP Logger pushes.
 
     Args:
-        connect: Connects to a port.
+        connect: The function that connects to a host and port.
         host: The address of the controller.
         port: The port of the logger, None for none.
     """
 
     def __init__(self, connect: Any, host: str, port: int | None) -> None:
         self._connect, self._host, self._wanted = connect, host, port
-        # 0 until it was started
+        # The port of the started logger, 0 before.
         self.port = 0
         self._line: Line | None = None
         self._incoming = Incoming(cut_frame)
-        # This is of the newest frame.
+        # Number of the newest frame.
         self._number = -1
 
     def open(self) -> None:
-        """Begin to connect; OSError where that is refused at once."""
+        """Begin to connect; raise OSError if the connection is refused at once."""
         if self._line is not None:
             self._line.close()
         self._incoming, self._number = Incoming(cut_frame), -1
         self._line = self._connect(self._host, self._wanted)
 
     def newest(self) -> list[float] | None:
-        """Return the values of the newest frame that has come, None where there is none; OSError for a lost line."""
+        """Return the values of the newest frame that has come, or None; raise OSError if the line is lost."""
         if self._line is None or not self._line.ready():
             return None
         newest_reading = None
-        # What was held up comes at once, and what is behind it is newer.
+        # Delayed frames come together, and the last of them is the newest.
         for _ in range(_MOST_RECEIVED):
             received = self._line.receive()
             self._incoming.add(received)
             while (frame := self._incoming.take()) is not None:
                 channels, _, number, state = _LOG_HEADER.unpack_from(frame)
-                # The first frame is no sample: it lists the signals of the columns. One that comes again is none.
+                # The first frame is no sample: it lists the signals of the columns. A repeated frame is none either.
                 if state == _LOG_DATA and number > self._number:
                     self._number = number
                     newest_reading = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))

@@ -1,4 +1,4 @@
-"""A Nanonis controller as its guard sees it: which request drives the tip, and which one withdraws it."""
+"""The guard's view of a Nanonis controller: which requests drive the tip, and which one withdraws it."""
 
 import math
 
@@ -7,15 +7,15 @@ from telenano_devices.nanonis import nanonis_wire
 from telenano_devices.nanonis.nanonis_calibration import NanonisCalibration
 from telenano_devices.nanonis.nanonis_driver import GUARD_COMMAND
 
-# commands that only set up, and leave the tip where it is
+# Beginnings of commands that only set up, and do not move the tip in z.
 _STILL = ("SafeTip.", "FolMe.", "Util.", "TCPLog.", "ZCtrl.Limits", "ZCtrl.TipLift", "ZCtrl.SwitchOff", "Scan.Speed")
 
 
 class GuardedNanonis:
-    """A Nanonis controller behind a guard; see `retract_guard.Guarded`.
+    """A Nanonis controller behind a guard; see `retract_guard.GuardedController`.
 
     Args:
-        calibration: The calibration of this very controller.
+        calibration: The calibration of this particular controller.
     """
 
     def __init__(self, calibration: NanonisCalibration) -> None:
@@ -26,12 +26,12 @@ class GuardedNanonis:
         return nanonis_wire.cut(stream)
 
     def answer(self, request: bytes, trips: int) -> bytes | None:
-        """Return that a guard is here, and how often it has retracted, where this is the question."""
+        """Return the answer to the question for a guard, with its number of retractions; None for other requests."""
         is_question = nanonis_wire.parse_request(request).command == GUARD_COMMAND
         return nanonis_wire.answer(GUARD_COMMAND, nanonis_wire.pack("I", [trips])) if is_question else None
 
     def drives(self, request: bytes) -> bool | None:
-        """Return whether the tip is driven after a request; one that is not known here counts as driving it."""
+        """Return whether the tip is driven after a request; an unknown request counts as driving it."""
         asked = nanonis_wire.parse_request(request)
         command = nanonis_wire.known(asked.command) or asked.command
         if command.endswith("Get") or command.endswith("Grab") or command.startswith(_STILL):
@@ -47,7 +47,7 @@ class GuardedNanonis:
         return nanonis_wire.request("ZCtrl.Withdraw", 0, -1)
 
     def is_retracted(self, answer: bytes) -> bool:
-        """Return whether the controller has taken the withdrawal, which it carries out at its withdraw rate."""
+        """Return whether the controller has accepted the withdrawal, which it carries out at its withdraw rate."""
         try:
             nanonis_wire.returned("ZCtrl.Withdraw", answer)
         except (WireError, nanonis_wire.NanonisRefusalError):

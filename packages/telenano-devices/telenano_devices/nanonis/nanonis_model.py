@@ -1,10 +1,10 @@
-"""A Nanonis controller with the simulated instrument behind it: what its TCP interface answers, and what it does.
+"""A model of a Nanonis controller and its TCP interface, with the simulated instrument behind it.
 
-Written from the public clients and documentation (see `nanonis_wire`). What is assumed: a period of the real-time
-engine of 1 ms, values averaged and published every Tap of 20 ms, a z-controller that is an integral of the error, a
-`wait` that is answered at once with what is measured now, and a safe tip that withdraws at the withdraw rate. z grows
-away from the sample. As at the instrument, nothing happens when a connection is lost. Time is passed in, so that a test
-runs it in virtual time.
+It follows the public clients and documentation (see `nanonis_wire`). Assumptions: a period of the real-time engine of
+1 ms, values averaged and published every Tap of 20 ms, a z-controller that is an integral of the error, a `wait` that
+is answered at once with the present values, and a safe tip that withdraws at the withdraw rate. z grows away from the
+sample. As with the instrument, nothing happens when a connection is lost. The caller passes the time, so that a test
+can run it in virtual time.
 """
 
 import math
@@ -29,12 +29,12 @@ DEFLECTION = 8
 Z = 30
 X = 31
 Y = 32
-# the signals of what is measured besides the deflection, by the names of `felt`, in their SI units
+# Indices of the signals of channels besides the deflection, by the names of `felt`, in SI units.
 CHANNELS = {"current": 40, "frequency_shift": 76, "amplitude": 77, "phase": 78}
 RANGE_V = 10.0
 _STEP_S = STEP_NS * 1e-9
 _Z_MOST_M = 1.0e-6
-# above the limit of the guard of the node, which acts first
+# Force of the safe tip, above the limit of the node's guard, which acts first.
 _SAFE_TIP_N = 384e-9
 _XY_MOST_M = 5.0e-5
 _NAMES = [f"Input {index + 1} (V)" for index in range(128)]
@@ -53,21 +53,21 @@ _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_STARTS = 2
 _LOG_IDLE = 1
 _LOG_RUNS = 4
-# At most this number of frames wait for a reader.
+# Largest number of frames that wait for a reader.
 _MOST_LOGGED = 4096
 
 
 class CommandRefusedError(Exception):
-    """What the controller answers with an error block."""
+    """The controller refuses a command, which it answers with an error block."""
 
 
 class NanonisModel:
     """The controller.
 
     Args:
-        afm: The instrument, opened.
+        afm: The opened instrument.
         tap_s: The period with which values are published [s].
-        now_ns: When it begins [ns].
+        now_ns: The time at which the controller begins [ns].
     """
 
     def __init__(self, afm: AfmDriver, *, tap_s: float = TAP_S, now_ns: int = 0) -> None:
@@ -99,19 +99,19 @@ class NanonisModel:
         self._sum_v, self._count = 0.0, 0
         self.log = Logger()
         self._bridge_v = 0.0
-        # This is what the external input adds to the base, towards the sample.
+        # Base position that the external input adds, towards the sample [m].
         self._external_m = 0.0
         self._move_z(self.z_m)
         self._published = self._now_values()
 
     def pass_time(self, now_ns: int) -> None:
-        """Do what the real-time engine does until now [ns]."""
+        """Make the steps of the real-time engine until now_ns [ns]."""
         while now_ns - self._stepped_ns >= STEP_NS:
             self._stepped_ns += STEP_NS
             self._step()
 
     def serve(self, frame: bytes, now_ns: int) -> bytes | None:
-        """Return the answer to a request, None where none is wanted."""
+        """Return the answer to a request, or None if the request wants none."""
         self.pass_time(now_ns)
         asked = nanonis_wire.parse_request(frame)
         spelt = nanonis_wire.known(asked.command)
@@ -129,15 +129,15 @@ class NanonisModel:
                 values = self.respond(spelt, arguments)
                 answer = nanonis_wire.answer(asked.command, nanonis_wire.pack(returns, values))
             except (CommandRefusedError, WireError) as error:
-                # the return arguments are present, as zeros
+                # The return arguments are present, as zeros.
                 answer = nanonis_wire.answer(asked.command, _zeros(returns), f"Error in command: {lower}: {error}")
         return answer if asked.answers else None
 
     def respond(self, command: str, arguments: list[Any]) -> list[Any]:
-        """Do a command and return its values.
+        """Carry out a command and return its values.
 
         Raises:
-            CommandRefusedError: The controller does not do it.
+            CommandRefusedError: The controller refuses it.
         """
         if self.locked and not command.endswith("Get"):
             raise CommandRefusedError(self.locked)
@@ -214,7 +214,7 @@ class NanonisModel:
         return [2 * _XY_MOST_M, 2 * _XY_MOST_M, 2 * _Z_MOST_M]
 
     def _safetip_onoffset(self, mode: int) -> None:
-        # set with 1 and 2, and read as 1 and 0
+        # On and off are set as 1 and 2, but read as 1 and 0.
         self.safe_tip = self.safe_tip if mode == 0 else mode == 1
 
     def _safetip_onoffget(self) -> list[Any]:
@@ -226,7 +226,7 @@ class NanonisModel:
     def _scan_bufferset(self, channels: list[int], pixels: int, lines: int) -> None:
         if not channels or not all(0 <= channel < len(_NAMES) for channel in channels):
             raise CommandRefusedError("The channels are out of range.")
-        # pixels are coerced to packets of 16
+        # Pixels are rounded down to packets of 16.
         self._values["Scan.Buffer"] = [channels, max(16, pixels // 16 * 16), min(max(lines, 1), 4096)]
 
     def _scan_action(self, action: int, up: int) -> None:
@@ -320,7 +320,7 @@ class NanonisModel:
         return sample
 
     def drive_external(self, base_m: float) -> AfmSample:
-        """Add a base position to that of the z piezo, as the external input does at once; return what is measured."""
+        """Add a base position [m] to that of the z piezo, as the external input does at once; return the sample."""
         self._external_m = base_m
         return self._exchange()
 
@@ -330,7 +330,7 @@ class NanonisModel:
 
 
 class ExternalInput:
-    """The external input of a controller and the output of its deflection, as what is behind the converters of a T7.
+    """The external input of a controller and the output of its deflection, as the plant behind the converters of a T7.
 
     Args:
         model: The controller.
@@ -344,15 +344,15 @@ class ExternalInput:
 
 
 class Scan:
-    """An image under way: its frames, forward and backward, by channel [lines, pixels]; NaN where it has not been.
+    """An image under way: its frames by channel, shape (2, lines, pixels), forward and backward; NaN where not scanned.
 
     Args:
-        channels: The channels that are kept.
-        pixels: The pixels of a line.
-        lines: The lines.
+        channels: The recorded channels.
+        pixels: The number of pixels of a line.
+        lines: The number of lines.
         forward_s: The time of a line forward [s].
         backward_s: The time of a line backward [s].
-        up: Whether it goes from the lower edge upwards.
+        up: Whether the scan goes upwards from the lower edge.
     """
 
     def __init__(
@@ -364,7 +364,7 @@ class Scan:
         self._line, self._way, self._elapsed_s = 0, 0, 0.0
 
     def step(self, frame: list[float], values: dict[int, float]) -> tuple[float, float]:
-        """Keep what is measured where the tip is, and return where it goes [m]."""
+        """Record the values at the present pixel, advance by a step, and return x and y of the tip [m]."""
         share = min(self._elapsed_s / self._line_s[self._way], 1.0)
         along = share if self._way == 0 else 1.0 - share
         pixel = min(int(along * self._pixels), self._pixels - 1)
@@ -396,12 +396,12 @@ class Logger:
         self._frames: list[bytes] = []
 
     def start(self) -> None:
-        """Begin; the first frame is the list of the signals in its columns."""
+        """Begin; the first frame lists the signals of the columns."""
         self.state, self._counter, self._skipped = _LOG_RUNS, 0, 0
         self._frames = [self._frame(_LOG_STARTS, [float(channel) for channel in self.channels])]
 
     def step(self, values: dict[int, float]) -> None:
-        """Keep a frame, if one is due; the oldest go where none is read."""
+        """Append a frame if one is due; the oldest unread frames are dropped."""
         if self.state != _LOG_RUNS:
             return
         self._skipped += 1

@@ -1,12 +1,12 @@
-"""Messages of the TCP programming interface of Nanonis: a header of 40 bytes, then arguments; all of it big-endian.
+"""Messages of the TCP programming interface of Nanonis as bytes and back: header of 40 bytes, arguments; big-endian.
 
     command (32 bytes, ASCII, NUL), body size (int32), send a response (uint16), zero (uint16), body
 
 An answer repeats the command, and its body has the return arguments and then an error block: status (uint32), length of
 the text (int32), text. Letters of the layouts here: H uint16, i int32, I uint32, f float32, d float64, s text (int32
 length, bytes), S array of texts (int32 bytes in all, int32 count, texts), n with a letter, such as nf: int32 count and
-this number of numbers, M matrix (int32 rows, int32 columns, float32 by rows). A text or an array is as long as it says,
-so each is compared with the length of its message.
+this many numbers, M matrix (int32 rows, int32 columns, float32 by rows). Texts and arrays state their own length, which
+is therefore checked against the length of the message.
 """
 
 import re
@@ -22,7 +22,7 @@ HEADER = struct.Struct(">32siHH")
 _ERROR = struct.Struct(">Ii")
 _MOST_NAMES = 4096
 _NAME = re.compile(rb"[A-Za-z0-9]+\.[A-Za-z0-9]+")
-# command: layout of its arguments, layout of what it returns
+# Command: layout of its arguments, layout of its return values.
 COMMANDS: dict[str, tuple[str, str]] = {
     "Signals.NamesGet": ("", "S"),
     "Signals.ValGet": ("i I", "f"),
@@ -79,11 +79,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class NanonisRefusalError(Exception):
-    """The controller has answered with an error; the message is its own."""
+    """The controller has answered with an error; the message is that of the controller."""
 
 
 class Request(NamedTuple):
-    """A request as a server reads it: the command as it was spelt, its arguments, and whether an answer is wanted."""
+    """A request as a server reads it: the command as spelt, its packed arguments, and whether an answer is wanted."""
 
     command: str
     body: bytes
@@ -91,7 +91,7 @@ class Request(NamedTuple):
 
 
 def known(command: str) -> str | None:
-    """Return a command as it is spelt in the table, whose case does not matter to a server; None where it is not."""
+    """Return a command in the spelling of `COMMANDS`, ignoring case as a server does; None if it is unknown."""
     return _SPELT.get(command.lower())
 
 
@@ -110,19 +110,19 @@ def cut(stream: bytes) -> int:
 
 
 def request(command: str, *arguments: Any) -> bytes:
-    """Return a request that wants an answer."""
+    """Return the bytes of a request that wants an answer."""
     body = pack(COMMANDS[command][0], arguments)
     return HEADER.pack(command.encode(), len(body), 1, 0) + body
 
 
 def parse_request(frame: bytes) -> Request:
-    """Return a request that has come; WireError where its name is no text."""
+    """Return the request in a frame that `cut` has accepted."""
     name, _, answers, _ = HEADER.unpack_from(frame)
     return Request(name.rstrip(b"\0").decode("ascii"), frame[HEADER.size :], answers == 1)
 
 
 def answer(command: str, returned: bytes, error: str = "") -> bytes:
-    """Return an answer of a server: the command as it was asked, packed return arguments, and the error block."""
+    """Return the bytes of an answer: the command as it was spelt, packed return arguments, and the error block."""
     text = error.encode()
     body = returned + _ERROR.pack(1 if error else 0, len(text)) + text
     return HEADER.pack(command.encode(), len(body), 0, 0) + body
@@ -133,13 +133,13 @@ def returned(command: str, frame: bytes) -> list[Any]:
 
     Raises:
         NanonisRefusalError: The controller reports an error.
-        WireError: The answer is to another command, or is not laid out as the command's are.
+        WireError: The answer is to another command, or does not have the layout of the command.
     """
     name = HEADER.unpack_from(frame)[0].rstrip(b"\0").decode("ascii", "replace")
     if name.lower() != command.lower():
         raise WireError(f"an answer to {name} came, {command} was asked")
     body, layout = frame[HEADER.size :], COMMANDS[command][1]
-    # an error may come with return arguments, without them, or with eight bytes more
+    # An error may come with return arguments, without them, or with eight bytes more.
     try:
         values, end = unpack(layout, body)
     except WireError:
@@ -156,7 +156,7 @@ def returned(command: str, frame: bytes) -> list[Any]:
 
 
 def _error_at(body: bytes, start: int) -> str | None:
-    """Return the text of an error block that begins there and ends the body; None where there is none."""
+    """Return the text of an error block from `start` to the end of the body, empty for no error; None if it is none."""
     if start + _ERROR.size > len(body):
         return None
     status, size = _ERROR.unpack_from(body, start)
@@ -167,7 +167,7 @@ def _error_at(body: bytes, start: int) -> str | None:
 
 
 def pack(layout: str, values: Sequence[Any]) -> bytes:
-    """Return values as bytes, by the letters of the module."""
+    """Return values as bytes, by a layout of the letters of this module."""
     return b"".join(_packed(letter, value) for letter, value in zip(layout.split(), values, strict=True))
 
 
@@ -187,7 +187,7 @@ def _packed(letter: str, value: Any) -> bytes:
 
 
 def unpack(layout: str, body: bytes) -> tuple[list[Any], int]:
-    """Return values out of bytes, by the letters of the module, and where they end; WireError where they go beyond."""
+    """Return the values in a body, by a layout, and the index of their end; raise WireError if it is too short."""
     values: list[Any] = []
     at = 0
     try:
@@ -213,7 +213,7 @@ def _unpacked(letter: str, body: bytes, at: int) -> tuple[Any, int]:
         end = _within(at, count, 1, struct.calcsize(f">{letter[1]}"), body)
         return list(struct.unpack_from(f">{count}{letter[1]}", body, at)), end
     if letter == "S":
-        # the bytes in all are not believed: a client sends four for each text
+        # The stated number of bytes is ignored, because some clients count only four for each text.
         (count,) = struct.unpack_from(">i", body, at + 4)
         _within(0, count, 1, 0, body)
         texts, at = [], at + 8
@@ -225,7 +225,7 @@ def _unpacked(letter: str, body: bytes, at: int) -> tuple[Any, int]:
 
 
 def _within(at: int, rows: int, columns: int, size: int, body: bytes) -> int:
-    """Return where this number of values end; WireError where there are fewer bytes, or a count is none."""
+    """Return the index at which rows x columns values end; raise WireError for too few bytes or an impossible count."""
     end = at + rows * columns * size
     if rows < 0 or columns < 0 or end > len(body) or (size == 0 and rows > _MOST_NAMES):
         raise WireError(f"{rows} x {columns} values do not fit into a body of {len(body)} bytes")

@@ -1,4 +1,4 @@
-"""`telenano device simulate t7`: the model of a LabJack T7, served from this terminal."""
+"""`telenano device simulate t7`: serves the model of a LabJack T7 from this terminal."""
 
 import asyncio
 import logging
@@ -44,7 +44,7 @@ def simulate_t7(
                 calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, 1e-9 * travel)
             )
         run_ahead()
-        # pymodbus shows the last bytes of every connection that ends as an error.
+        # pymodbus would report the end of every connection as an error.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
             serve_t7(
@@ -60,19 +60,19 @@ def simulate_t7(
 def t7_in_front_of(
     driven: Any, calibration: Path, behind: SimulatedAfm, where: tuple[str, int], on_ready: Callable[[], None]
 ) -> Coroutine[Any, Any, None]:
-    """Return what serves a model of a LabJack T7 whose output drives a part, and write its calibration file.
+    """Return the coroutine that serves a model of a LabJack T7 in front of a plant, and write its calibration file.
 
     Args:
-        driven: What is driven, such as the external input of a controller; it has the shape of an instrument.
+        driven: The plant that the output drives (`BridgePlant`), such as the external input of a controller.
         calibration: The file to write.
-        behind: The instrument behind it.
+        behind: The instrument behind the plant, whose scales the calibration gets.
         where: The address and TCP port to serve on.
-        on_ready: Called once the port is bound.
+        on_ready: The function that is called once the port is bound.
     """
     from telenano_devices.t7.t7_model import T7Model, calibration_of
     from telenano_devices.t7.t7_server import serve_t7
 
     write_document(calibration, calibration_of(behind.volts_per_m, behind.stiffness_n_per_m, *where))
-    # pymodbus shows the last bytes of every connection that ends as an error.
+    # pymodbus would report the end of every connection as an error.
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
     return serve_t7(T7Model(driven, noise_v=1e-6), *where, 0.2e-3, on_ready)

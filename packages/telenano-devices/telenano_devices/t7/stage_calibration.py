@@ -1,9 +1,9 @@
 """Calibration of a stage and its deflection: travel of the stage by a gauge, and the deflection on a hard sample.
 
-On a sample that is much stiffer than the cantilever the tip stands still, and the cantilever bends by what the base
-moves: the slope of input voltage against base position is the sensitivity of the deflection. A sample of stiffness
-k_s takes k / (k + k_s) of it. The driver of the instrument does the moving, so its identity is checked, its watchdog
-and its heartbeat are in force, and it retracts whatever happens.
+On a sample that is much stiffer than the cantilever the tip stands still, and the cantilever bends by the motion of the
+base: the slope of input voltage against base position is the sensitivity of the deflection. A sample of stiffness k_s
+reduces it by the share k / (k + k_s). The driver of the instrument moves the base, so its identity is checked, its
+watchdog and its heartbeat act, and it retracts in any case.
 """
 
 import math
@@ -14,10 +14,10 @@ from telenano.devices import InstrumentCalibration
 from telenano.extend.instruments import AfmDriver, DeviceError
 from telenano_devices.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
-# The tip touches when the deflection departs by more than this number of times the noise of the free cantilever.
+# The tip touches when the deflection departs by more than this multiple of the noise of the free cantilever.
 _DEPARTURE = 8.0
 _FREE_POINTS = 8
-# Snap-in and adhesion come first, and are no line.
+# Share of the touching points, the last ones, that is fitted: snap-in and adhesion come first and are no line.
 _USED_SHARE = 0.6
 _LEAST_POINTS = 6
 _MOST_INPUT = 0.9
@@ -25,7 +25,7 @@ _SETTLE_TICKS = 20
 
 
 class InputSensitivity(NamedTuple):
-    """What pressing gave: volts of the input for a metre, with standard error, and the input of a free cantilever."""
+    """Result of pressing: input per deflection [V/m] with its standard error, the free input [V], number of points."""
 
     v_per_m: float
     standard_error_v_per_m: float
@@ -34,12 +34,12 @@ class InputSensitivity(NamedTuple):
 
 
 class Mover:
-    """Moves an instrument step by step and takes means; `wait` passes a period of the loop, as a node does.
+    """Moves an instrument step by step and takes means.
 
     Args:
-        driver: The driver of the instrument, open.
+        driver: The opened driver of the instrument.
         calibration: A provisional calibration, whose scales are being determined.
-        wait: Lets a period of the loop pass.
+        wait: The function that lets a period of the loop pass, as a node does.
         samples: The number of samples for each point.
     """
 
@@ -53,7 +53,7 @@ class Mover:
         self._driver, self._calibration, self._wait, self._samples = driver, calibration, wait, samples
 
     def settle(self, output_v: float) -> None:
-        """Go to a voltage of the output [V] and wait until it is there.
+        """Set the output to a voltage [V], and wait until it is reached.
 
         Raises:
             DeviceError: The device is lost.
@@ -63,7 +63,7 @@ class Mover:
             self.hold(output_v)
 
     def hold(self, output_v: float) -> float:
-        """Hold a voltage for a period; return the input [V]."""
+        """Hold the output at a voltage [V] for a period; return the input [V]."""
         self._wait()
         sample = self._driver.exchange(self._calibration.base_m(output_v))
         report = self._driver.report
@@ -73,19 +73,23 @@ class Mover:
 
     @property
     def output_v(self) -> float:
-        """Return the voltage of the output as it was read back [V]."""
+        """Return the voltage read back from the output [V]."""
         report = self._driver.report
         return report.output_v if report is not None else 0.0
 
     def point(self, output_v: float) -> tuple[float, float, float]:
-        """Go to a voltage; return that of the output, read back, the mean of the input and its standard error [V]."""
+        """Go to a voltage [V]; return the output as read back, the mean of the input, and its standard error [V]."""
         self.settle(output_v)
         readings = [self.hold(output_v) for _ in range(self._samples)]
         return self.output_v, *mean_of(readings)
 
 
 def fit_travel(outputs_v: Sequence[float], gauges_m: Sequence[float], output_step_v: float) -> LineFit:
-    """Return the travel of the stage for a volt from readings of a gauge [m], towards the sample > 0."""
+    """Return the travel of the stage per volt, by a fit to readings of a gauge [m], towards the sample > 0.
+
+    Raises:
+        CalibrationError: The points are on no line, or a higher voltage moves the stage away from the sample.
+    """
     errors = [output_step_v / math.sqrt(12.0)] * len(outputs_v)
     fit = fit_line("travel of the stage", outputs_v, errors, gauges_m)
     if fit.scale <= 0.0:
@@ -100,16 +104,16 @@ def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press
     """Press the tip onto a hard sample and return the sensitivity of the deflection; the tip is retracted afterwards.
 
     Args:
-        mover: Moves the instrument.
+        mover: The mover of the instrument.
         calibration: The calibration that has the travel of the stage.
         step_v: The step between two points [V].
-        press_m: How far the base goes beyond the first touch [m].
+        press_m: The motion of the base beyond the first touch [m].
 
     Raises:
         CalibrationError: There is no sample within the travel, or the points are on no line.
     """
     stage = calibration.stage
-    # a driver that was opened stays retracted until it is commanded to
+    # After it was opened, a driver stays retracted until it is once commanded to be retracted.
     mover.settle(stage.retract_v)
     try:
         return _pressed(mover, calibration, step_v, press_m)
@@ -151,7 +155,7 @@ def _pressed(mover: Mover, calibration: InstrumentCalibration, step_v: float, pr
 
 
 def _departs(free: Sequence[tuple[float, float, float]], point: tuple[float, float, float]) -> bool:
-    """Return whether a point is off the line of the free ones, which may drift: a stage tilts the light."""
+    """Return whether a point is off the line of the free points, which may have a slope, as a stage tilts the light."""
     first, last = free[0], free[-1]
     slope = (last[1] - first[1]) / (last[0] - first[0]) if last[0] != first[0] else 0.0
     expected = last[1] + slope * (point[0] - last[0])

@@ -1,4 +1,4 @@
-"""`telenano device calibrate stage`: measure an instrument behind converters, step by step."""
+"""`telenano device calibrate stage`: measures an instrument behind converters, step by step."""
 
 import threading
 import time
@@ -59,7 +59,7 @@ def calibrate_stage(
             "network": {"host": host, "port": port},
             "stage": {
                 "dac": dac,
-                # The scale is not known yet: metres are volts until the gauge was read.
+                # The scale is not known yet: until the gauge is read, 1 um stands for 1 V.
                 "m_per_v": 1e-6,
                 "rest_v": rest,
                 "retract_v": 0.0,
@@ -90,7 +90,7 @@ def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
     found_v: list[float] = []
     gauges_m: list[float] = []
     try:
-        # a driver that was opened stays retracted until it is commanded to
+        # After it was opened, a driver stays retracted until it is once commanded to be retracted.
         mover.settle(document["stage"]["retract_v"])
         _ask(mover, document["stage"]["retract_v"], "lift the tip off the sample and set up the gauge, then Enter", "")
         for output_v in outputs:
@@ -130,7 +130,7 @@ def _metres(text: str) -> float:
 
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
-    """Return an open driver, what moves it, and the provisional calibration of both."""
+    """Return an open driver, its mover, and the provisional calibration of both."""
     from telenano.devices import InstrumentCalibration, ModbusAfm
     from telenano.sections import AfmConfig
     from telenano.settings import validate
@@ -153,7 +153,7 @@ def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
 
 
 def _ask(mover: Any, output_v: float, text: str, default: str | None) -> str:
-    """Ask a person, and hold the output meanwhile: without requests the device would retract."""
+    """Return a person's answer, holding the output at output_v [V] meanwhile: without requests it would retract."""
     answers: list[str | Exception] = []
 
     def ask() -> None:
@@ -162,7 +162,7 @@ def _ask(mover: Any, output_v: float, text: str, default: str | None) -> str:
         except (typer.Abort, EOFError, OSError, ValueError) as error:
             answers.append(error)
 
-    # The thread is a daemon, because Ctrl-C must retract and end whatever the prompt waits for.
+    # The thread is a daemon, because Ctrl-C must retract and end the program while the prompt waits.
     threading.Thread(target=ask, daemon=True).start()
     while not answers:
         mover.hold(output_v)

@@ -1,4 +1,4 @@
-"""A wire between the driver of the stage and the T7 model in virtual time, whose bytes a test can replace."""
+"""A wire in virtual time between the driver of the stage and the T7 model; a test can replace its bytes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,13 +18,13 @@ PARAMS = AfmConfig().to_params()
 
 
 def calibration(**changes: Any) -> InstrumentCalibration:
-    """Return the calibration of the emulated stage, with some changes."""
+    """Return the calibration of the emulated stage, with changes to some keys."""
     document = merge(calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m), changes)
     return validate(InstrumentCalibration, document, "stage.yaml")
 
 
 class StageLine(RequestLine):
-    """A wire to the T7 model, whose `respond` a test may replace: what the device does with a request.
+    """A wire to the T7 model; a test may replace `respond`, the function that answers a request.
 
     Args:
         calibrated: The calibration of the driver; None for that of the emulated stage.

@@ -1,6 +1,6 @@
-"""A LabJack T7 with a stage and a deflection behind it: registers, converters, watchdog, and the compiled AFM.
+"""A model of a LabJack T7 with a stage and a deflection: registers, converters, watchdog, and the compiled AFM.
 
-Time is passed in, so that a test runs it in virtual time; `t7_server` puts it behind a Modbus server.
+The caller passes the time, so that a test can run it in virtual time; `t7_server` puts it behind a Modbus server.
 """
 
 import random
@@ -42,9 +42,9 @@ _LUA_SIZE = 6012
 _LUA_SOURCE = 6014
 _LUA_SAVE = 6032
 _LUA_RUN_DEFAULT = 6100
-# The script runs at this interval.
+# Interval at which the script runs.
 _SCRIPT_STEP_NS = 5_000_000
-# address, form, value at power-up
+# Address, struct format and value at power-up.
 _REGISTERS: tuple[tuple[int, str, float], ...] = (
     (_AIN0, ">f", 0.0),
     (_DAC0, ">f", 0.0),
@@ -83,16 +83,16 @@ class RegisterError(ValueError):
 
 
 class BridgePlant(Protocol):
-    """What is behind the converters: a base that moves, and the voltage of a bridge."""
+    """The plant behind the converters: a base that moves, and the voltage of a bridge."""
 
     def exchange(self, base_m: float) -> AfmSample: ...
 
 
 class BridgedSpring:
-    """The spring of the theory of delay, seen by the bridge of a cantilever: zeta = F / k.
+    """The spring of the theory of delay, read by the bridge of a cantilever: zeta = F / k.
 
     Args:
-        spring: The spring, opened.
+        spring: The opened spring.
         volts_per_n: The voltage of the bridge for a force on the tip [V/N].
     """
 
@@ -129,7 +129,7 @@ class T7Model:
     """The device.
 
     Args:
-        afm: The instrument, opened, whose base the output moves and whose bridge voltage the input reads.
+        afm: The opened instrument; the output moves its base, and the input reads its bridge voltage.
         noise_v: The standard deviation of a reading [V].
         output_step_v: The step of the output [V], by default that of a converter of 12 bits.
         m_per_v: The travel of the stage for a volt [m/V].
@@ -147,7 +147,7 @@ class T7Model:
         self._afm, self._noise_v, self._random = afm, noise_v, random.Random(1)
         self._words: dict[int, int] = {}
         self._forms = {address: form for address, form, _ in _REGISTERS}
-        # a wrong device swaps the words of a number
+        # Whether the device swaps the words of a number, as a wrong device does.
         self._word_swapped = False
         self._heard_ns = 0
         self.trips = 0
@@ -169,7 +169,7 @@ class T7Model:
         return float(struct.unpack(form, struct.pack(f">{len(words)}H", *words))[0])
 
     def pass_time(self, now_ns: int) -> None:
-        """Let script and watchdog judge the silence until now [ns]: the watchdog sets DAC0 after whole seconds."""
+        """Let script and watchdog judge the silence until now_ns [ns]; the watchdog sets DAC0 after whole seconds."""
         self.script.pass_time(now_ns)
         limit_ns = self.value(_WATCHDOG_S) * 1e9
         if self.value(_WATCHDOG) == 1.0 and self._heard_ns and now_ns - self._heard_ns > limit_ns:
@@ -213,20 +213,20 @@ class T7Model:
         if address in (_LUA_RUN, _LUA_SIZE, _LUA_SAVE):
             self.script.control(address, value, now_ns)
         if _WATCHDOG < address <= _WATCHDOG_DAC0 + 1 and self.value(_WATCHDOG) == 1.0:
-            # its settings may change only while it is off
+            # The settings of the watchdog may change only while it is off.
             raise RegisterError(ILLEGAL_VALUE)
         self.flash_writes += address >= _WATCHDOG or address in (_LUA_SAVE, _LUA_RUN_DEFAULT)
         self.set_value(address, value)
 
     def set_value(self, address: int, value: float) -> None:
-        """Set a register as the device itself does."""
+        """Set a register as the device itself would, without access checks."""
         if address == _DAC0:
             self._move(value)
         else:
             self._put(address, value)
 
     def feedback(self, request: FeedbackRequest, now_ns: int) -> list[int]:
-        """Carry out the frames of function 76 in order; return what was read."""
+        """Carry out the frames of function 76 in order; return the registers that were read."""
         answer: list[int] = []
         for address, count, words in request.operations:
             if words:
@@ -258,9 +258,9 @@ class T7Model:
 
 
 class HeartbeatScript:
-    """What the heartbeat script of the maps does on the device, at its pace; another script does nothing here.
+    """The behaviour of the heartbeat script of the maps on the device, at its pace; any other script does nothing.
 
-    Loading is that of a device: a script that is cut, or of another size than was announced, does not run.
+    As on a device, a script that is cut, or of another size than announced, does not run.
     """
 
     def __init__(self, model: T7Model) -> None:
@@ -302,7 +302,7 @@ class HeartbeatScript:
                 self._stepped_ns = now_ns
 
     def pass_time(self, now_ns: int) -> None:
-        """Do the steps until now [ns]."""
+        """Make the steps that are due until now_ns [ns]."""
         while self._stepped_ns is not None and now_ns - self._stepped_ns >= _SCRIPT_STEP_NS:
             self._stepped_ns += _SCRIPT_STEP_NS
             self._step()

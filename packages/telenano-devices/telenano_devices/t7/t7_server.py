@@ -1,4 +1,4 @@
-"""The T7 model behind a Modbus TCP server of pymodbus: a process of its own, as a device on the network is."""
+"""Serves the T7 model by a Modbus TCP server of pymodbus, in a process of its own like a device on the network."""
 
 import asyncio
 import contextlib
@@ -18,12 +18,12 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from telenano.devices import FeedbackRequest
 from telenano_devices.t7.t7_model import RegisterError, T7Model
 
-# the step of a script on the device
+# The step of a script on the device.
 _WATCH_S = 0.005
 
 
 def served_requests(serve: Callable[[ModbusPDU], ModbusPDU]) -> list[type[ModbusPDU]]:
-    """Return the requests that the device knows, each answered by `serve`."""
+    """Return the classes of requests that the device knows, each answered by `serve`."""
 
     async def update(request: ModbusPDU, context: object, device_id: int) -> ModbusPDU:
         return serve(request)
@@ -33,7 +33,7 @@ def served_requests(serve: Callable[[ModbusPDU], ModbusPDU]) -> list[type[Modbus
 
 
 def respond(model: T7Model, request: ModbusPDU, now_ns: int) -> ModbusPDU:
-    """Return the answer of the device, an exception among them."""
+    """Return the answer of the device, which may be a Modbus exception."""
     try:
         if isinstance(request, FeedbackRequest):
             return request.answered(model.feedback(request, now_ns))
@@ -51,22 +51,22 @@ async def serve_t7(
     """Serve the model until the task is cancelled.
 
     Args:
-        model: The device that is served.
+        model: The device to serve.
         host: The address to listen at.
         port: The TCP port to listen at.
         latency_s: The time that the device takes for a request [s], as a T7 on Ethernet does.
-        on_ready: Called once the port is bound.
+        on_ready: The function that is called once the port is bound.
 
     Raises:
         OSError: The address cannot be bound.
     """
 
     def serve(request: ModbusPDU) -> ModbusPDU:
-        # the timers of asyncio have steps of a millisecond, and the device does nothing else meanwhile
+        # The timers of asyncio have steps of a millisecond, and the device does nothing else meanwhile.
         time.sleep(latency_s)
         return respond(model, request, time.monotonic_ns())
 
-    # the registers of the model stand outside of pymodbus' own store, which wants at least one
+    # The registers of the model are not in pymodbus' own store, which needs at least one register.
     store = SimDevice(id=0, simdata=[SimData(0, values=0, datatype=DataType.REGISTERS)])
     server = ModbusTcpServer(store, address=(host, port), custom_pdu=served_requests(serve))
     await server.serve_forever(background=True)

@@ -1,1 +1,1 @@
-"""3D Systems' Touch, by OpenHaptics."""
+"""Driver of 3D Systems' Touch, by OpenHaptics."""

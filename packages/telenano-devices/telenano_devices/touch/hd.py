@@ -1,8 +1,8 @@
-"""3D Systems' Touch and its relatives, by OpenHaptics' libHD.
+"""Driver of 3D Systems' Touch and its relatives, by OpenHaptics' libHD.
 
 The scheduler of the library has a thread of its own, and calls back 500 or 1000 times a second; the coupling runs in
-that callback, inside one frame of the library. Errors are on a stack, which is emptied after each frame. The library is
-loaded once and never unloaded, which its users found to fail.
+that callback, inside one frame of the library. The library keeps its errors on a stack, which the driver empties after
+each frame. The library is loaded once and never unloaded, because its users found that unloading fails.
 
 The device has +x to the right, +y up and +z towards the person, in mm.
 """
@@ -27,29 +27,29 @@ _USABLE = 0x2551
 _STYLE = 0x2555
 _STIFFNESS_N_PER_MM = 0x2602
 _MAX_FORCE_N = 0x2603
-# The capability of libHD that lets motors render a force.
+# The capability of libHD by which the motors render a force.
 _FORCE_OUTPUT = 0x4000
 # States of the calibration that the driver acts on.
 _CALIBRATED = 0x5000
 _NEEDS_UPDATE = 0x5001
-# The handle that stands for no device.
+# The handle that means no device.
 _INVALID = 0xFFFFFFFF
-# A callback returns one of these to be called again, or not.
+# Results of a callback: call it again, or not.
 _CONTINUE = 1
 _DONE = 0
 # The priority of the callback in the scheduler of the library, its highest.
 _PRIORITY = 65_535
-# The driver looks at this interval whether the library's scheduler has called.
+# Interval of the looks whether the library's scheduler has called back.
 _WAIT_S = 0.01
-# The scheduler has stopped when it has not called in this number of looks, one after the other: 50 ms. A process that
-# stood still as a whole has missed one look.
+# The scheduler counts as stopped after this many looks in a row without a call: 50 ms. A stall of the whole process
+# costs only one look.
 _SILENT_LOOKS = 5
-# The first call, and one that is not over, may take this number of looks.
+# The first call, and a call that has not returned, may take this many looks.
 _PATIENT_LOOKS = 50
 _MM = 1e-3
-# Forces are limited to this share of the most that the device takes, so that rounding does not exceed it.
+# Forces are limited to this share of the device's greatest force, so that rounding does not exceed it.
 _NEARLY = 1.0 - 1e-6
-# What CHAI3D declares for the Touch.
+# The damping that CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0
 
 
@@ -83,7 +83,7 @@ class HdWire(LibraryWire):
 
     library = LIBRARY
     frame = Frame("x -z y")
-    # the emulated Touch of the tests
+    # Mechanics of the emulated Touch of the tests.
     arm = Mechanics(mass_kg=0.045, damping_n_s_per_m=0.05)
     name = "the Touch"
 
@@ -94,10 +94,14 @@ class HdWire(LibraryWire):
         self._force, self._buttons = (ctypes.c_double * 3)(), ctypes.c_int()
 
     def run(self, turn: Turn) -> None:
-        """Let the library's scheduler call `turn`, and wait until that or a fault ends it."""
+        """Let the library's scheduler call `turn`, and wait until `turn` or a fault ends it.
+
+        Raises:
+            DeviceError: The device is not open, the scheduler has stopped, or a call has failed.
+        """
         if self._lib is None:
             raise DeviceError(f"{self.name} is not open")
-        # None where the servo has ended, or what the last call raised
+        # One element at the end: None if the servo has ended, or the exception of the last call.
         ends: list[BaseException | None] = []
         begun, done = [0], [0]
 
@@ -108,7 +112,7 @@ class HdWire(LibraryWire):
                     return _CONTINUE
                 ends.append(None)
             except BaseException as fault:  # noqa: BLE001
-                # It must not pass through the library's thread, and is raised again in this one.
+                # The exception must not pass through the library's thread; it is raised again in this one.
                 ends.append(fault)
             finally:
                 done[0] += 1
@@ -122,11 +126,11 @@ class HdWire(LibraryWire):
             seen = silent = 0
             while not ends:
                 self._sleep(_WAIT_S)
-                # A long call that has just ended is no silence: that counts from the last beginning or end of one.
+                # Silence counts from the last beginning or end of a call, so that a long call is none.
                 calls = begun[0] + done[0]
                 seen, silent = calls, silent + 1 if calls == seen else 0
                 if silent >= (_SILENT_LOOKS if 0 < begun[0] == done[0] else _PATIENT_LOOKS):
-                    # What follows closes the device, which sets no force from this thread.
+                    # The caller then closes the device, which sets zero force from this thread.
                     raise DeviceError(f"{self.name}: its scheduler has stopped (no call for {silent * _WAIT_S:g} s)")
         finally:
             self._lib.hdStopScheduler()
@@ -135,7 +139,7 @@ class HdWire(LibraryWire):
             raise ends[0]
 
     def close(self) -> None:
-        """Set no force and give the device back; the library stays loaded."""
+        """Set zero force and release the device; the library stays loaded."""
         if self._lib is None or self._device == _INVALID:
             return
         self._lib.hdBeginFrame(self._device)
@@ -159,12 +163,12 @@ class HdWire(LibraryWire):
         left, low, far, right, high, near = (_MM * end for end in self._doubles(_USABLE, 6))
         (force_n,), (stiffness,) = self._doubles(_MAX_FORCE_N, 1), self._doubles(_STIFFNESS_N_PER_MM, 1)
         ends = (left, right), (-near, -far), (low, high)
-        # The library refuses more than its greatest force, which a clamp to just that passes by its last digit.
+        # The library refuses more than its greatest force, which a clamp to exactly that may exceed in its last digit.
         make = Declared(force_n * _NEARLY, stiffness / _MM, _DAMPING_N_S_PER_M, ends=ends)
         return self.declared(self.name, make, ("1", "2", "3", "4"), True)
 
     def _frame(self, turn: Turn) -> bool:
-        """Do one frame, which `read` begins; return whether there is to be another."""
+        """Process one frame, which `read` begins; return whether to continue."""
         try:
             continues = self.answered(turn)
         finally:
@@ -203,7 +207,7 @@ class HdWire(LibraryWire):
         return list(values)
 
     def _errors(self) -> list[int]:
-        """Return the errors on the library's stack, the newest first, and leave it empty."""
+        """Return the error codes on the library's stack, the newest first, and empty the stack."""
         codes: list[int] = []
         while self._lib is not None and (code := self._lib.hdGetError().code) and len(codes) < 100:
             codes.append(code)

@@ -1,4 +1,4 @@
-"""The driver of 3D Systems' Touch and its settings; its wire is imported in the process of the servo."""
+"""Declares the driver of 3D Systems' Touch and its settings; only the servo's process imports its wire."""
 
 from typing import Literal
 

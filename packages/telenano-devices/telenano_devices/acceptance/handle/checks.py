@@ -1,4 +1,4 @@
-"""What a take of a handle shows; what is missing may be a hand at it, or a mode that it does not have."""
+"""The checks of a take of a handle; a check that cannot judge names the reason, such as a missing hand or mode."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,26 +10,26 @@ from telenano_devices.acceptance.handle.take import ROW, STATUSES, Facts
 from telenano_devices.acceptance.take import PERIOD_S, Kind, Result, Rows, Take, drift, median_age, noise, passes
 
 # All tolerances are provisional until takes of real handles are there.
-# At most this share of the frames may be bad or missing.
+# The largest share of bad or missing frames.
 BAD_SHARE = 1e-3
-# The median age of a sample may exceed the declared latency by this.
+# The largest excess of the median age of a sample over the declared latency.
 AGE_S = 3e-3
-# A silence may last this long.
+# The longest silence.
 GAP_S = 0.05
-# Noise, drift and zero are those of the handle at rest, without a hand on it.
+# The limits of noise, drift and zero of the handle at rest, without a hand on it.
 NOISE_M = 5e-5
 DRIFT_M = 2e-4
 FORCE_NOISE_N = 0.05
 ZERO_N = 0.2
 # A push by less than this force says nothing about the sign of forces.
 FELT_N = 0.3
-# A way shorter than this says nothing about the sign of positions.
+# A motion shorter than this says nothing about the sign of positions.
 MOVED_M = 2e-4
-# The handle may be off its reference by this share of the amplitude of the motion.
+# The largest error of following, as a share of the amplitude of the motion.
 FOLLOW_SHARE = 0.2
-# The place of a held handle may swing faster than some 15 Hz by this, as a standard deviation.
+# The largest standard deviation of the position of a held handle above some 15 Hz.
 BUZZ_M = 1e-4
-# A held handle may give way by this, and by HELD_FACTOR times the force over its declared stiffness.
+# A held handle may yield by this plus HELD_FACTOR times the force over its declared stiffness.
 HELD_M = 1e-3
 HELD_FACTOR = 2.0
 _LOST = STATUSES.index("lost")
@@ -37,7 +37,7 @@ Check = Callable[[Take[Facts]], tuple[Result, str]]
 
 
 def _attached(take: Take[Facts]) -> Rows:
-    """Return the rows of the steps in which the handle is there and asked."""
+    """Return the rows of the steps in which the handle is attached and gets commands."""
     names = [step.name for step in take.steps]
     rows: Rows = take.rows[~np.isin(take.rows["step"], [names.index("silence"), names.index("cable")])]
     return rows

@@ -1,7 +1,7 @@
-"""The motion that a handle on a serial port is judged by, and the recording of it: a row a millisecond.
+"""The motion by which a handle on a serial port is judged, and its recording: one row a millisecond.
 
-It is read first; then it moves to and fro without a hand at it; then it holds its place against a hand, is left alone
-until its watchdog switches it off, and its cable is pulled out.
+The handle is first only read; then it moves to and fro without a hand; then it holds its position against a hand, gets
+no commands until its watchdog switches it off, and has its cable pulled out.
 """
 
 import math
@@ -38,11 +38,11 @@ _AMPLITUDE_M = 2e-3
 _SHARE = 0.2
 # The period of the motion of the step *follow*.
 _PERIOD_S = 3.0
-# The step *silence* runs for this time before the commands stop.
+# Time in the step *silence* before the commands stop.
 _BEFORE_S = 0.3
-# The silence lasts longer than the watchdog of the handle by this.
+# Time by which the silence exceeds the watchdog of the handle.
 _SPARE_S = 0.1
-# At most this number of messages of the driver are kept.
+# The largest number of messages of the driver that are kept.
 _MOST_MESSAGES = 16
 ROW = row_of(
     ("asked_m", "f8"),
@@ -59,11 +59,11 @@ ROW = row_of(
 
 
 class Facts(NamedTuple):
-    """What the checks need besides the rows.
+    """The inputs of the checks besides the rows.
 
-    device: what it declares; watchdog_s: silence after which it is off [s]; max_drive_n: the most that its drive may
-    give; amplitude_m: of the step *follow*; device_messages: what the driver reported was wrong, each once; stopped:
-    why the motion ended early.
+    device: its declared capabilities; watchdog_s: silence after which the drive is off [s]; max_drive_n: largest force
+    of the drive [N]; amplitude_m: amplitude of the step *follow* [m]; device_messages: faults that the driver reported,
+    each once; stopped: reason why the motion ended early.
     """
 
     device: Capabilities
@@ -82,22 +82,22 @@ class Facts(NamedTuple):
 
 
 def facts_of(driver: Any, calibration: HandleCalibration) -> Facts:
-    """Return what is known of a handle before a take; it is open."""
+    """Return the facts of an open handle before its take."""
     device: Capabilities = driver.capabilities
     reach_m = device.workspace_max_m - device.workspace_min_m
     return Facts(device, calibration.watchdog_s, calibration.max_force_n, min(_AMPLITUDE_M, _SHARE * reach_m))
 
 
 def record_take(driver: Any, facts: Facts, clock: Clock, guide: Guide = SILENT) -> Take[Facts]:
-    """Lead through the steps and record them; the handle is open, and stays so, with its drive off.
+    """Lead the person through the steps and record them; the handle must be open, and stays open with its drive off.
 
-    What ends the motion early is in the facts, and the take has what was recorded until then.
+    If the motion ends early, the facts give the reason and the take has the rows recorded until then.
 
     Args:
         driver: The handle, a `SerialHandle`.
-        facts: What is known of it beforehand.
+        facts: The facts known beforehand.
         clock: The clock of the handle.
-        guide: Leads the person.
+        guide: The guide of the person.
     """
     guide.met(facts.identity)
     recorder = Recorder(STEPS, clock, guide)
@@ -114,7 +114,7 @@ def record_take(driver: Any, facts: Facts, clock: Clock, guide: Guide = SILENT) 
 
 
 class _Motion:
-    """The steps, a row a millisecond."""
+    """Drives and records the steps, one row a millisecond."""
 
     def __init__(self, driver: Any, facts: Facts, recorder: Recorder, clock: Clock) -> None:
         self._driver, self._facts, self._recorder, self._clock = driver, facts, recorder, clock
@@ -129,7 +129,7 @@ class _Motion:
         self._driver.read(-1.0, PERIOD_S)
 
     def run(self, step: Step) -> None:
-        """Go through a step, and record it."""
+        """Drive the handle through a step, and record it."""
         home_m = self._tick(None).position_m
         self._session_s = 0.0 if step.name in ("push", "hold") else -1.0
         count = round(step.seconds / PERIOD_S)
@@ -146,7 +146,7 @@ class _Motion:
                 self._tick(None)
 
     def _tick(self, reference_m: float | None) -> Any:
-        """Send a place, or off, take what has come, and record it."""
+        """Send a position reference [m], or off for None, read the handle, record a row, and return the reading."""
         driver, recorder = self._driver, self._recorder
         recorder.wait()
         is_driven = reference_m is not None and self._can_drive

@@ -1,1 +1,1 @@
-"""The acceptance of a device that takes a force: one motion of a minute, and what it shows."""
+"""The acceptance of a device that takes a force: one motion of a minute, and the checks of its recording."""

@@ -1,4 +1,4 @@
-"""What a take of a device that takes a force shows; what is missing may be buttons, or what measures a force."""
+"""The checks of a take of a device that takes a force; a check names what it lacks, such as buttons or a mass."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,29 +18,29 @@ from telenano_devices.acceptance.take import PERIOD_S, Kind, Result, Rows, Take,
 from telenano_devices.impedance.coupling import CouplingSettings
 
 # All tolerances are provisional until takes of real devices are there.
-# The rate may differ from the declared one by this share.
+# The largest deviation from the declared rate, as a share of it.
 RATE_SHARE = 0.05
-# At most this share of the steps may be more than half a period late.
+# The largest share of steps that are more than half a period late.
 LATE_SHARE = 0.01
-# The median age of a sample.
+# The largest median age of a sample.
 AGE_S = 5e-3
-# A silence may last this long while the cable is plugged in.
+# The longest silence while the cable is plugged in.
 GAP_S = 0.05
-# Noise and drift are those of the handle at rest.
+# The limits of noise and drift of the handle at rest.
 NOISE_M = 5e-5
 DRIFT_M = 2e-4
 RESOLUTION_M = 1e-4
 # The motion must reach this share of the declared workspace on each axis.
 REACHED = 0.6
-# The motion may reach this share of the declared workspace; positions beyond it have a wrong scale.
+# A motion over more than this share of the declared workspace shows a wrong scale of positions.
 BEYOND = 1.05
-# A motion along an axis must have at least this share of its length along that axis.
+# The least share of a motion along an axis that must lie on that axis.
 AXIS_SHARE = 0.7
-# The force that holds a mass may differ from its weight by this share.
+# The largest deviation of the force that holds a mass from its weight, as a share of it.
 FORCE_SHARE = 0.1
 # A stiffness at which the held handle swings by more than this is too high for the device.
 BUZZ_M = 1e-4
-# The handle must move along a force by more than this.
+# The least motion of the handle along a force.
 MOVED_M = 2e-4
 
 Check = Callable[[Take[Facts]], tuple[Result, str]]
@@ -97,7 +97,7 @@ def _fresh(take: Take[Facts]) -> tuple[Result, str]:
 
 
 def _quiet(take: Take[Facts]) -> Rows | str:
-    """Return the places of the step *rest*, a sentence if the handle was moved."""
+    """Return the positions of the step *rest*, or a sentence if the handle was moved."""
     places: Rows = take.of("rest")["place_m"]
     return "the handle was moved in the step rest" if float(np.ptp(places, axis=0).max()) > 0.02 else places
 
@@ -123,7 +123,7 @@ def _um(values: list[float]) -> str:
 
 
 def _shares(take: Take[Facts]) -> list[float]:
-    """Return what was reached in the sweeps over what the device declares, on each axis."""
+    """Return the extent of the two sweeps over the declared workspace, for each axis."""
     places = np.concatenate((take.of("slow")["place_m"], take.of("fast")["place_m"]))
     (x0, x1), (y0, y1) = take.facts.device.lateral_m
     declared = [x1 - x0, y1 - y0, take.facts.device.workspace_max_m - take.facts.device.workspace_min_m]
@@ -160,7 +160,7 @@ def _sign(step: str, axis: int) -> Check:
 
 def _force_sign(take: Take[Facts]) -> tuple[Result, str]:
     rows = take.of("hold")
-    # In the second half the stiffness is raised, and a swing of the coupling may run against the force as well.
+    # Only the first half counts: with the raised stiffness of the second, the coupling may swing against the force.
     if (rows["gate"][: len(rows) // 2] == Gate.RUNAWAY).any():
         return "fail", Gate.RUNAWAY.text
     wrong: list[str] = []
@@ -216,7 +216,7 @@ def _stiffness(take: Take[Facts]) -> tuple[Result, str]:
 
 
 def _buzz_m(places: Rows) -> float:
-    """Return the swing of what is faster than some 15 Hz, one sigma [m]."""
+    """Return the standard deviation of the motion faster than some 15 Hz [m]."""
     width = 33
     if len(places) < 2 * width:
         return 0.0
@@ -260,7 +260,7 @@ def _deadman(take: Take[Facts]) -> tuple[Result, str]:
         return "fail", f"{take.facts.device.deadman} was never heard, while it had to be held: its grip may be asleep"
     if held.all() or not held.any():
         return "retake", f"{take.facts.device.deadman} was not both held and let go"
-    # a tenth of a second after it was let go there is no force, whatever it was
+    # A tenth of a second after the button was released there must be no force.
     late = np.convolve(~held, np.ones(101), mode="full")[: len(held)] >= 101
     driven = rows["gate"][late] == Gate.ACTIVE
     seen = bool((rows["gate"] == Gate.DEADMAN).any())

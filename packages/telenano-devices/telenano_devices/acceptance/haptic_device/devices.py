@@ -1,4 +1,4 @@
-"""The devices that a take can be made of, by the name of their driver."""
+"""Makes a take of a device that takes a force, chosen by the name of its driver."""
 
 import gc
 from collections.abc import Mapping
@@ -24,24 +24,24 @@ def make_take(
     faults: Mapping[str, Any] | None = None,
     guide: Guide = SILENT,
 ) -> Take[Facts]:
-    """Lead a person, or a simulated one, through the motion at the device that a section names.
+    """Lead a person, or a simulated one, through the motion at the device of a section, and return the take.
 
     Args:
         config: The section `haptic_node`.
-        mass_kg: Of the mass that is hung at the handle [kg]; 0.0 for none.
-        independent_stop: How the drives can be stopped without the computer; empty if they cannot.
-        pace: Stretches or shortens all steps.
-        faults: Those of `DeviceFaults` to put into a simulated device, by name.
-        guide: Leads the person.
+        mass_kg: The mass that is hung at the handle [kg]; 0.0 for none.
+        independent_stop: The way to stop the drives without the computer, in words; empty if there is none.
+        pace: The factor by which all steps are stretched.
+        faults: Faults (fields of `DeviceFaults`) to put into a simulated device, by name.
+        guide: The guide of the person.
 
     Raises:
-        ConfigError: The driver is not one of a device that takes a force, or faults were asked of a real one.
+        ConfigError: The driver is not that of a device that takes a force, or faults were given for a real device.
         DeviceError: The device is not ready.
     """
     steps = steps_of(mass_kg, pace)
     driver, coupling = DeviceDriver.haptic(config.driver), coupling_of(config)
     if driver is not None and driver.name == SIMULATED_IMPEDANCE:
-        # in virtual time: the simulated device has three buttons, the first a dead-man, and a wrist
+        # In virtual time. The simulated device gets three buttons, the first a dead-man, and a wrist.
         able = driver.model(config).capabilities
         able = able._replace(buttons=("a", "b", "c"), deadman="a", has_orientation=True)
         hand = person(reach_of(able), len(able.buttons), 1, steps, mass_kg)
@@ -56,7 +56,7 @@ def make_take(
             f"haptic_node.driver = {config.driver} is not a device that takes a force; take one of {names}"
         )
     link = ProcessLink(driver.name, driver.section(config).model_dump(mode="json"))
-    # As run_ahead does for the other devices: a full collection would hold up the motion for a tenth of a second.
+    # As in run_ahead for the other devices: a full garbage collection would halt the motion for a tenth of a second.
     gc.collect()
     gc.freeze()
     link.open()
@@ -68,7 +68,7 @@ def make_take(
 
 
 def _faults_of(options: Mapping[str, Any]) -> DeviceFaults:
-    """Return the faults of these names; ConfigError says what is wrong with one."""
+    """Return the faults of these names; raise ConfigError for an unknown name or a wrong value."""
     good, fields = DeviceFaults(), dict[str, Any]()
     for name, value in options.items():
         if name not in DeviceFaults._fields:

@@ -1,4 +1,4 @@
-"""A person who goes through the motion of a take at a simulated device, as the prompts ask for it."""
+"""A simulated person, who makes the motion of a take at a simulated device as the prompts ask."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from telenano_devices.acceptance.take import Step
 from telenano_devices.impedance.coupling import ZERO, Vector
 from telenano_devices.impedance.emulated_arm import HandMotion
 
-# Stiffness and damping are those of an ordinary arm.
+# Stiffness and damping of an ordinary arm.
 _STIFFNESS_N_PER_M = 300.0
 _DAMPING_N_S_PER_M = 5.0
 _SLOW = ((0, 0.8), (0, -0.8), (0, 0.0), (1, 0.8), (1, -0.8), (1, 0.0), (2, 0.8), (2, -0.8), (2, 0.0))
@@ -19,14 +19,14 @@ _PUSHED = {"right": 0, "forward": 1, "up": 2}
 def person(
     reach_m: Vector, buttons: int, held: int, steps: tuple[Step, ...], mass_kg: float = 0.0
 ) -> Callable[[float], HandMotion]:
-    """Return what the hand does at each time of a take [s].
+    """Return the function from a time of a take [s] to the motion of the hand.
 
     Args:
         reach_m: Half of the workspace on each axis [m].
-        buttons: How many there are.
-        held: Bits of those that are held while the device is driven, as for a dead-man.
-        steps: Those of the take.
-        mass_kg: Of the mass that is hung at the handle [kg].
+        buttons: The number of buttons.
+        held: The bits of the buttons that are held while the device is driven, such as a dead-man.
+        steps: The steps of the take.
+        mass_kg: The mass that is hung at the handle [kg].
     """
 
     def at(time_s: float) -> HandMotion:
@@ -66,12 +66,12 @@ def reach_of(device: Capabilities) -> Vector:
 
 
 def _on_way(share: float, reach_m: Vector) -> Vector:
-    """Return where the hand is as it moves along one axis after the other."""
+    """Return the position of the hand [m] as it moves along one axis after the other; share 0 to 1 of the step."""
     at = share * len(_SLOW)
     leg = min(len(_SLOW) - 1, int(at))
     (axis, end), (before, begin) = _SLOW[leg], _SLOW[leg - 1] if leg else (0, 0.0)
     begin = begin if before == axis else 0.0
-    # eased, so that no leg begins or ends with a jerk
+    # The motion is eased, so that no leg begins or ends with a jerk.
     way = reach_m[axis] * (begin + (end - begin) * 0.5 * (1.0 - math.cos(math.pi * (at - leg))))
     return _along(axis, way)
 

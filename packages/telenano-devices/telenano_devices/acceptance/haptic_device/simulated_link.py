@@ -1,7 +1,7 @@
-"""A simulated impedance device behind the same interface as a real one, with faults that can be put in on purpose.
+"""A simulated impedance device behind the same interface as a real one, into which faults can be put on purpose.
 
-Its servo is `servo.Servo`, called in virtual time: each `newest` lets dt_s pass. The hand goes a way of its own on all
-three axes, on a spring and a damper, and lets go within a pair of times.
+Its servo is `servo.Servo`, called in virtual time: each `newest` lets dt_s pass. The hand pulls through a spring and a
+damper along a path of its own on all three axes.
 """
 
 import math
@@ -18,15 +18,16 @@ from telenano_devices.impedance.servo import DeviceSample, Servo, ServoCommand, 
 
 
 class DeviceFaults(NamedTuple):
-    """What is wrong with the device; the defaults are a good one. From `begins_s` on [s].
+    """Faults of the device; the defaults are those of a good one.
 
-    axes, signs: which axis of the mechanics each reading is of, and its sign. scale: of the place. force_scale: of the
-    force that the drive gives, negative for a wrong sign. noise_m, drift_m_per_s, step_m: of the place. hold_s: how
-    long each reading is repeated. late_s: how old readings are. slow: periods of the servo in one. every, stumble: one
-    step in this number of takes this number of periods. nan_at_s, jump_at_s, frozen_at_s: when; gap_s: silence.
-    reported_force: by which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons,
-    dead_buttons: bits that are always and never set. unplug_is_reported: whether a cable that is out ends the samples.
-    extra_delay_s: of the drive, beyond what is declared. deadman_is_ignored: by the servo.
+    axes, signs: axis of the mechanics that each reading shows, and its sign. scale: factor of the position.
+    force_scale: factor of the force of the drive, negative for a wrong sign. noise_m, drift_m_per_s, step_m: noise,
+    drift and resolution of the position. hold_s: time for which each reading is repeated [s]. late_s: age of the
+    readings [s]. slow: factor of the servo's period. every, stumble: each `every`-th step lasts `stumble` periods.
+    nan_at_s, jump_at_s, frozen_at_s, gap_at_s: times at which the fault begins [s]; gap_s: length of the silence [s].
+    reported_force: factor of the reported force. quaternion: reading of the wrist. stuck_buttons, dead_buttons: bits
+    that are always and never set. unplug_is_reported: whether the device reports an unplugged cable as an error.
+    extra_delay_s: delay of the drive beyond the declared one [s]. deadman_is_ignored: whether the servo ignores it.
     """
 
     axes: tuple[int, int, int] = (0, 1, 2)
@@ -82,7 +83,7 @@ class SimulatedLink:
         self._newest: ServoSample | None = None
         self._read = DeviceSample(ZERO, 0)
         self._old: deque[DeviceSample] = deque()
-        # forces on their way through the drive, with the times at which they act
+        # Forces delayed by the drive, with the times at which they act.
         self._late: deque[tuple[float, Vector]] = deque()
         self._stepped_s = 0.0
 
@@ -91,13 +92,13 @@ class SimulatedLink:
         return self._capabilities
 
     def open(self) -> None:
-        """Come up without force."""
+        """Do nothing: the simulated device needs no opening, and starts without force."""
 
     def send(self, command: ServoCommand) -> None:
         self._command = command
 
     def close(self) -> None:
-        """Let go of the hand."""
+        """Withdraw the command, so that the device gives no force."""
         self._command = None
 
     def now_ns(self) -> int:
@@ -105,7 +106,7 @@ class SimulatedLink:
         return round(self.time_s * 1e9)
 
     def newest(self, session_time_s: float, dt_s: float) -> ServoSample | None:
-        """Let dt_s pass; return what the servo reported last."""
+        """Let dt_s [s] pass; return the last sample of the servo, None before the first."""
         end_s = self.time_s + dt_s
         while self._due_s <= end_s + 1e-12:
             self._move_to(self._due_s)
@@ -114,7 +115,7 @@ class SimulatedLink:
         return self._newest
 
     def _move_to(self, end_s: float) -> None:
-        """Let the arm move under the forces of drive and hand, which change at their own times."""
+        """Move the arm up to end_s [s] under the forces of drive and hand, which change at their own times."""
         while self._late and self._late[0][0] <= end_s:
             at_s, force = self._late.popleft()
             self._advance(at_s)
@@ -160,7 +161,7 @@ class SimulatedLink:
         self._late.append((at_s, force if motion.plugged else ZERO))
 
     def _sample(self, motion: HandMotion) -> DeviceSample:
-        """Return what the device says now, with everything that is wrong with it."""
+        """Return the present reading of the device, with its faults."""
         faults, now_ns, last = self._faults, self.now_ns(), self._read
         if not motion.plugged:
             if not faults.unplug_is_reported:

@@ -1,6 +1,6 @@
-"""The motion of a minute that a device that takes a force is judged by, and the recording of it.
+"""The motion of a minute by which a device that takes a force is judged, and its recording.
 
-A row is what the servo of the device reported, and what was asked of it.
+A row holds the report of the device's servo and the command that it had.
 """
 
 from typing import NamedTuple
@@ -26,12 +26,12 @@ from telenano_devices.impedance.servo import ServoCommand, ServoLink, ServoSampl
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
 # The take begins with the first sample of the device, or after this time without one.
 _FIRST_NS = 2_000_000_000
-# K over that of the settings, one after the other, for the step *hold*
+# Stiffness along z over that of the settings, one level after the other in the second half of the step *hold*.
 LEVELS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-# Forces along x, y and z are the first half of that step; each level begins with a reference that is off by so much.
+# Each of these levels begins with a reference that is off by this; the first half of the step has forces along x, y, z.
 _NUDGE_M = 1e-3
-# Above this force [N] a device without an independent stop is refused: a hand can no longer just hold against it. In
-# the take it is driven with no more.
+# A device that gives more than this force [N] needs an independent stop, because a hand can no longer simply hold
+# against it. In the take a device without one is driven with no more.
 MOST_WITHOUT_STOP_N = 5.0
 AXES = ("x", "y", "z")
 
@@ -53,7 +53,7 @@ STEPS = (
     Step("cable", 6.0, "pull the cable of the device out, wait for two seconds, and put it in again", "with load"),
 )
 MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off", "with load")
-# What a device says is wrong with it is kept, each sentence once, up to this many.
+# The largest number of different fault messages of a device that are kept.
 _MOST_MESSAGES = 16
 
 ROW = row_of(
@@ -71,11 +71,11 @@ ROW = row_of(
 
 
 class Facts(NamedTuple):
-    """What was declared and reported beforehand: the device, and the coupling with which it is to be used.
+    """The inputs of the checks besides the rows: the declared device, and the coupling with which it will be used.
 
-    mass_kg: of the mass that was hung at the handle, 0.0 for none. independent_stop: how the power of the drives can be
-    cut without the computer, empty if it cannot. device_messages: what the device reported was wrong, each once.
-    stopped: why the motion ended early.
+    mass_kg: mass that was hung at the handle [kg], 0.0 for none. independent_stop: way to cut the power of the drives
+    without the computer, empty if there is none. device_messages: faults that the device reported, each once. stopped:
+    reason why the motion ended early.
     """
 
     device: Capabilities
@@ -102,7 +102,7 @@ class Facts(NamedTuple):
 
 
 def steps_of(mass_kg: float, pace: float = 1.0) -> tuple[Step, ...]:
-    """Return the steps, with that of the mass if there is one; pace stretches or shortens them all."""
+    """Return the steps, with that of the mass if mass_kg is not 0; `pace` is a factor of their lengths."""
     steps = (*STEPS[:-1], MASS_STEP, STEPS[-1]) if mass_kg else STEPS
     return tuple(step._replace(seconds=step.seconds * pace) for step in steps)
 
@@ -110,16 +110,16 @@ def steps_of(mass_kg: float, pace: float = 1.0) -> tuple[Step, ...]:
 def record_take(
     link: ServoLink, facts: Facts, steps: tuple[Step, ...], clock: Clock, guide: Guide = SILENT
 ) -> Take[Facts]:
-    """Lead through the steps and record them; the link is open, and stays so, without force.
+    """Lead the person through the steps and record them; the link must be open, and stays open without force.
 
-    What ends the motion early is in the facts, and the take has what was recorded until then.
+    If the motion ends early, the facts give the reason and the take has the rows recorded until then.
 
     Args:
         link: The device and its servo.
-        facts: What was declared and reported beforehand.
-        steps: Those of `steps_of`.
-        clock: That of the servo.
-        guide: Leads the person.
+        facts: The facts known beforehand.
+        steps: The steps from `steps_of`.
+        clock: The clock of the servo.
+        guide: The guide of the person.
     """
     guide.met(facts.identity)
     asker = _Asker(link, facts, clock)
@@ -153,31 +153,31 @@ def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: flo
 
 
 class _Asker:
-    """Commands for the servo, step by step, as a node would send them."""
+    """Sends commands to the servo, step by step, as a node would."""
 
     def __init__(self, link: ServoLink, facts: Facts, clock: Clock) -> None:
         settings = facts.settings
         most_n = settings.max_force_n if facts.independent_stop else min(settings.max_force_n, MOST_WITHOUT_STOP_N)
         self._push_n = min(1.0, 0.3 * most_n)
-        # What a reading that stands still is found by is less than the force of a push.
+        # The force above which a reading must change has to be smaller than the force of a push.
         frozen_n = min(settings.frozen_force_n, 0.5 * self._push_n)
         self._settings = settings._replace(max_force_n=most_n, frozen_force_n=frozen_n)
         self._link, self._clock = link, clock
         self._found = ServoSample()
         self._counter = self._arm_count = 0
-        # This is where the hand was when the device was engaged last.
+        # Position of the hand when the device was last engaged.
         self._home: Vector | None = None
         self.driver_messages: dict[str, None] = {}
 
     def newest(self) -> ServoSample:
-        """Let a period pass, and return what the servo reported last."""
+        """Let a period pass, and return the last sample of the servo."""
         self._found = self._link.newest(0.0, PERIOD_S) or self._found
         if self._found.error and len(self.driver_messages) < _MOST_MESSAGES:
             self.driver_messages[self._found.error] = None
         return self._found
 
     def age_s(self, sample: ServoSample) -> float:
-        """Return how old a sample is now [s]."""
+        """Return the present age of a sample [s]."""
         return (self._clock.now_ns() - sample.taken_ns) * 1e-9
 
     def idle(self) -> None:
@@ -187,15 +187,15 @@ class _Asker:
         self._clock.wait(self._clock.now_ns() + round(PERIOD_S * 1e9))
 
     def rest(self) -> None:
-        """Take the force away."""
+        """Command zero force, disengaged."""
         self._home = None
         self._send(ZERO, ZERO, False, self._settings)
 
     def ask(self, name: str, share: float) -> tuple[float, Vector]:
-        """Send the command for a place in a step; return the level of stiffness and the force that is asked for."""
+        """Send the command for a share (0 to 1) of a step; return the level of stiffness and the force sent [N]."""
         engaged = name in ("hold", "mass", "button", "cable") and self._found.gate <= Gate.ACTIVE + 1
         if Gate(self._found.gate).is_fault:
-            # The refusal has been recorded; the rest of the minute is worth recording as well.
+            # The fault has been recorded; arm again, because the rest of the minute is worth recording too.
             self._arm_count += 1
         if not engaged:
             self._home = None

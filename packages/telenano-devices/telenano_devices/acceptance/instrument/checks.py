@@ -1,4 +1,4 @@
-"""What a take of an instrument shows; what is missing may be a guard to be looked at, or a sample stiff enough."""
+"""The checks of a take of an instrument; a check names what it lacks, such as a guard, or a sample stiff enough."""
 
 import math
 from collections.abc import Callable
@@ -11,18 +11,18 @@ from telenano_devices.acceptance.instrument.take import PULLED, ROW, STATUSES, F
 from telenano_devices.acceptance.take import Kind, Result, Rows, Take, drift, median_age, noise, passes
 
 # All tolerances are provisional until takes of real instruments are there.
-# Samples must come at this share of the declared rate at least.
+# The least rate of samples, as a share of the declared rate.
 RATE_SHARE = 0.7
-# The median age of a sample may exceed the declared latency by this.
+# The largest excess of the median age of a sample over the declared latency.
 AGE_S = 3e-3
-# A silence may exceed the declared latency by this.
+# The largest excess of a silence over the declared latency.
 GAP_S = 0.05
 # The latency may exceed the declared one by this share of it, or by LATENCY_S if that is more.
 LATENCY_SHARE = 0.25
 LATENCY_S = 2e-3
-# Noise and drift at rest may have this share of the force that counts as contact.
+# The largest noise and drift at rest, as a share of the force that counts as contact.
 NOISE_SHARE = 0.3
-# A place may be off the requested one by this share of the way, and by RANGE_M besides.
+# The base may be off the requested position by this share of its travel plus RANGE_M.
 RANGE_SHARE = 0.01
 RANGE_M = 1e-9
 # Steps in contact must show a stiffness between these multiples of the cantilever's.
@@ -37,7 +37,7 @@ Check = Callable[[Take[Facts]], tuple[Result, str]]
 
 
 def _driven(take: Take[Facts]) -> Rows:
-    """Return the rows of the steps in which the instrument is there: all but those after the silence."""
+    """Return the rows of the steps in which the instrument is driven: those before the silence."""
     rows: Rows = take.rows[take.rows["step"] < 4]
     return rows
 
@@ -51,7 +51,7 @@ def _losses(take: Take[Facts]) -> tuple[Result, str]:
 
 
 def _rate(take: Take[Facts]) -> tuple[Result, str]:
-    # Only the approach tells: while the base stands, a controller may publish the same values again as new ones.
+    # Only the approach shows the rate: while the base stands, a controller may publish the same values as new ones.
     rows = take.of("approach")
     if len(rows) < 200:
         return "retake", take.facts.stopped or "the approach was too short"
@@ -81,7 +81,7 @@ def _in_range(take: Take[Facts]) -> tuple[Result, str]:
 
 
 def _quiet(take: Take[Facts]) -> Rows | str:
-    """Return the forces of the step *rest* once the tip is there, where they are too few why the motion ended."""
+    """Return the forces of the step *rest* after its first half second; if too few, why the motion ended."""
     forces: Rows = take.of("rest")["force_n"][500:]
     return forces if len(forces) >= 1000 else take.facts.stopped
 
@@ -126,13 +126,13 @@ def _surface(take: Take[Facts]) -> tuple[Result, str]:
 
 
 class _Edges:
-    """The steps in contact: changes of base and force from edge to edge, and how late the force is."""
+    """The steps in contact: changes of base [m] and force [N] from edge to edge, and delays of the force [s]."""
 
     def __init__(self, take: Take[Facts]) -> None:
         rows = take.of("contact")
         asked = rows["asked_m"]
         turns = np.flatnonzero(np.diff(asked)) + 1
-        # a step that the guard's speed spreads over some rows is one edge
+        # A step that the guard's speed limit spreads over several rows is one edge.
         self.starts = turns[np.diff(turns, prepend=-100) > 20]
         befores, ends = np.append(0, self.starts)[:-1], np.append(self.starts, len(rows))[1:]
         self.base_m, self.force_n, self.late_s = [], [], []
@@ -144,7 +144,7 @@ class _Edges:
             half = float(rows["force_n"][old].mean()) + 0.5 * force
             crossed = np.flatnonzero((rows["force_n"][start:end] - half) * np.sign(force) >= 0.0)
             if len(crossed):
-                # the base is sent at the beginning of a row, and what comes back is read at its end
+                # The base is sent at the beginning of a row, and the answer is read at its end.
                 self.late_s.append(float(rows["time_s"][start + crossed[0]] - rows["time_s"][start]))
 
     @property

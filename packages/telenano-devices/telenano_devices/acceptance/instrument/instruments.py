@@ -1,4 +1,4 @@
-"""The instruments that a take can be made of: the simulated one, and real ones by their calibration."""
+"""Makes a take of an instrument: the simulated one, or a real one by its calibration file."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ _CONTACT_N = 1e-9
 
 
 def config_of(calibration: Path | None, options: dict[str, Any]) -> AfmConfig:
-    """Return the section `afm_node` of an instrument: the one of a calibration file, or the simulated one.
+    """Return the section `afm_node` of an instrument, from a calibration file and options, or the simulated one.
 
     Raises:
         ConfigError: The file or a key cannot be used.
@@ -28,7 +28,7 @@ def config_of(calibration: Path | None, options: dict[str, Any]) -> AfmConfig:
 
 
 def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
-    """Lead the instrument of a section through the motion; it is retracted and let go of at the end.
+    """Lead the instrument of a section through the motion, and return the take; it ends retracted and closed.
 
     Raises:
         DeviceError: The instrument is not ready.
@@ -46,7 +46,7 @@ def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
 
 
 def _declared_hz(config: AfmConfig) -> float:
-    """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
+    """Return the rate of new samples that the driver declares [Hz]; raise ConfigError if it declares none."""
     capabilities = AfmCapabilities.of(config.driver)
     if capabilities is None:
         raise ConfigError(f"afm_node.driver = {config.driver} declares no capabilities: its package judges it")
@@ -54,11 +54,11 @@ def _declared_hz(config: AfmConfig) -> float:
 
 
 def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:
-    """Return what is known of an instrument before a take; it is open."""
+    """Return the facts of an open instrument before its take."""
     calibration: Any = getattr(driver, "calibration", None)
     contact_n = _CONTACT_N if calibration is None else calibration.contact_force_n
     cantilever = config.cantilever if calibration is None else calibration.cantilever
-    # A tick that was measured says more than what the device has as shipped.
+    # A measured tick is better than the declared rate of the device as shipped.
     tick_s = getattr(driver, "tick_s", 0.0)
     limits = config.to_params().safety
     return Facts(

@@ -1,7 +1,7 @@
-"""The motion that an instrument is judged by, and the recording of it: a row a millisecond, behind the guard.
+"""The motion by which an instrument is judged, and its recording: one row a millisecond, behind the guard.
 
 The tip rests retracted; the base goes away from the sample and back; it approaches until the sample presses; it steps
-there and back in contact by less than what would let go; it stands half way above the sample while this process is
+to and fro in contact, by less than would lose the contact; it stands half way above the sample while this process is
 silent; and it comes back. Every motion goes through the guard of the node (`safety_step`), with its limits.
 """
 
@@ -37,26 +37,26 @@ STEPS = (
 )
 # The approach ends at this multiple of the force that counts as contact.
 _PRESS = 10.0
-# The approach ends at no more than this share of the force limit.
+# The approach ends at most at this share of the force limit.
 _PRESS_SHARE = 0.1
-# A step in contact changes the force by this share of the one at which the approach ends.
+# A step in contact changes the force by this share of the force at which the approach ends.
 _STEP_SHARE = 0.8
-# The steps in contact are further in by this multiple of the deflection at which the approach ended, because an
-# attraction that is read with the wrong sign ends the approach as well.
+# The steps in contact lie deeper by this multiple of the deflection at which the approach ended, because an attraction
+# that is read with the wrong sign also ends the approach.
 _FURTHER = 2.0
-# An approach may be pulled by at most this share of the force limit.
+# The largest attraction during an approach, as a share of the force limit.
 _PULL_SHARE = 0.5
-# An answer may come so much later than is declared before the approach presses twice as much [s].
+# Delay of an answer beyond the declared latency at which the approach presses twice as hard [s].
 _SPARE_S = 5e-3
 # The number of steps in contact.
 _EDGES = 24
-# The tip stands at each end of a step for this time at least.
+# The least time for which the tip stands at each end of a step.
 _LEAST_HALF_S = 0.1
-# The commands stop for longer than the guard's heartbeat by this.
+# Time by which the silence exceeds the guard's heartbeat.
 _SILENT_S = 0.3
-# The instrument has this time to come back after the silence.
+# Time limit for the instrument to come back after the silence.
 _BACK_S = 10.0
-# The instrument is back when this number of samples in a row came; a driver may notice a loss late.
+# The instrument is back after this many samples in a row without a loss; a driver may notice a loss late.
 _GOOD = 600
 ROW = row_of(
     ("asked_m", "f8"),
@@ -70,13 +70,14 @@ ROW = row_of(
 
 
 class Facts(NamedTuple):
-    """What the checks need besides the rows.
+    """The inputs of the checks besides the rows.
 
-    driver: value of `afm_node.driver`; identity: in words; latency_s: as declared [s]; sample_hz: as declared [Hz];
-    stiffness_n_per_m: of the cantilever; contact_force_n: that counts as contact; limits: of the guard; press_n: where
-    the approach ends; heartbeat_s: silence after which something else retracts, 0 for nothing; silent_s: how long
-    nothing was sent; retractions: by the count of the guard or script, before and after that, None where it has none;
-    stopped: why the motion ended early; safe_m: base in the safe state.
+    driver: value of `afm_node.driver`; identity: the instrument in words; latency_s: declared latency [s]; sample_hz:
+    declared rate of samples [Hz]; stiffness_n_per_m: stiffness of the cantilever [N/m]; contact_force_n: force that
+    counts as contact [N]; limits: those of the guard; press_n: force at which the approach ends [N]; safe_m: base in
+    the safe state [m]; heartbeat_s: silence after which a guard or script retracts [s], 0 if there is none; silent_s:
+    length of the silence [s]; retractions: counts of the guard or script before and after it, None if it has no count;
+    stopped: reason why the motion ended early.
     """
 
     driver: str
@@ -106,19 +107,19 @@ PULLED = "the tip is pulled by half of the limit of the force: its sign may be w
 
 
 class _StoppedError(Exception):
-    """The guard has ended the motion, or it cannot continue."""
+    """The guard has ended the motion, or the motion cannot continue."""
 
 
 def record_take(driver: AfmDriver, facts: Facts, clock: Clock, guide: Guide = SILENT) -> Take[Facts]:
-    """Lead an instrument through the motion; it is open, and stays so, retracted.
+    """Lead an instrument through the motion and record it; the instrument must be open, and stays open, retracted.
 
-    What ends the motion early is in the facts, and the take has what was recorded until then.
+    If the motion ends early, the facts give the reason and the take has the rows recorded until then.
 
     Args:
         driver: The instrument.
-        facts: What is known of it beforehand.
+        facts: The facts known beforehand.
         clock: The clock of the instrument.
-        guide: Leads the person; who does not want a step ends the motion, because the next ones need it.
+        guide: The guide of the person; declining a step ends the motion, because the next steps need it.
     """
     guide.met(facts.identity)
     limits, recorder = facts.limits, Recorder(STEPS, clock, guide)
@@ -178,7 +179,7 @@ def press_of(contact_force_n: float, force_limit_n: float) -> float:
 
 
 class _Motion:
-    """A motion behind the guard, a row a millisecond."""
+    """Moves the base behind the guard, and records one row a millisecond."""
 
     def __init__(self, driver: AfmDriver, limits: SafetyParams, recorder: Recorder, clock: Clock) -> None:
         self._driver, self._limits, self._recorder, self._clock = driver, limits, recorder, clock
@@ -187,7 +188,11 @@ class _Motion:
         self.records = True
 
     def begin(self, number: int, waits_at_m: float | None = None) -> bool:
-        """Ask for a step and begin it; return whether the base went to where it waits meanwhile [m]."""
+        """Ask the person for a step and begin it; return whether the base went to waits_at_m [m] during the question.
+
+        Raises:
+            _StoppedError: The person declined the step.
+        """
         went = [False]
 
         def idle() -> None:
@@ -202,7 +207,11 @@ class _Motion:
         return went[0]
 
     def tick(self, reference_m: float | None) -> AfmSample:
-        """Ask the guard for a base position, None: the safe one, apply what it allows, and record what comes back."""
+        """Ask the guard for a base [m] (None: the safe one), apply the allowed one, record and return a sample.
+
+        Raises:
+            _StoppedError: The guard has stopped following the reference.
+        """
         driver, recorder = self._driver, self._recorder
         if self.records:
             recorder.wait()
@@ -235,12 +244,12 @@ class _Motion:
             self.tick(self._guard.base_m)
 
     def go(self, to_m: float) -> None:
-        """Go to a base position, as fast as the guard lets it."""
+        """Go to a base position [m], as fast as the guard allows."""
         while abs(self._guard.base_m - to_m) > 1e-15:
             self.tick(to_m)
 
     def approach(self, press_n: float, speed_m_per_s: float) -> float:
-        """Go towards the sample until it presses; return the base there [m]."""
+        """Move towards the sample until it presses with press_n [N]; return the base there [m]."""
         reference_m = self._guard.base_m
         while reference_m < self._limits.base_max_m:
             reference_m = min(reference_m + speed_m_per_s * PERIOD_S, self._limits.base_max_m)
@@ -252,7 +261,7 @@ class _Motion:
         raise _StoppedError(f"no surface was found up to a base of {self._limits.base_max_m:g} m")
 
     def steps_in_contact(self, contact_m: float, step_m: float, half_s: float) -> None:
-        """Step away from the contact and back, at moments that lie at any phase of the instrument's own cycle."""
+        """Step away from the contact and back, at times that cover all phases of the instrument's own cycle."""
         self.go(contact_m)
         self.stand(half_s)
         for edge in range(_EDGES):
@@ -260,17 +269,17 @@ class _Motion:
             self.stand(half_s + (7 * edge % 23) * PERIOD_S)
 
     def retract(self) -> None:
-        """Go to the safe state, wherever the motion was."""
+        """Request the safe state for one second, ignoring errors."""
         with contextlib.suppress(TelenanoError, EndedError):
             for _ in range(round(1.0 / PERIOD_S)):
                 self.tick(None)
 
     def come_back(self) -> None:
-        """Ask for the retracted tip until the instrument is there again, and for a while longer."""
+        """Request the retracted tip until the instrument answers again, and for some samples more."""
         good = 0
         for _ in range(round(_BACK_S / PERIOD_S)):
             self.tick(None)
-            # A driver that has not noticed anything yet is asked for long enough to notice.
+            # The count is long enough for a driver that has not noticed the loss yet.
             good = 0 if self._lost else good + 1
             if good > _GOOD:
                 return

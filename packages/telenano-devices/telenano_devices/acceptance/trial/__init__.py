@@ -1,1 +1,1 @@
-"""The trial of a device by somebody who has one: questions, the motion of its acceptance, one file, one page."""
+"""The trial of a device by its owner: questions, the motion of its acceptance, one file, one page."""

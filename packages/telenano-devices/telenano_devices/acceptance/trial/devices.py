@@ -1,4 +1,4 @@
-"""The devices that can be tried, by the names that a person has for them, and how a recording of each is made."""
+"""The devices that can be tried, by the names that a person gives, with the function that records each."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,9 +20,10 @@ _NAMING = ("host", "service", "library", "name", "calibration", "port")
 
 
 class TriedDevice(NamedTuple):
-    """A device to be tried: how its recording is made, and what of the command line names somebody or something.
+    """A device to be tried.
 
-    is_emulated: whether it is at this machine, and says nowhere what it is.
+    record: makes its recording; given: texts of the command line that name a person, machine or file, to be scrubbed;
+    is_emulated: whether the address of the device is this machine, which marks an emulator that does not say so.
     """
 
     record: Callable[[Guide], Take[Any]]
@@ -45,8 +46,8 @@ def tried(
         options: The keys of `--set`.
         calibration: The calibration file of an instrument or a handle.
         port: The serial port of a handle.
-        mass_kg: Of the mass that is hung at the handle [kg].
-        independent_stop: How the drives are stopped without the computer.
+        mass_kg: The mass that is hung at the handle [kg].
+        independent_stop: The way to stop the drives without the computer, in words.
 
     Raises:
         ConfigError: There is no such device, or a file or key is missing or cannot be used.
@@ -85,7 +86,7 @@ def _instrument(name: str, section: dict[str, Any], calibration: Path | None, na
     host = str(driver.calibration.network.host)
 
     def record(guide: Guide) -> Take[Any]:
-        # a guard takes a pause of this process for its death
+        # A guard takes a pause of this process for its death and retracts the tip.
         run_ahead()
         return make_take(config, guide)
 

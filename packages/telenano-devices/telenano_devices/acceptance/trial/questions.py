@@ -1,4 +1,4 @@
-"""The questions of a trial on a terminal: y, n, or the end at any time, by the word or by Ctrl-C."""
+"""The questions of a trial on a terminal: y or n, and at any time `end` or Ctrl-C."""
 
 import os
 import select
@@ -13,21 +13,21 @@ from telenano_devices.acceptance.take import EndedError, Guide, Step, Verdict
 
 ENDED = "the person has ended it"
 _EMULATED = ("emulat", "simulat")
-# A millisecond that this computer lets pass is late beyond this.
+# A tick of this computer counts as late beyond this.
 _LATE_S = 2e-3
-# At most this share of the milliseconds may be late.
+# The largest share of late ticks.
 _MOST_SHARE = 0.01
-# No millisecond may be later than this.
+# The largest lateness of any tick.
 _WORST_S = 0.02
 
 
 class Questions:
-    """Asks a person before each step, and hears the end at any time.
+    """Asks a person before each step, and ends the motion at any time on request.
 
     Args:
-        tell: Prints a line.
+        tell: The function that prints a line.
         yes: Whether every question is answered with yes, for emulators only.
-        is_emulated: Whether the device is known for an emulator by where it is.
+        is_emulated: Whether the device is known to be an emulator by its address.
     """
 
     def __init__(self, tell: Callable[[str], None], *, yes: bool = False, is_emulated: bool = False) -> None:
@@ -40,11 +40,11 @@ class Questions:
 
     @property
     def guide(self) -> Guide:
-        """Return what leads a person through the motion."""
+        """Return the guide that leads a person through the motion by these questions."""
         return Guide(self._say, self._ask, self._poll, self._met, self._waited)
 
     def computer(self) -> list[Verdict]:
-        """Return whether this computer kept to the milliseconds; nothing where it was asked for none."""
+        """Return the verdict on the punctuality of this computer's ticks; an empty list if there were none."""
         if not self._waits:
             return []
         share = self._late / self._waits
@@ -58,7 +58,7 @@ class Questions:
 
     @contextmanager
     def hear(self) -> Iterator[None]:
-        """Take Ctrl-C and SIGTERM as the end of the motion while the block runs; a second one ends the program."""
+        """End the motion on Ctrl-C or SIGTERM while the block runs; a second signal ends the program."""
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
         def received(number: int, frame: Any) -> None:
@@ -88,7 +88,7 @@ class Questions:
             self._poll()
             return True
         if self._is_typed_at:
-            # What was typed before the question is no answer to it.
+            # Text typed before the question does not answer it.
             self._poll()
             self._typed.clear()
         self._tell("Begin? y: yes, n: leave it out, end: end the trial")
@@ -101,7 +101,7 @@ class Questions:
             self._tell(f"{answer!r} is not y, n or end")
 
     def _line(self, idle: Callable[[], None]) -> str:
-        """Return the next line that is typed, with the device at rest meanwhile."""
+        """Return the next typed line, keeping the device at rest meanwhile; raise EndedError for `end`."""
         while b"\n" not in self._typed:
             if self._is_over:
                 self._end()
@@ -122,7 +122,7 @@ class Questions:
         if self._yes or self._is_over or not self._arrived():
             return
         whole = [line.strip().lower() for line in bytes(self._typed).split(b"\n")[:-1]]
-        # Of a file or a pipe, each line waits for its question.
+        # Lines of a file or pipe wait for their questions, so only the first one counts.
         if b"end" in (whole if self._is_typed_at else whole[:1]):
             self._end()
 
@@ -136,7 +136,7 @@ class Questions:
         raise EndedError(ENDED)
 
     def _arrived(self) -> bool:
-        """Take what was typed, and return whether there was anything."""
+        """Store the text that was typed, and return whether there was any."""
         try:
             descriptor = sys.stdin.fileno()
         except (OSError, ValueError):

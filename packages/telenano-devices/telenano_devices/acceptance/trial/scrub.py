@@ -1,4 +1,4 @@
-"""What is taken out of every text of a trial before it is written: names, paths, hosts and addresses."""
+"""Removes names, paths, hosts and addresses from every text of a trial before it is written."""
 
 import getpass
 import os
@@ -15,14 +15,14 @@ _GENERAL: tuple[tuple[str, str], ...] = (
     (r"\b\d{1,3}(?:\.\d{1,3}){3}(?::\d+)?\b", "(address)"),
     (r"(?<![\w:])(?:[0-9A-Fa-f]{0,4}:){3,7}[0-9A-Fa-f]{0,4}(?![\w:])", "(address)"),
     (r"\blocalhost(?::\d+)?\b", "(address)"),
-    # an absolute path of any system; N/m and 1/s have a letter or a digit before the stroke
+    # Absolute paths of any system; units like N/m and 1/s have a letter or digit before the slash.
     (r"(?<![\w/.)])~?(?:/[\w.@+\-]+)+/?", "(path)"),
     (r"\b[A-Za-z]:\\[^\s,;'\"]+", "(path)"),
 )
 
 
 def _known() -> dict[str, str]:
-    """Return the texts that name this person, machine or folder, and what represents each."""
+    """Return the texts that name this person, machine or folder, with the replacement of each."""
     places = {str(Path.cwd()): "(folder)", str(Path.home()): "(home)"}
     for name in (os.environ.get("HOME", ""), os.environ.get("PWD", "")):
         places.setdefault(name, "(folder)")
@@ -37,11 +37,11 @@ def _known() -> dict[str, str]:
 
 
 class Scrubber:
-    """Takes names, paths, hosts and addresses out of texts.
+    """Removes names, paths, hosts and addresses from texts.
 
     Args:
-        given: What the person has named on the command line, such as files, ports and hosts.
-        kept: Words that stay, such as the name of the driver, even where a user or a host has the same name.
+        given: Names from the command line, such as files, ports and hosts.
+        kept: Words that stay, such as the name of the driver, even if a user or a host has the same name.
     """
 
     def __init__(self, given: Iterable[str] = (), kept: Iterable[str] = ()) -> None:
@@ -52,13 +52,13 @@ class Scrubber:
             for text, stand in replacements.items()
             if len(text) >= _LEAST_LETTERS and text.lower() not in keep
         }
-        # the longest first, so that no part of a path is left
+        # The longest come first, so that no part of a path is left.
         ordered = sorted(replacements, key=len, reverse=True)
         self._stands = {text.lower(): stand for text, stand in replacements.items()}
         self._pattern = re.compile("|".join(rf"(?<!\w){re.escape(text)}(?!\w)" for text in ordered) or "(?!)", re.I)
 
     def text(self, value: str) -> str:
-        """Return a text without what must not be in the file."""
+        """Return a text with every name, path, host and address replaced."""
         for pattern, stand in _GENERAL[:5]:
             value = re.sub(pattern, stand, value)
         value = self._pattern.sub(lambda match: self._stands[match[0].lower()], value)
@@ -67,7 +67,7 @@ class Scrubber:
         return re.sub(r"\((home|folder|given)\)(?:/[\w.@+\-]+)+/?", "(path)", value)
 
     def all(self, value: Any) -> Any:
-        """Return a value of tuples, lists, mappings and plain values with every text scrubbed; keys stay."""
+        """Return a nested value of tuples, lists, dicts and plain values with every text scrubbed; keys stay."""
         if isinstance(value, str):
             return self.text(value)
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The page of a trial, as Markdown: made of the file alone, so that it is the same everywhere."""
+"""The page of a trial as Markdown, made from the file alone, so that it is the same everywhere."""
 
 import warnings
 
@@ -9,7 +9,7 @@ _WORDS = {"pass": "passed", "fail": "**failed**", "retake": "to be made again", 
 
 
 def sheet_of(trial: Trial) -> str:
-    """Return the page of a trial."""
+    """Return the page of a trial as Markdown."""
     acceptance, driver = trial.acceptance, _cell(trial.acceptance.driver)
     text = [
         f"# Trial of {_cell(acceptance.device) or driver}: {_word(acceptance.result)}",
@@ -41,9 +41,9 @@ def sheet_of(trial: Trial) -> str:
 
 
 def judged_again(trial: Trial) -> list[str]:
-    """Return the checks whose result is another one when the recording is judged by the version here.
+    """Return the checks whose result changes when the version here judges the recording, one sentence each.
 
-    It is one sentence where the recording holds what no device says, which may lead a check anywhere.
+    If a check fails on impossible values in the recording, the list holds one sentence that says so.
     """
     if trial.take is None:
         return []
@@ -69,6 +69,6 @@ def _places(places: list[str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text for one line of Markdown; what a terminal would obey is left out, and what ends a code span."""
+    """Return a text for a cell of Markdown, without control characters and without backquotes, which end code spans."""
     plain = "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
     return plain.replace("|", "\\|").replace("`", "'")

@@ -1,4 +1,4 @@
-"""`telenano device trial`: half an hour with a device of your own, one file, and the page of it."""
+"""`telenano device trial`: tries a device of your own in half an hour, and writes one file and its page."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -80,16 +80,16 @@ def trial(
 def make_trial(
     driver: str, device: "TriedDevice", guide: "Guide", computer: "Callable[[], list[Verdict]]" = list
 ) -> "Trial":
-    """Try a device, and return what was found, without names, paths, hosts and addresses.
+    """Try a device, and return the trial, without names, paths, hosts and addresses.
 
     Args:
-        driver: The name by which it is tried.
-        device: How its recording is made.
-        guide: Leads the person.
-        computer: Returns, after the motion, what this computer adds to the page.
+        driver: The name of the driver.
+        device: The device, with the function that records it.
+        guide: The guide of the person.
+        computer: The function that returns, after the motion, the verdicts on this computer.
 
     Raises:
-        ConfigError: It cannot be tried in this way.
+        ConfigError: The device cannot be tried in this way.
     """
     from telenano.extend.hands import DeviceError
     from telenano.extend.instruments import DeviceError as InstrumentError
@@ -115,7 +115,7 @@ def make_trial(
         errors.append(Problem("opening", str(error)))
     except ConfigError:
         raise
-    # a driver may raise anything
+    # A driver may raise anything.
     except Exception as error:  # noqa: BLE001
         errors.append(Problem("opening or motion", f"{type(error).__name__}: {error}", places_of(error)))
     if take is None:

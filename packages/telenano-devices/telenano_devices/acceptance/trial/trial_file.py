@@ -1,6 +1,6 @@
-"""The one file of a trial: a zip with the verdicts, the recording, versions and errors, and the reading of it.
+"""Writes and reads the one file of a trial: a zip with the verdicts, the recording, versions and errors.
 
-Nothing of a file is unpacked beyond the size that a trial has, and no member but these is read.
+The reader unpacks no more bytes than a trial can have, and accepts no other members.
 """
 
 import io
@@ -28,16 +28,16 @@ RECORDING = "take.npz"
 VERSIONS = "versions.json"
 ERRORS = "errors.json"
 _SCHEMA = 1
-# A member that is larger than this is not read.
+# The largest sizes of members that are read.
 _MOST_TEXT_BYTES = 2**20
 _MOST_TAKE_BYTES = 32 * 2**20
 _MOST = {ACCEPTANCE: _MOST_TEXT_BYTES, RECORDING: _MOST_TAKE_BYTES, VERSIONS: 2**16, ERRORS: _MOST_TEXT_BYTES}
-# The same content gives the same bytes, and no time of day is in the file.
+# A fixed time makes the same content give the same bytes, and keeps the time of day out of the file.
 _TIME = (1980, 1, 1, 0, 0, 0)
 
 
 class Line(msgspec.Struct, frozen=True):
-    """A line of the page: a check, what was driven for it, its result, what was found and what is wanted."""
+    """A line of the page: a check, the load during it, its result, the finding and the requirement."""
 
     check: str
     load: str
@@ -47,7 +47,7 @@ class Line(msgspec.Struct, frozen=True):
 
 
 class Acceptance(msgspec.Struct, frozen=True):
-    """What a trial found: the driver, who the device is, and the lines of its page in order."""
+    """The result of a trial: the driver, the identity of the device, and the lines of its page in order."""
 
     schema: int
     driver: str
@@ -58,7 +58,7 @@ class Acceptance(msgspec.Struct, frozen=True):
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """An error: where it happened, its sentence, and the places in the code that led there, the last one last."""
+    """An error: the phase in which it happened, its message, and the places in the code, the innermost last."""
 
     where: str
     text: str
@@ -66,7 +66,7 @@ class Problem(msgspec.Struct, frozen=True):
 
 
 class Trial(NamedTuple):
-    """The content of a file; take is None where nothing was recorded."""
+    """The content of a file; `take` is None if nothing was recorded."""
 
     acceptance: Acceptance
     versions: dict[str, str]
@@ -87,7 +87,7 @@ def versions() -> dict[str, str]:
 
 
 def lines_of(kind: Kind[Any], take: Take[Any]) -> list[Line]:
-    """Return the lines of a recording, judged now, those that were only read first and those with load last."""
+    """Judge a recording and return its lines, sorted by load: checks that only read first, those with load last."""
     from telenano_devices.acceptance.take import LOADS
 
     judged = [(kind.load_of(take, verdict.check), verdict) for verdict in kind.judge(take)]
@@ -114,7 +114,7 @@ def write_trial(path: Path, trial: Trial) -> None:
     """Write the file of a trial.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -134,7 +134,7 @@ def read_trial(path: Path) -> Trial:
     """Return the content of the file of a trial.
 
     Raises:
-        ConfigError: The file cannot be read, is damaged, has more in it than a trial, or is no such file.
+        ConfigError: The file cannot be read, is damaged, has more content than a trial, or is no trial file.
     """
     try:
         opened = open_regular(path)
@@ -157,13 +157,13 @@ def read_trial(path: Path) -> Trial:
         )
     except KeyError as error:
         raise ConfigError(f"{path}: is no file of `telenano device trial`: it has no member {error}") from error
-    # damage may lead zipfile and zlib anywhere
+    # A damaged file can make zipfile and zlib raise anything.
     except Exception as error:
         raise ConfigError(f"{path}: is not a complete file of `telenano device trial`: {error}") from error
 
 
 def kind_of(take: Take[Any]) -> Kind[Any]:
-    """Return how a recording is judged, by its columns."""
+    """Return the kind of a recording, by its columns."""
     return next(kind for kind in KINDS if kind.row == take.rows.dtype)
 
 
@@ -174,7 +174,7 @@ def _member(name: str) -> zipfile.ZipInfo:
 
 
 def _require_once(members: list[zipfile.ZipInfo]) -> None:
-    """Raise ValueError for a name that comes twice, before anything is unpacked: it would be unpacked as often."""
+    """Raise ValueError if a name comes twice, before anything is unpacked: each copy would be unpacked."""
     names = [member.filename for member in members]
     if len(names) > len(_MOST):
         raise ValueError(f"it has {len(names)} members, and a trial has {len(_MOST)} at most")
@@ -193,7 +193,7 @@ def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 
 def places_of(error: BaseException) -> list[str]:
-    """Return where an error came from, as module and line without any path, the last place last."""
+    """Return the trace of an error as module:line, without any path, the innermost last; at most 12 places."""
     places, trace = [], error.__traceback__
     while trace is not None:
         module = trace.tb_frame.f_globals.get("__name__", "?")

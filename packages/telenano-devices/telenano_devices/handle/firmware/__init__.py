@@ -1,4 +1,4 @@
-"""The core of the handle's firmware, compiled for this machine: what an emulated handle and the tests run."""
+"""Compiles the core of the handle's firmware for this machine, where an emulated handle and the tests run it."""
 
 import ctypes
 import hashlib
@@ -21,11 +21,11 @@ _ROOM = 8192
 
 
 class FirmwareError(TelenanoError):
-    """The firmware cannot be compiled here; the text says what is missing."""
+    """The firmware cannot be compiled or run here; the text says what is missing."""
 
 
 class BoardIdentity(NamedTuple):
-    """What a board tells of itself in HELLO."""
+    """The identity of a board, as it reports it in HELLO."""
 
     device_id: int
     session: int
@@ -38,7 +38,7 @@ class BoardIdentity(NamedTuple):
 
 
 class BoardSample(NamedTuple):
-    """What a board measures in a millisecond, in counts; `flags` are those of STATE that only the board knows."""
+    """The measurements of a board in a millisecond, in counts; `flags`: those of STATE that only the board knows."""
 
     time_us: int
     position: int
@@ -49,7 +49,7 @@ class BoardSample(NamedTuple):
 
 
 def build_library(sources: Path = SOURCES, folder: Path | None = None) -> Path:
-    """Return the firmware as a shared library, compiled unless that was done before; FirmwareError without compiler."""
+    """Return the firmware as a shared library, compiled if necessary; raise FirmwareError if that fails."""
     parts = [sources / name for name in (*_FILES, *_HEADERS)]
     files = [str(sources / name) for name in _FILES]
     return compiled("handle", parts, [*_FLAGS, *files], "an emulated handle runs the firmware, which needs", folder)
@@ -63,14 +63,14 @@ def compiled(
     folder: Path | None = None,
     extra: str = "",
 ) -> Path:
-    """Return a shared library in the user's cache, compiled unless that was done before with the same sources.
+    """Return a shared library in the user's cache, compiled unless it was compiled before from the same sources.
 
     Args:
         name: The name of the library.
-        parts: Every file that the library is made of.
+        parts: All source files of the library.
         arguments: The arguments of the compiler.
         purpose: The beginning of the message if there is no compiler.
-        folder: The folder of the library; None takes the user's cache.
+        folder: The folder of the library; None for the user's cache.
         extra: Further packages that the compilation needs.
 
     Raises:
@@ -89,7 +89,7 @@ def compiled(
     if compiler is None:
         raise FirmwareError(f"{purpose} a C compiler: apt install gcc libc6-dev{extra}")
     cache.mkdir(parents=True, exist_ok=True)
-    # The library is renamed into place whole, because another process may compile the same now.
+    # The complete library is renamed into place, because another process may compile the same one now.
     with tempfile.TemporaryDirectory(dir=cache) as work:
         made = Path(work) / library.name
         done = run_child([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
@@ -102,7 +102,7 @@ def compiled(
 
 
 class FirmwareCore:
-    """One handle: bytes and samples in, drive and bytes out. Time is that of the samples."""
+    """The firmware of one handle: bytes and samples in, drive and bytes out. Its time is that of the samples."""
 
     def __init__(self, identity: BoardIdentity) -> None:
         self._functions = _functions(build_library())
@@ -131,12 +131,12 @@ class FirmwareCore:
         return int(self._functions.emulated_tick(self._handle, sample.time_us & 0xFFFFFFFF, *sample[1:]))
 
     def sent(self) -> bytes:
-        """Return what the handle has sent since the last call."""
+        """Return the bytes that the handle has sent since the last call."""
         length = self._functions.emulated_sent(self._handle, self._buffer, _ROOM)
         return self._buffer.raw[:length]
 
     def encode(self, payload: bytes) -> bytes:
-        """Return a payload as the firmware puts it on the line."""
+        """Return a payload as the firmware encodes it for the line."""
         length = self._functions.emulated_encode(payload, len(payload), self._buffer)
         return self._buffer.raw[:length]
 
@@ -156,7 +156,7 @@ class FirmwareCore:
 
     @property
     def receive_errors(self) -> int:
-        """How many frames were bad or not obeyed."""
+        """Number of frames that were bad or not obeyed."""
         return int(self._functions.emulated_errors(self._handle))
 
 

@@ -17,7 +17,7 @@
 #define FREQUENCY_HZ 16000000
 #define SUPPLY_MV 5000
 #define ROOM 8192
-/* addresses of the ATmega328P in the space of data */
+/* Addresses in the data space of the ATmega328P. */
 #define PORTB_ADDRESS 0x25
 #define TCCR0A_ADDRESS 0x44
 #define OCR0B_ADDRESS 0x48
@@ -69,7 +69,7 @@ struct board *board_new(const char *hex, const uint8_t *eeprom, uint32_t eeprom_
     board->avr->codeend = board->avr->flashend;
     free(code);
     avr_ioctl(board->avr, AVR_IOCTL_EEPROM_SET, &memory);
-    /* no echo on the console, and no pause of the host when the program polls */
+    /* Disable the echo on the console, and the pause of the host when the program polls. */
     avr_ioctl(board->avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
     flags &= ~(uint32_t)(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
     avr_ioctl(board->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
@@ -85,7 +85,7 @@ void board_free(struct board *board)
     free(board);
 }
 
-/* Runs the processor for so many cycles; returns 0 when it has crashed. */
+/* Runs the processor for a number of cycles; returns 0 if it has crashed or ended. */
 int board_run(struct board *board, uint64_t cycles)
 {
     uint64_t until = board->avr->cycle + cycles;
@@ -116,7 +116,7 @@ void board_set_sensor(struct board *board, uint32_t millivolts)
     avr_raise_irq(avr_io_getirq(board->avr, AVR_IOCTL_ADC_GETIRQ, SENSOR_IRQ), millivolts);
 }
 
-/* 1: the switch of the emergency stop is open, or its wire broken: the pull-up has the pin */
+/* Opens (1) or closes (0) the switch of the emergency stop; open, like a broken wire, the pull-up sets the pin. */
 void board_set_estop(struct board *board, uint32_t open)
 {
     avr_ioport_external_t closed = {.name = 'D', .mask = 1 << ESTOP_PIN, .value = open ? 1 << ESTOP_PIN : 0};
@@ -124,7 +124,7 @@ void board_set_estop(struct board *board, uint32_t open)
     avr_raise_irq(avr_io_getirq(board->avr, AVR_IOCTL_IOPORT_GETIRQ('D'), ESTOP_PIN), open);
 }
 
-/* Duty of the bridge as the pins have it, 0 to 255 with a sign: 0 where the timer does not drive the pin. */
+/* Returns the duty of the bridge at its pins, -255 to 255; 0 if the timer does not drive the pin. */
 int32_t board_drive(struct board *board)
 {
     const uint8_t *data = board->avr->data;
@@ -132,7 +132,7 @@ int32_t board_drive(struct board *board)
     return data[PORTB_ADDRESS] & 1 ? -duty : duty;
 }
 
-/* Makes the program stand still where it is (a jump to itself), or lets it go on. */
+/* Stops the program by a jump to itself, or lets it continue. */
 void board_hold(struct board *board, uint32_t hold)
 {
     uint8_t *at = board->avr->flash;

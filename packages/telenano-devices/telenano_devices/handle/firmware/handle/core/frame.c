@@ -2,7 +2,7 @@
 
 uint16_t frame_crc(const uint8_t *payload, uint8_t length)
 {
-    /* by half bytes: 32 bytes of table instead of 512, which an ATmega328P has to spare in neither memory */
+    /* The CRC goes by half bytes, with a table of 32 bytes; a table of 512 bytes is too large for an ATmega328P. */
     static const uint16_t table[16] = {
         0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50A5, 0x60C6, 0x70E7,
         0x8108, 0x9129, 0xA14A, 0xB16B, 0xC18C, 0xD1AD, 0xE1CE, 0xF1EF,

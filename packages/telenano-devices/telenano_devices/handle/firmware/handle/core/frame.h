@@ -5,7 +5,7 @@
 #include <stdint.h>
 
 #define FRAME_MAX_PAYLOAD 60
-/* payload, CRC, one byte of COBS, closing zero */
+/* Longest frame on the line: payload, CRC, one byte of COBS, closing zero. */
 #define FRAME_MAX_WIRE (FRAME_MAX_PAYLOAD + 4)
 
 struct frame_reader {
@@ -21,7 +21,8 @@ uint16_t frame_crc(const uint8_t *payload, uint8_t length);
 /* Encodes a payload of at most FRAME_MAX_PAYLOAD bytes; returns the length on the line. */
 uint8_t frame_encode(const uint8_t *payload, uint8_t length, uint8_t wire[FRAME_MAX_WIRE]);
 
-/* Takes a byte; returns the length of the payload at `reader->bytes` when it completes a good frame, else 0. */
+/* Takes a byte from the line; when it completes a good frame, returns the length of the payload at `reader->bytes`,
+ * else 0. */
 uint8_t frame_take(struct frame_reader *reader, uint8_t byte);
 
 #endif

@@ -6,7 +6,7 @@ enum { ASK = 0x01, CONFIG = 0x02, COMMAND = 0x10, STOP = 0x1F, HELLO = 0x81, CON
 enum { ASK_BYTES = 12, CONFIG_BYTES = 32, COMMAND_BYTES = 16, STOP_BYTES = 6, HELLO_BYTES = 52, STATE_BYTES = 36 };
 
 #define TICKS_A_SECOND 1000
-/* without commands a STATE is sent this often [ms] */
+/* Period of STATE without commands [ms]. */
 #define STATE_EVERY_MS 10
 
 static uint16_t get16(const uint8_t *at) { return (uint16_t)(at[0] | ((uint16_t)at[1] << 8)); }
@@ -45,7 +45,7 @@ static int32_t clamp(int64_t value, int32_t low, int32_t high)
     return value < low ? low : value > high ? high : (int32_t)value;
 }
 
-/* value / 2^bits towards zero: a division of 64 bits takes thousands of cycles on a processor of 8 */
+/* Returns value / 2^bits, rounded towards zero; a 64-bit division takes thousands of cycles on an 8-bit processor. */
 static int64_t divided(int64_t value, uint8_t bits)
 {
     return value < 0 ? -(int64_t)((uint64_t)-value >> bits) : (int64_t)((uint64_t)value >> bits);
@@ -136,12 +136,12 @@ static void configure(struct handle *handle, const uint8_t *payload)
     limits.max_drive = get_signed(payload + 20);
     limits.servo_gain_q16 = get_signed(payload + 24);
     limits.servo_damping_q16 = get_signed(payload + 28);
-    /* limits that make no sense are answered with those in force, and change nothing */
+    /* Impossible limits change nothing; the answer then has the limits in force. */
     if (limits.watchdog_ms >= 5 && limits.watchdog_ms <= 100 && limits.travel_min < limits.travel_max
         && limits.max_speed > 0 && limits.max_drive > 0 && limits.servo_gain_q16 >= 0 && limits.servo_damping_q16 >= 0) {
         handle->limits = limits;
         handle->configured = 1;
-        /* a pressed switch latches again at the next tick */
+        /* A pressed e-stop latches again at the next tick. */
         handle->estop = 0;
         switch_off(handle);
     } else {
@@ -172,7 +172,7 @@ static void command(struct handle *handle, const uint8_t *payload)
     } else if (!handle->tripped && !handle->estop) {
         if (mode == MODE_POSITION) {
             handle->wanted = clamp(get_signed(payload + 8), handle->limits.travel_min, handle->limits.travel_max);
-            /* the reference begins where the arm is, whatever was commanded before */
+            /* The reference begins at the position of the arm, for any command before. */
             if (handle->mode != MODE_POSITION)
                 handle->reference = handle->sample.position;
         } else {
@@ -231,13 +231,13 @@ static void follow(struct handle *handle)
         int64_t step = (int64_t)handle->wanted - handle->reference;
         step = step > reach ? reach : step < -reach ? -reach : step;
         handle->reference = clamp(handle->reference + step, limits->travel_min, limits->travel_max);
-        /* each product is below 2^63: differences and gains are below 2^32 and 2^31 */
+        /* Each product is below 2^63, because differences are below 2^32 and gains below 2^31. */
         drive = ((int64_t)handle->reference - handle->sample.position) * limits->servo_gain_q16;
         drive = divided(drive, 16) - divided((int64_t)handle->velocity * limits->servo_damping_q16, 16);
     }
     handle->drive = clamp(drive, -limits->max_drive, limits->max_drive);
     handle->voltage_limited = handle->drive != drive;
-    /* beyond the end of the travel nothing pushes further */
+    /* Beyond the end of the travel, force mode must not push further. */
     if ((handle->sample.position >= limits->travel_max && handle->drive > 0 && handle->mode == MODE_FORCE)
         || (handle->sample.position <= limits->travel_min && handle->drive < 0 && handle->mode == MODE_FORCE))
         handle->drive = 0;
@@ -249,7 +249,7 @@ void handle_tick(struct handle *handle, const struct handle_sample *sample)
     uint32_t elapsed_us = sample->time_us - handle->sample.time_us;
     if (handle->has_sample && elapsed_us) {
         int64_t now = moved * (int32_t)(1000000u / elapsed_us);
-        /* first-order low pass over four samples, against the steps of the encoder */
+        /* A first-order low pass over four samples smooths the steps of the encoder. */
         handle->velocity = clamp(handle->velocity + divided(now - handle->velocity, 2), -2147483647, 2147483647);
     }
     handle->sample = *sample;

@@ -1,7 +1,7 @@
 /* A handle: protocol, servo, guard and watchdogs, the same on every board. C99, integers only, no allocation.
  *
- * A board calls handle_receive with each byte, handle_tick once a millisecond with what it measured, applies
- * handle->drive, and sends the bytes that handle_send was given. Quantities are raw counts.
+ * A board calls handle_receive with each byte, and handle_tick once a millisecond with its sample; it applies
+ * handle->drive, and sends the bytes that handle->send gets. Quantities are raw counts.
  */
 #ifndef HANDLE_H
 #define HANDLE_H
@@ -14,12 +14,12 @@
 
 enum handle_mode { MODE_OFF = 0, MODE_POSITION = 1, MODE_FORCE = 2 };
 
-/* flags of HELLO */
+/* Flags of HELLO. */
 enum {
     HAS_POSITION_MODE = 1, HAS_FORCE_MODE = 2, HAS_FORCE_SENSOR = 4, FORCE_IS_ESTIMATED = 8,
     HAS_ESTOP_INPUT = 16, IS_BACK_DRIVABLE = 32, SENSES_CURRENT = 64, IS_EMULATED = 128
 };
-/* flags of STATE */
+/* Flags of STATE. */
 enum {
     IS_CONFIGURED = 1, WATCHDOG_TRIPPED = 2, ESTOP_PRESSED = 4, AT_MIN = 8, AT_MAX = 16,
     VOLTAGE_LIMITED = 32, CURRENT_LIMITED = 64, FORCE_SATURATED = 128
@@ -35,11 +35,11 @@ struct handle_identity {
     char model[16];
 };
 
-/* What the board measures in a millisecond. `flags` are those of STATE that only the board knows. */
+/* The measurements of the board in a millisecond. `flags` are those of STATE that only the board knows. */
 struct handle_sample {
     uint32_t time_us;
     int32_t position, force;
-    int32_t sensed_drive; /* with SENSES_CURRENT: what the drive really gave */
+    int32_t sensed_drive; /* with SENSES_CURRENT: the measured drive */
     int16_t supply_10mv;
     uint8_t flags;
 };
@@ -56,9 +56,9 @@ struct handle {
     struct frame_reader reader;
     void (*send)(void *board, const uint8_t *wire, uint8_t length);
     void *board;
-    int32_t drive;      /* what the board has to apply until the next tick */
+    int32_t drive;      /* drive that the board has to apply until the next tick */
     int32_t velocity;   /* counts a second */
-    int32_t reference;  /* of the mode in force, after every limit */
+    int32_t reference;  /* reference of the present mode, after every limit */
     int32_t wanted;     /* reference of the newest command */
     uint16_t seq, command_seq, overruns, refused;
     uint16_t silent_ms, unsent_ms;

@@ -1,8 +1,8 @@
-/* Board with an ATmega328P at 16 MHz, as a Hapkit is: magnetic angle sensor on A2, motor bridge with PWM and direction.
+/* Board with an ATmega328P at 16 MHz, like a Hapkit: magnetic angle sensor, motor bridge with PWM and direction.
  *
- * PWM on D5 (OC0B), direction on D8, sensor on A2; an emergency stop that closes to ground in normal operation on D2
- * (pull-up inside: an open wire stops). Without a force sensor the operator's force is what the drive holds against,
- * an estimate. The hardware watchdog resets a program that stands still; pull-downs keep the bridge off then.
+ * PWM on D5 (OC0B), direction on D8, sensor on A2; on D2 an emergency stop that closes to ground in normal operation
+ * (internal pull-up, so that a broken wire stops). There is no force sensor: the operator's force is estimated as minus
+ * the drive. The hardware watchdog resets a program that hangs; pull-downs then keep the bridge off.
  */
 #include <avr/eeprom.h>
 #include <avr/interrupt.h>
@@ -18,7 +18,7 @@
 #define PWM_MOST 255
 #define SENSOR_CHANNEL 2
 #define SENSOR_RANGE 1024
-/* where the id of the board and the number of its last session are kept */
+/* Addresses of the id of the board and of the number of its last session. */
 #define EEPROM_ID ((const void *)0)
 #define EEPROM_SESSION ((uint16_t *)8)
 
@@ -68,10 +68,10 @@ static void prepare(void)
     DDRB |= 1 << PB0;
     DDRD |= 1 << PD5;
     PORTD |= 1 << PD2;
-    /* fast PWM at 62.5 kHz on D5 */
+    /* Timer 0: fast PWM at 62.5 kHz on D5. */
     TCCR0A = (1 << WGM01) | (1 << WGM00);
     TCCR0B = 1 << CS00;
-    /* 1 kHz */
+    /* Timer 1: ticks at 1 kHz. */
     TCCR1B = (1 << WGM12) | (1 << CS11);
     OCR1A = 1999;
     TIMSK1 = 1 << OCIE1A;
@@ -92,14 +92,14 @@ static void apply(int32_t drive)
     else
         PORTB &= (uint8_t)~(1 << PB0);
     OCR0B = duty;
-    /* duty 0 of a fast PWM still gives a spike: the pin is taken off the timer */
+    /* Duty 0 of a fast PWM still gives a spike, so the pin is disconnected from the timer. */
     if (duty)
         TCCR0A |= 1 << COM0B1;
     else
         TCCR0A &= (uint8_t)~(1 << COM0B1);
 }
 
-/* The sensor's value goes round several times over the travel: a step of more than half a turn is the seam. */
+/* Returns the count over all turns: the sensor wraps several times over the travel, at a step above half a turn. */
 static int32_t unwrapped(uint16_t raw)
 {
     static int32_t turns;
@@ -153,7 +153,7 @@ int main(void)
         sample.time_us += (uint32_t)passed * TICK_US;
         sample.position = unwrapped(raw);
         sample.flags = PIND & (1 << PD2) ? ESTOP_PRESSED : 0;
-        /* milliseconds that were missed count for the watchdog as well */
+        /* Missed milliseconds also count for the watchdog. */
         handle.overruns = (uint16_t)(handle.overruns + passed - 1);
         handle.silent_ms = (uint16_t)(handle.silent_ms + passed - 1);
         handle_tick(&handle, &sample);

@@ -1,4 +1,4 @@
-/* The core as a shared library, for an emulated handle and for tests: time, plant and line are the caller's. */
+/* The core as a shared library, for an emulated handle and for tests; the caller provides time, plant and line. */
 #include "../../core/handle.h"
 
 #include <stdlib.h>
@@ -15,7 +15,7 @@ struct emulated {
 static void queue(void *board, const uint8_t *wire, uint8_t length)
 {
     struct emulated *emulated = board;
-    /* nobody reads: like a UART whose line is not listened to, what does not fit is gone */
+    /* Bytes that do not fit are lost, as on a UART without a listener. */
     if (emulated->length + length <= BUFFER) {
         memcpy(emulated->out + emulated->length, wire, length);
         emulated->length += length;
@@ -60,7 +60,7 @@ int32_t emulated_tick(struct emulated *emulated, uint32_t time_us, int32_t posit
     return emulated->handle.drive;
 }
 
-/* Takes what the handle sent since the last call; returns its length. */
+/* Copies the bytes that the handle has sent since the last call; returns their number. */
 uint32_t emulated_sent(struct emulated *emulated, uint8_t *bytes, uint32_t room)
 {
     uint32_t length = emulated->length < room ? emulated->length : room;
