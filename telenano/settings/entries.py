@@ -94,7 +94,7 @@ def checked_model(name: str, value: Any) -> SharedSection:
 
 @dataclass(frozen=True)
 class _Section:
-    """The validator of an entry's section; None passes, because dumped settings hold None for another node's entries."""
+    """The validator of an entry's section; None passes, because dumped settings hold None for another node's entry."""
 
     entries: Entries[Any]
     name: str

@@ -30,7 +30,7 @@ class DelayCourse(NamedTuple):
 
 
 class LossCourse(NamedTuple):
-    """Loss over time: whether messages are lost from each of times_ns to the next; strictly increasing from the origin."""
+    """Loss over time: whether messages are lost from each of times_ns to the next; increasing, from the origin."""
 
     times_ns: tuple[int, ...]
     lost: tuple[bool, ...]

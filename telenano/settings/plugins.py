@@ -284,7 +284,7 @@ def in_lockstep() -> list[Plugin]:
 
 
 def with_steps() -> list[Plugin]:
-    """Return the entries with compiled steps that no scenario names; results computed with them depend on them alone."""
+    """Return the entries with compiled steps that no scenario names; results computed with these depend on them."""
     return list(installed("steps").values())
 
 
