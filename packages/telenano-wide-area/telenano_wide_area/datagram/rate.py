@@ -269,7 +269,7 @@ class RateControl:
         return trial.steps > 1 and is_carried and acts_ns >= _TRIED_NS and fell_ns < least_ns
 
     def _is_carried(self, seen: PathEstimate) -> bool:
-        """Return whether the line carries the present rate: with less delivered it is full, with more its queue drains."""
+        """Return whether the line carries the present rate: when less is delivered it is full, when more it drains."""
         return _CARRIED * self.bytes_per_s <= seen.delivered_bytes_per_s <= _MORE * self.bytes_per_s
 
     @staticmethod
