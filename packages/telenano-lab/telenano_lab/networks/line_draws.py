@@ -62,7 +62,7 @@ def _is_fitted(settings: LinkSettings) -> bool:
 
 
 def _held_ns(settings: LinkSettings, arrived_ns: Times, size_bytes: int) -> Times | None:
-    """Return the time at which each message may continue [ns]; None if a stall holds more than the queue has room for."""
+    """Return the time at which each message may continue [ns]; None if a stall holds more than the queue can."""
     ready_ns = arrived_ns.copy()
     outage, queue = settings.forward.outage, settings.forward.queue
     if outage.mean_up_s is None:

@@ -78,7 +78,7 @@ _VAGUE = 0.6
 
 
 def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
-    """Return Hermite's polynomials of degrees 1 to `degree`, orthonormal for normal scores, of shape (degree, scores)."""
+    """Return Hermite's polynomials of degrees 1 to `degree`, orthonormal for normal scores, shape (degree, scores)."""
     polynomials = [np.ones(len(scores)), scores]
     for n in range(1, degree):
         polynomials.append((scores * polynomials[n] - math.sqrt(n) * polynomials[n - 1]) / math.sqrt(n + 1))
@@ -388,7 +388,7 @@ def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog])
 
 
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
-    """Return the compared statistics: quantiles [ms], correlation of neighbours, stalls, losses; nan if there is none."""
+    """Return the compared statistics: quantiles [ms], correlation of neighbours, stalls, losses; nan if unknown."""
     tally = tally_of(log, scale)
     return statistics_of(tally, tally.once())
 

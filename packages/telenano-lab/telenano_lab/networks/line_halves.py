@@ -104,7 +104,7 @@ def correlation_time_s(parts: Sequence[Segment], period_s: float) -> float:
 
 
 def _correlations(series: Sequence[Column]) -> list[float]:
-    """Return half of the correlation at lag 0, which is 1, and those at the lags after it, up to the first small one."""
+    """Return half of the correlation at lag 0, which is 1, and those at the lags after it up to the first small one."""
     longest = max(len(one) for one in series)
     size = 1 << (2 * longest - 1).bit_length()
     courses_of = [np.fft.irfft(np.abs(np.fft.rfft(one, size)) ** 2, size) for one in series]

@@ -9,7 +9,7 @@ from telenano.recording import RecordedChannel, RecordedMessage, Recording, Sele
 
 
 class ChannelDifference(BaseModel):
-    """Differences in one channel: the messages in each file, the number of differing pairs, and the first difference."""
+    """Differences in one channel: the messages in each file, the number of differing pairs, the first difference."""
 
     channel: str
     src: str
