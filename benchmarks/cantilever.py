@@ -2,9 +2,10 @@
 
     python benchmarks/cantilever.py
 
-Both integrate Eq. 4 for Table 2 without a meniscus (whose memory no function of h has) from the same state, with the
-same compiled force. Accuracy is that of amplitude and phase of the last periods, against 1536 steps a period. Of
-solve_ivp the loosest tolerance is taken that is no less accurate. Times are processor times of this process.
+Both integrate Eq. 4 for Table 2 from the same state with the same compiled force, without the meniscus, because its
+memory is no function of h. The accuracy is that of amplitude and phase over the last periods, relative to 1536 steps a
+period. For solve_ivp the benchmark takes the loosest tolerance that is at least as accurate. Times are processor times
+of this process.
 """
 
 import argparse
@@ -31,14 +32,14 @@ METHODS = ("DOP853", "RK45", "LSODA")
 
 @always_compiled
 def derivative(t, z, v, k, m, c, w, drive, rest, base, onset, start, cells, attraction, cubics):
-    """Eq. 4 as zeta', zeta''; x_d = drive cos(w t)."""
+    """Return zeta' and zeta'' by Eq. 4; x_d = drive cos(w t)."""
     h = rest + z - base - drive * math.cos(w * t)
     force = grid_force(cubics, start, cells, attraction, h, 2 if h < onset else 0)
     return v, (force - k * z - c * v) / m - drive * w * w * math.cos(w * t)
 
 
 def ours(config, steps):
-    """Amplitude and phase, and seconds of processor time a period."""
+    """Return amplitude and phase as a complex number [m], and the processor time for a period [s]."""
     plant = config.to_dynamic(steps_per_period=steps)
     drive = AMPLITUDE_M / free_amplitude_m(plant, 1.0)
     base = config.rest_distance_m - GAP_M
@@ -51,7 +52,7 @@ def ours(config, steps):
 
 
 def scipys(config, method, tolerance):
-    """Return the same of solve_ivp."""
+    """Return the same two values of solve_ivp."""
     plant = config.to_dynamic()
     drive = AMPLITUDE_M / free_amplitude_m(plant, 1.0)
     base = config.rest_distance_m - GAP_M
@@ -63,7 +64,7 @@ def scipys(config, method, tolerance):
     )  # fmt: skip
     period = 1.0 / plant.drive_hz
     times = np.linspace((PERIODS - MEASURED) * period, PERIODS * period, MEASURED * 96 + 1)[1:]
-    # absolute tolerances in the scale of zeta and zeta'
+    # The absolute tolerances are in the scale of zeta and zeta'.
     scales = np.array([AMPLITUDE_M, AMPLITUDE_M * w])
     begun = time.process_time()
     found = solve_ivp(
@@ -76,7 +77,7 @@ def scipys(config, method, tolerance):
 
 
 def convergence(config: AfmConfig, steps_a_period: Sequence[int], finest: int) -> list[dict[str, float]]:
-    """Return the simulated time and the errors of amplitude and phase at so many steps a period, against the finest."""
+    """Return the real-time factor and the errors of amplitude and phase against the finest, by steps a period."""
     reference, rows = ours(config, finest)[0], []
     for steps in steps_a_period:
         found, spent = ours(config, steps)
@@ -86,7 +87,7 @@ def convergence(config: AfmConfig, steps_a_period: Sequence[int], finest: int) -
 
 
 def against_scipy(config: AfmConfig) -> dict[str, float | None]:
-    """Return how many times as long `solve_ivp` takes at equal accuracy, by method; None where it is not reached."""
+    """Return by method the time of `solve_ivp` as a ratio to ours at equal accuracy; None if it is never reached."""
     reference = ours(config, 1536)[0]
     found, spent = ours(config, 96)
     error = abs(found / reference - 1.0)
@@ -100,7 +101,7 @@ def against_scipy(config: AfmConfig) -> dict[str, float | None]:
 
 
 def main() -> None:
-    """Print all figures."""
+    """Print all results."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -1,8 +1,9 @@
-"""What the loop's eight hops take without the project: over Unix-domain sockets, and over bare ZeroMQ.
+"""Measure the loop's eight hops without the project: over Unix-domain sockets, and over bare ZeroMQ.
 
-Five processes in the places of hand, master half, link, slave half and AFM pass bytes of the very sizes of our messages
-along the loop, paced at 1 kHz, doing nothing else. `placed`: under the scheduling that the rig's nodes ask for
-(SCHED_FIFO, a processor for each side of the link). Each gives its cycles: from a deadline to the answer.
+Five processes take the places of hand, master half, link, slave half and AFM. They pass bytes of the sizes of our
+messages along the loop, paced at 1 kHz, and do nothing else. With `placed` they run under the scheduling that the rig's
+nodes ask for (SCHED_FIFO, a processor for each side of the link). Each measurement returns cycles, from a deadline to
+the answer.
 """
 
 import multiprocessing
@@ -34,10 +35,10 @@ from telenano.wire.messages import (
 
 PERIOD_NS = 1_000_000
 SPIN_NS = 100_000
-# The processes take so long to start and to connect.
+# The time that the processes need to start and to connect.
 _SETTLE_S = 1.0
 
-# Each process in the chain over ZeroMQ answers a topic with another, at an endpoint.
+# In the chain over ZeroMQ each process answers a topic with another topic, which it publishes at an endpoint.
 ROUTES: dict[str, dict[str, tuple[str, str]]] = {
     "controller@master": {
         "haptic/state": ("teleop/forward", "controller@master"),
@@ -53,7 +54,7 @@ ROUTES: dict[str, dict[str, tuple[str, str]]] = {
     },
     "afm_node@slave": {"afm/command": ("afm/state", "afm_node@slave")},
 }
-# Each process takes its topics from these sources.
+# The endpoint from which each process receives each of its topics.
 _SOURCES: dict[str, dict[str, str]] = {
     "controller@master": {"haptic_node@master": "haptic/state", "delay_node@master": "teleop/backward"},
     "delay_node@master": {"controller@master": "teleop/forward", "controller@slave": "teleop/backward"},
@@ -124,23 +125,23 @@ class End(Protocol):
     """One end of the link between two neighbours of the chain."""
 
     def recv(self, size: int, /) -> bytes:
-        """Wait for a message; empty when the other end is closed."""
+        """Wait for a message and return it; empty if the other end is closed."""
 
     def send(self, payload: bytes, /) -> object:
         """Send a message."""
 
 
-# what a process opens when it has the scheduling that is wanted: the number of the link, and which end of it (0, 1)
+# Opens an end of a link in a process that already has its scheduling: number of the link, and which end (0, 1).
 OpenEnd = Callable[[int, int], End]
 
 
 def ages_ms(cycles: Sequence[Cycle]) -> list[float]:
-    """Return how old each answer was when it came [ms], rising."""
+    """Return the age of each answer on arrival [ms], in ascending order."""
     return sorted((cycle.ended_ns - cycle.begun_ns) * 1e-6 for cycle in cycles)
 
 
 def measure_waiting(ticks: int) -> list[Cycle]:
-    """Return `ticks` cycles of one thread in the place of the hand, which only waits for its deadlines."""
+    """Return `ticks` cycles of a single thread in the place of the hand that only waits for its deadlines."""
     given, result = _CONTEXT.Pipe(duplex=False)
     return _cycles_of([_CONTEXT.Process(target=_pace_nothing, args=(ticks, result), daemon=True)], given, ticks)
 
@@ -157,7 +158,7 @@ def measure_sockets(ticks: int, *, placed: bool) -> list[Cycle]:
 
 
 def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[Cycle]:
-    """Return `ticks` round trips over eight hops of the four links between neighbours."""
+    """Return `ticks` round trips over eight hops, along the four links between neighbours."""
     sizes = {topic: bytes(len(topic) + len(payload)) for topic, payload in message_bytes().items()}
     there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
     back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
@@ -174,7 +175,7 @@ def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[Cycle]:
 def measure_zeromq(ticks: int, *, placed: bool) -> list[Cycle]:
     """Return `ticks` round trips over eight hops of ZeroMQ's PUB and SUB sockets.
 
-    Topics, sizes and connections are those of the rig; in the recorder's place one subscriber takes everything.
+    Topics, sizes and connections are those of the rig; in the place of the recorder one subscriber receives everything.
     """
     messages = message_bytes()
     given, result = _CONTEXT.Pipe(duplex=False)
@@ -204,14 +205,14 @@ def _cycles_of(
 
 
 def _prepare(node: str, placed: bool) -> None:
-    """Ask for the scheduling that the rig's nodes ask for, if it is wanted."""
+    """Apply the scheduling of the rig's nodes if the process is to be placed, and freeze the garbage collector."""
     if placed:
         apply_realtime(RealtimeConfig(), StructuredLog("floor"), node)
     freeze_garbage()
 
 
 def _wait_until(deadline_ns: int) -> int:
-    """Wait as the haptic node does, and return the time [ns]."""
+    """Wait for a deadline as the haptic node does, and return the time [ns]."""
     time.sleep(max(0, deadline_ns - SPIN_NS - time.monotonic_ns()) * 1e-9)
     while (now := time.monotonic_ns()) < deadline_ns:
         pass
@@ -219,7 +220,7 @@ def _wait_until(deadline_ns: int) -> int:
 
 
 def _paced(ticks: int, turn: Callable[[], object]) -> list[tuple[int, ...]]:
-    """Take a turn at each deadline as the haptic node does, which skips those that it missed; return the cycles."""
+    """Take a turn at each deadline and return the cycles; missed deadlines are skipped, as in the haptic node."""
     grid = PeriodicDeadline(time.monotonic_ns() + 200 * PERIOD_NS, PERIOD_NS)
     cycles: list[tuple[int, ...]] = []
     for _ in range(ticks):
@@ -231,13 +232,13 @@ def _paced(ticks: int, turn: Callable[[], object]) -> list[tuple[int, ...]]:
 
 
 def _pace_nothing(ticks: int, result: "multiprocessing.connection.Connection") -> None:
-    """Wait for deadlines as the haptic node does, and do nothing at them."""
+    """Wait for deadlines as the haptic node does, without any work at them."""
     _prepare("haptic_node@master", True)
     result.send(_paced(ticks, lambda: None))
 
 
 def _relay_ends(node: str, placed: bool, open_end: OpenEnd, hop: int, there: bytes, back: bytes) -> None:
-    """Pass a message on and its answer back, until the near side closes."""
+    """Pass each message on and its answer back, until the near side closes."""
     _prepare(node, placed)
     near, far = open_end(hop, 1), open_end(hop + 1, 0)
     while near.recv(4096):
@@ -261,7 +262,7 @@ def _pace_ends(
     ticks: int,
     result: "multiprocessing.connection.Connection",
 ) -> None:
-    """Send on an absolute grid as the haptic node does and time the answers."""
+    """Send on an absolute grid as the haptic node does, and time the answers."""
     _prepare("haptic_node@master", placed)
     near = open_end(0, 0)
     time.sleep(_SETTLE_S)
@@ -296,7 +297,7 @@ def _endpoint(folder: str, endpoint: str) -> str:
 
 
 def _relay_zeromq(node: str, placed: bool, folder: str, messages: Mapping[str, bytes]) -> None:
-    """Answer each message by the next one of the loop."""
+    """Answer each message with the next one of the loop."""
     _prepare(node, placed)
     context = zmq.Context()
     routes = ROUTES[node]
@@ -312,7 +313,7 @@ def _relay_zeromq(node: str, placed: bool, folder: str, messages: Mapping[str, b
 
 
 def _drain_zeromq(folder: str) -> None:
-    """Take everything that is published, with the priority of the recorder."""
+    """Receive everything that is published, with the priority of the recorder."""
     ahead_of_others()
     subscriber = _subscriber(zmq.Context(), folder, dict.fromkeys(_ENDPOINTS, ""))
     while True:
@@ -322,7 +323,7 @@ def _drain_zeromq(folder: str) -> None:
 def _pace_zeromq(
     placed: bool, folder: str, payload: bytes, ticks: int, result: "multiprocessing.connection.Connection"
 ) -> None:
-    """Send on an absolute grid as the haptic node does and time the answers."""
+    """Send on an absolute grid as the haptic node does, and time the answers."""
     _prepare("haptic_node@master", placed)
     context = zmq.Context()
     publisher = _publisher(context, folder, "haptic_node@master")
@@ -330,7 +331,7 @@ def _pace_zeromq(
     state = [b"haptic/state", payload]
     time.sleep(_SETTLE_S)
     while not subscriber.poll(100):
-        # until the whole chain has connected
+        # Repeat it until the whole chain has connected.
         publisher.send_multipart(state)
     while subscriber.poll(100):
         subscriber.recv_multipart()

@@ -2,12 +2,13 @@
 
     python benchmarks/compose.py [--rounds N] [--first N] [--json]
 
-Runs the session of Fig. 12 in turn on the bare machine as it comes, on the bare machine without real time, and under
-`compose.yaml` with the images as they are (`make images`), and takes the medians over the rounds. The
-engine reports in `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
+The benchmark runs the session of Fig. 12 in turn on the bare machine as it is, on the bare machine without real-time
+scheduling, and under `compose.yaml` with the present images (`make images`), and takes the medians over the rounds. The
+engine reports in `node/health` whether it grants real-time scheduling; if it does not, the second row is the fair
+baseline.
 
-With `--first` it runs that many sessions as a newcomer does, `docker compose up` with page and report from nothing, and
-counts the verdicts and the deadlines that were missed.
+With `--first` it runs N sessions as a newcomer does, `docker compose up` with page and report from nothing, and counts
+the verdicts and the missed deadlines.
 """
 
 import argparse
@@ -32,14 +33,14 @@ SESSION = ("--scenario", "fig12", "--json")
 
 
 def compose_command() -> list[str]:
-    """Give compose v2 where there is one, else docker-compose."""
+    """Return the command of compose v2 if it is installed, else docker-compose."""
     has_v2 = children.run(["docker", "compose", "version"], capture_output=True).returncode == 0
     command = ["docker", "compose"] if has_v2 else ["docker-compose"]
     return [*command, "-p", PROJECT, "-f", "compose.yaml"]
 
 
 def said(*command: str) -> str:
-    """Run a command in the project and give what it prints."""
+    """Run a command in the project and return its output."""
     done = children.run(
         command, cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )  # fmt: skip
@@ -47,7 +48,7 @@ def said(*command: str) -> str:
 
 
 def bare(*options: str) -> dict[str, Any]:
-    """Give the summary of a session on the bare machine."""
+    """Return the summary of a session on the bare machine."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "telenano", "up", *SESSION, "--out", folder, "--overwrite", *options]
         done = children.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -55,7 +56,7 @@ def bare(*options: str) -> dict[str, Any]:
 
 
 def composed() -> dict[str, Any]:
-    """Give the summary of a session of containers, which are made for it and taken away."""
+    """Return the summary of a session in containers, which are made for it and removed afterwards."""
     compose = compose_command()
 
     try:
@@ -66,7 +67,7 @@ def composed() -> dict[str, Any]:
 
 
 def first() -> dict[str, Any]:
-    """Give the summary of `docker compose up` from nothing, with the page and the report."""
+    """Return the summary of `docker compose up` from nothing, with the page and the report."""
     compose, out = compose_command(), ROOT / "out"
     before = set(out.glob("*/summary.json"))
 
@@ -82,7 +83,7 @@ def first() -> dict[str, Any]:
 
 
 def report_first(sessions: int, *, as_json: bool) -> None:
-    """Run first sessions and print how they end."""
+    """Run first sessions; print their verdicts, late deadlines, rate and age."""
     summaries = [first() for _ in range(sessions)]
     verdicts = Counter(summary["verdict"] for summary in summaries)
     late = [summary["overruns"] for summary in summaries]

@@ -2,9 +2,8 @@
 
     python benchmarks/curve_fits.py [--curves 512] [--json]          needs: pip install nanite
 
-The curves are those of a known sphere or cone, with noise that is white or wanders, tilt and drift. An interval is the
-figure with 1.96 of its standard errors on both sides; nanite's are those of lmfit. Each line has a model and a kind of
-noise.
+The curves are those of a known sphere or cone, with white or wandering noise, tilt and drift. An interval is the
+modulus plus and minus 1.96 standard errors; those of nanite are from lmfit. Each row has a model and a kind of noise.
 """
 
 import argparse
@@ -25,7 +24,7 @@ MODELS = ("hertz", "sneddon")
 
 
 def by_telenano(made: MadeCurve) -> tuple[float, float] | None:
-    """Return the modulus [Pa] and its standard error, None where the curve is refused."""
+    """Return the modulus and its standard error [Pa], None if the fit refuses the curve."""
     ways = MeasuredWays(
         made.approach_m, made.approach_n, made.retract_m, made.retract_n, made.stiffness_n_per_m
     )  # fmt: skip
@@ -34,7 +33,7 @@ def by_telenano(made: MadeCurve) -> tuple[float, float] | None:
 
 
 def by_nanite(made: MadeCurve) -> tuple[float, float] | None:
-    """Return the modulus [Pa] and its standard error, None where nanite has none."""
+    """Return the modulus and its standard error [Pa], None if nanite has none."""
     from nanite import Indentation
 
     data = {
@@ -58,7 +57,7 @@ def by_nanite(made: MadeCurve) -> tuple[float, float] | None:
         given["R"].value = made.radius_m
     else:
         given["alpha"].value = math.degrees(made.half_angle_rad)
-    # a softer or harder sample than a cell must not keep lmfit at its bound
+    # Without new bounds, a sample softer or harder than a cell would keep lmfit at its bound.
     given["E"].set(value=made.truth.modulus_pa * 3.0, min=0.0, max=np.inf)
     curve.fit_model(model_key=key, params_initial=given, weight_cp=False)
     fitted = curve.fit_properties.get("params_fitted")
@@ -68,7 +67,7 @@ def by_nanite(made: MadeCurve) -> tuple[float, float] | None:
 
 
 def compared(model: str, noise: str, count: int) -> dict[str, dict[str, float]]:
-    """Return of both how many curves are fitted, how often the interval covers [%], the error [%] and the time [ms]."""
+    """Return for both: number of fitted curves, coverage of the interval [%], error [%] and time [ms]."""
     ways: dict[str, Callable[[MadeCurve], tuple[float, float] | None]] = {"telenano": by_telenano, "nanite": by_nanite}
     seconds, held = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0)
     shares: dict[str, list[float]] = {name: [] for name in ways}
@@ -93,7 +92,7 @@ def compared(model: str, noise: str, count: int) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Print the table, and the time of all curves."""
+    """Print the table, and the total time for all curves."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--curves", type=int, default=512, help="curves of each of the eight lines")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")

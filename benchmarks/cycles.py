@@ -1,8 +1,8 @@
-"""Cycles of a loop on a grid of deadlines: when each had its answer, which were late, and how well that is known.
+"""Cycles of a loop on a grid of deadlines: the time of each answer, the late cycles, and the confidence in their rate.
 
-A cycle begins at its deadline and ends when its answer is there, or the answer of a later cycle, which is then in force
-in its place. So a deadline that a loop skipped has a cycle as well, which ends with a later one: a loop that stood
-still for 5 ms was late five times, however few samples it took meanwhile.
+A cycle begins at its deadline and ends when its answer arrives, or the answer of a later cycle, which then takes its
+place. So a deadline that a loop skipped has a cycle as well, which ends with a later one: a loop that stood still for 5
+ms was late five times, however few samples it took meanwhile.
 """
 
 import math
@@ -18,15 +18,15 @@ from telenano.recording.reader import Recording
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
-# a cycle is late when it ends by more than this after its usual time [ms]
+# A cycle is late if it ends more than this after its usual time [ms].
 LATE_MS = 1.0
-# The last samples of a session may have no answer only because it has ended [cycles].
+# The last samples of a session that may lack an answer only because the session has ended [cycles].
 _NO_ANSWER_YET = 20
 _NONE_NS = np.iinfo(np.int64).max
 
 
 class Cycle(NamedTuple):
-    """A cycle that a loop took: its deadline, when it began, and when its answer was there, on one clock [ns]."""
+    """A cycle that a loop took: its deadline, its beginning, and the arrival of its answer, on one clock [ns]."""
 
     due_ns: int
     begun_ns: int
@@ -34,11 +34,11 @@ class Cycle(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """What the samples of a hand say [ns], each of shape (samples,), in their order.
+    """The samples of a hand in their order, each array of shape (samples,).
 
-    `periods`: of the grid, that a sample stands for, 1 but where deadlines were missed. `sampled_ns`: when it was
-    taken. `answered_ns`, `arrived_ns`: the stamp of the sample whose answer was in force, 0 before the first one, and
-    when that answer came.
+    `periods`: the number of periods of the grid that a sample stands for, 1 unless deadlines were missed. `sampled_ns`:
+    the time of the sample. `answered_ns`, `arrived_ns`: the stamp of the sample whose answer was in force, 0 before the
+    first answer, and the time at which that answer arrived.
     """
 
     periods: Ints
@@ -48,25 +48,25 @@ class Samples(NamedTuple):
 
 
 class Late(NamedTuple):
-    """Late cycles of some: the length of each run of them that follow each other [cycles], and how many there were."""
+    """Late cycles: the length of each run of consecutive late cycles, and the number of all cycles measured."""
 
     runs: tuple[int, ...]
     cycles: int
 
     @property
     def in_million(self) -> float:
-        """Return how many cycles in a million were late."""
+        """Return the number of late cycles in a million."""
         return 1e6 * sum(self.runs) / self.cycles if self.cycles else math.nan
 
     def __add__(self, other: object) -> "Late":
-        """Return the late cycles of both, for runs of a benchmark one after the other."""
+        """Return the late cycles of two runs of a benchmark together."""
         if not isinstance(other, Late):
             return NotImplemented
         return Late(self.runs + other.runs, self.cycles + other.cycles)
 
 
 class Interval(NamedTuple):
-    """A rate in a million cycles, and the interval that has the true rate in 95 of 100 measurements."""
+    """A rate in a million cycles, and the interval that contains the true rate in 95 of 100 measurements."""
 
     rate: float
     low: float
@@ -74,14 +74,14 @@ class Interval(NamedTuple):
 
 
 def responses_ms(cycles: Sequence[Cycle], period_ns: int) -> Floats:
-    """Return of each deadline, from the first to the last, how long after it an answer was there [ms].
+    """Return for each deadline, from the first to the last, the time until an answer was there [ms].
 
     Args:
-        cycles: What the loop took, in the order of their deadlines; those that it skipped are not there.
+        cycles: The cycles that the loop took, in the order of their deadlines, without the skipped ones.
         period_ns: The period of the grid.
 
     Returns:
-        Shape (deadlines,), the skipped ones included.
+        Shape (deadlines,), the skipped deadlines included.
     """
     due_ns, _, ended_ns = np.array(cycles, np.int64).reshape(-1, 3).T
     if not due_ns.size:
@@ -95,7 +95,7 @@ def responses_ms(cycles: Sequence[Cycle], period_ns: int) -> Floats:
 
 
 def later_than(found_ms: Floats, limit_ms: float) -> Late:
-    """Return which cycles took longer than a limit [ms], in runs."""
+    """Return the cycles that took longer than a limit [ms], in runs."""
     is_late = np.concatenate(([False], found_ms > limit_ms, [False])).astype(np.int8)
     edges = np.diff(is_late)
     runs = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
@@ -103,10 +103,10 @@ def later_than(found_ms: Floats, limit_ms: float) -> Late:
 
 
 def runs_in_million(late: Late, confidence: float = 0.95) -> Interval:
-    """Return how many runs of late cycles there are in a million cycles.
+    """Return the number of runs of late cycles in a million cycles, with its interval.
 
-    A run and not a cycle is what comes by chance and by itself, so the interval is the exact one of a count by Poisson
-    (Garwood, Biometrika 28, 437, 1936). Without a run it ends at 3.7 of them.
+    Runs and not cycles come by chance and independently, so the interval is the exact one for a Poisson count (Garwood,
+    Biometrika 28, 437, 1936). Without any run it ends at 3.7 runs.
     """
     count, tail = len(late.runs), 0.5 * (1.0 - confidence)
     low = float(gammaincinv(count, tail)) if count else 0.0
@@ -116,13 +116,13 @@ def runs_in_million(late: Late, confidence: float = 0.95) -> Interval:
 
 
 def cycles_of(folder: Path, period_ns: int, begin_ns: int = 0, end_ns: int = _NONE_NS) -> list[Cycle]:
-    """Return the cycles of a recorded session whose deadlines are within a time [ns], on a grid of this period [ns]."""
+    """Return the cycles of a recorded session with deadlines within a time [ns], on a grid of this period [ns]."""
     recording = Recording(folder / "session.mcap")
     rows, expected = [], 0
     for message in recording.messages(["haptic/state"]):
         fields = message.fields()
         if fields["session_s"] >= 0.0:
-            # a sample that was not recorded stood for one period
+            # A sample that was not recorded stood for one period.
             missing = max(0, message.seq - expected) if rows else 0
             expected = message.seq + 1
             periods = round(fields["step_s"] * 1e9 / period_ns) + missing
@@ -138,14 +138,14 @@ def matched(
 ) -> list[Cycle]:
     """Return the cycles of a hand whose deadlines are within a time [ns].
 
-    The samples say how many periods each of them stands for, so the grid goes through those that were skipped as well,
-    and lies where the earliest sample was. A sample ends when the hand received its answer. The hand does not show an
-    answer that another one overtook between two ticks: that sample ends when its command was sent, and the median time
-    from there to the hand later.
+    Each sample tells the number of periods that it stands for, so the grid includes the skipped deadlines; its phase is
+    that of the earliest sample. A cycle ends when the hand receives its answer. The hand does not show an answer that
+    another one overtook between two ticks: such a cycle ends at the time of its command, plus the median time from
+    there to the hand.
 
     Args:
-        samples: Of the whole session.
-        sent: When the command that answers a sample was sent, by the stamp of the sample [ns].
+        samples: The samples of the whole session.
+        sent: The time at which the command that answers a sample was sent, by the stamp of the sample [ns].
         period_ns: The period of the grid [ns].
         begin_ns: The first deadline wanted [ns].
         end_ns: The last deadline wanted [ns].
@@ -154,7 +154,7 @@ def matched(
     first_ns = int((samples.sampled_ns - period_ns * number).min())
     arrived: dict[int, int] = {}
     for stamp, at_ns in zip(samples.answered_ns.tolist(), samples.arrived_ns.tolist(), strict=True):
-        # the hand shows an answer until it has another
+        # The hand shows an answer until it receives another.
         if stamp:
             arrived.setdefault(stamp, at_ns)
     queues_ns = [at_ns - sent[stamp] for stamp, at_ns in arrived.items() if stamp in sent]
@@ -169,7 +169,7 @@ def matched(
         if at_ns is not None and begin_ns <= due_ns <= last_ns:
             found.append(Cycle(due_ns, stamp, at_ns))
     if found and (left := (last_ns - found[-1].due_ns) // period_ns) > 0:
-        # A cycle without an answer by then is late until the next answer, or until the end.
+        # A cycle without an answer by then lasts until the next answer, or until the end.
         due_ns = found[-1].due_ns + period_ns * left
         later = (at_ns for stamp, at_ns in arrived.items() if stamp >= due_ns)
         found.append(Cycle(due_ns, due_ns, min(later, default=int(samples.sampled_ns[-1]))))

@@ -43,13 +43,13 @@ PROCESSORS = os.sched_getaffinity(0)
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
-    """Return median, 99 % and greatest of values."""
+    """Return median, 99 % quantile and maximum of values."""
     ordered = sorted(values)
     return {"p50": ordered[len(ordered) // 2], "p99": ordered[len(ordered) * 99 // 100], "max": ordered[-1]}
 
 
 def paced(tick: Callable[[], None], seconds: float) -> list[float]:
-    """Call tick a thousand times a second; return the time inside it over the period."""
+    """Call tick a thousand times a second; return the time inside each call over the period."""
     spent = []
     due = time.perf_counter()
     for _ in range(round(seconds / PERIOD_S)):
@@ -62,19 +62,22 @@ def paced(tick: Callable[[], None], seconds: float) -> list[float]:
 
 
 def settle() -> None:
-    """Treat the memory of this process as a node does that of its own before its loop."""
+    """Treat the memory of this process as a node treats its own before its loop."""
     freeze_garbage()
     use_huge_pages()
 
 
 def as_anybody() -> None:
-    """Begin a child as from a terminal of its own: it asks for the scheduling of a device by itself."""
+    """Run a child as if started from its own terminal: it asks for the scheduling of a device itself."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, PROCESSORS)
 
 
 def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Popen[bytes]":
-    """Start an emulated device, and return its process once it is ready."""
+    """Start an emulated device, and return its process once it is ready.
+
+    Raises SystemExit if the device ends or is not ready within START_S.
+    """
     command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments]
     process = children.start(command, stdout=subprocess.DEVNULL, preexec_fn=as_anybody)
     until = time.monotonic() + START_S
@@ -86,7 +89,7 @@ def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Pope
 
 
 def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
-    """Return age of the samples and cost of the serial driver."""
+    """Return the age of the samples and the cost of the serial driver."""
     link, calibration = folder / "handle", folder / "handle.yaml"
     process = started(
         ["handle", "--board", board, "--link", str(link), "--calibration", str(calibration)], link.is_symlink
@@ -119,7 +122,7 @@ def serving() -> bool:
 
 
 def stage_figures(folder: Path, seconds: float, latency_s: float, *, stop: bool) -> dict[str, Any]:
-    """Return age and cost of the Modbus driver; `stop` holds the server up as well, in the place of bare exchanges."""
+    """Return age and cost of the Modbus driver, and those with a stopped server (`stop`) or those of bare exchanges."""
     calibration = folder / "stage.yaml"
     arguments = ["t7", "--port", str(PORT), "--latency", str(latency_s), "--calibration", str(calibration)]
     process = started(arguments, serving)
@@ -156,7 +159,7 @@ def stage_figures(folder: Path, seconds: float, latency_s: float, *, stop: bool)
 
 
 def broken_figures(folder: Path, seconds: float, *, garbage: bool) -> dict[str, Any]:
-    """Return the time inside `exchange` while the server is gone, or while another one answers with garbage."""
+    """Return the time inside `exchange` while the server is gone, or while another server answers with garbage."""
     calibration = folder / "stage.yaml"
     process = started(["t7", "--port", str(PORT), "--calibration", str(calibration)], serving)
     driver: Any = modbus_driver(ModbusConfig(calibration=str(calibration)), AfmConfig().to_params().safety)
@@ -181,7 +184,7 @@ def broken_figures(folder: Path, seconds: float, *, garbage: bool) -> dict[str, 
 
 
 def serve_garbage(stop: threading.Event) -> None:
-    """Answer whatever comes with bytes that are not Modbus."""
+    """Answer every request with bytes that are not Modbus."""
     with socket.create_server(("127.0.0.1", PORT), reuse_port=True) as server:
         server.settimeout(0.05)
         while not stop.is_set():
@@ -199,7 +202,7 @@ def serve_garbage(stop: threading.Event) -> None:
 
 
 def wire_figures(seconds: float) -> dict[str, Any]:
-    """Compare exchanges one after the other: ours, two requests in the place of one, and a bare socket."""
+    """Compare consecutive exchanges: ours, two requests in the place of one, and a bare socket."""
     write, reads = (
         Operation(1000, 2, struct.unpack(">2H", struct.pack(">f", 0.0))),
         (Operation(0, 2), Operation(1000, 2)),
@@ -254,7 +257,7 @@ def wire_figures(seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the figures, one JSON object a device, or one of all."""
+    """Print the results, one JSON object per device, or one for all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each part [s]")
     parser.add_argument("--board", action="append", choices=("posix", "avr328p"), help="what runs the handle (repeat)")

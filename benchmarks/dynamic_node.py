@@ -2,16 +2,17 @@
 
     python benchmarks/dynamic_node.py [--rounds N] [--duration S] [--steps N ...] [--json]
 
-Both are `telenano up fig12` with its cantilever of 40 N/m and 150 kHz pressed into contact, taken in turns:
-quasi-static, then dynamic with each number of steps a period, in every second round the other way round. Of the
-instrument a missed deadline is a step that comes 2 ms or more after the one before it, as `afm/state` has it, while the
-tip follows the hand; of all other nodes it is what they report (a period late or more) between their first and last
-report in that time. Beside each session an empty loop of the highest priority runs on each processor: a step in whose
-time one of them was held up as well is the machine's. The age of the loop is that of the recording. Differences are
-those of a round, with Wilcoxon's signed-rank test of whether the dynamic one has more.
+Both are `telenano up fig12` with its cantilever of 40 N/m and 150 kHz pressed into contact. They take turns:
+quasi-static, then dynamic with each number of steps a period, in the opposite order in every second round. For the
+instrument a missed deadline is a step that comes 2 ms or more after the one before it according to `afm/state`, while
+the tip follows the hand. For all other nodes it is what they report (a period late or more) between their first and
+last report in that time. Beside each session an empty loop of the highest priority runs on each processor: if one of
+them was held up during a late step as well, the step is counted as the machine's. The age of the loop is that of the
+recording. Differences are taken within a round, with Wilcoxon's signed-rank test of whether the dynamic cantilever has
+more.
 
-Before that, without a rig: how long this machine takes for a millisecond of the cantilever, in contact and tapping, and
-how much of it a command waits for.
+Before that the benchmark measures, without a rig, the time that this machine needs for a millisecond of the cantilever,
+in contact and tapping, and the part of it for which a command waits.
 """
 
 import argparse
@@ -35,17 +36,17 @@ from telenano.wire import decode
 from telenano.wire.messages import AfmState, NodeHealth
 
 LATE_STEP_S = 2e-3
-# as fine as an empty loop can tell, which is itself late by some tens of microseconds
+# An empty loop cannot resolve less, because it is itself late by some tens of microseconds.
 WITNESS_PERIOD_NS, WITNESS_LATE_NS = 1_000_000, 300_000
 OWN, MACHINE, OTHERS = "missed by the instrument", "besides by the machine", "missed by others"
-CONTACT_M = 12e-9  # base of some 20 nN
-GAP_M = 15e-9  # from a tip that vibrates by 20 nm
+CONTACT_M = 12e-9  # base position for a force of some 20 nN
+GAP_M = 15e-9  # gap to a tip that vibrates by 20 nm
 
 
 def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> tuple[float, float]:
-    """Return median times of 1 ms of the cantilever [s]: all of it, and what a command waits for.
+    """Return the median times for 1 ms of the cantilever [s]: the whole, and the part for which a command waits.
 
-    Steps None is the quasi-static one, which has no other part.
+    Steps None means the quasi-static cantilever, for which a command waits for the whole.
     """
     section: dict[str, Any] = {} if steps is None else {"model": "dynamic", "cantilever": {"steps_per_period": steps}}
     config = AfmConfig.model_validate(section)
@@ -70,7 +71,10 @@ def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> tuple[f
 
 
 def measure_rig(duration_s: float, steps: int | None) -> dict[str, float]:
-    """Return age of the loop [ms] and missed deadlines of a session."""
+    """Return age of the loop [ms] and missed deadlines of a session.
+
+    Raises SystemExit if the rig fails.
+    """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": os.environ.get("TELENANO_RUNTIME_DIR", folder)}
@@ -107,7 +111,7 @@ def measure_rig(duration_s: float, steps: int | None) -> dict[str, float]:
 
 
 def measure(rounds: int, duration_s: float, steps: list[int]) -> dict[str, Any]:
-    """Return all figures: by number of steps (0: quasi-static) those of each round, and the exchanges [ms]."""
+    """Return all results: the rounds by number of steps (0: quasi-static), and the exchanges [ms]."""
     exchanges = {str(n): {} for n in (0, *steps)}
     for n in (0, *steps):
         for name in ("contact", "tapping") if n else ("contact",):
@@ -117,13 +121,13 @@ def measure(rounds: int, duration_s: float, steps: list[int]) -> dict[str, Any]:
     for turn in range(rounds):
         for n in (0, *steps)[:: -1 if turn % 2 else 1]:
             runs[str(n)].append(measure_rig(duration_s, n or None))
-            # a measurement that is ended early has its sessions here
+            # Thus a measurement that is ended early still has its sessions on stderr.
             print(json.dumps({"steps a period": n, **runs[str(n)][-1]}), file=sys.stderr, flush=True)
     return {"exchange_ms": exchanges, "rounds": runs}
 
 
 def more_of(key: str, runs: list[dict[str, float]], base: list[dict[str, float]]) -> str:
-    """Return the differences of the rounds in words, with the probability of so many more by chance."""
+    """Return the differences of the rounds in words, with the probability of at least as many more by chance."""
     from scipy.stats import wilcoxon
 
     differences = [run[key] - other[key] for run, other in zip(runs, base, strict=True)]

@@ -2,7 +2,7 @@
 
     python benchmarks/empty_loop.py [--duration S]
 
-A rig cannot be better than they are, so what is demanded of it in time is judged against them, in the same moments.
+A rig cannot be better than these loops, so its demands on time are judged against them, at the same moments.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 PERIOD_NS = 2_000_000
-# less than this is the scheduler's, more is a processor that was taken away
+# Less lateness than this is due to the scheduler, more to a processor that was taken away.
 LATE_NS = 1_000_000
 PRIORITY = 90
 
@@ -32,7 +32,7 @@ class Stall(NamedTuple):
 class EmptyLoops:
     """Runs a loop on each processor while the block runs; `stalls` are known once it has ended.
 
-    Parameters: period_ns [ns]; late_ns, from which lateness on it is a stall [ns].
+    Parameters: period_ns [ns]; late_ns, the lateness from which on it is a stall [ns].
     """
 
     def __init__(self, period_ns: int = PERIOD_NS, late_ns: int = LATE_NS) -> None:
@@ -40,7 +40,7 @@ class EmptyLoops:
         self._period_ns, self._late_ns = period_ns, late_ns
 
     def __enter__(self) -> "EmptyLoops":
-        # not a new interpreter: beside a rig that would take seconds to start
+        # A new interpreter would take seconds to start beside a rig.
         context = multiprocessing.get_context("fork")
         self._ends: list[Connection] = []
         self._loops = []
@@ -67,20 +67,20 @@ class EmptyLoops:
         self.stalls = merged(found)
 
     def share(self, first_ns: int, last_ns: int) -> float:
-        """Give the share of a time in which every processor could be had [1]."""
+        """Return the share of a time in which every processor was available [1]."""
         lost = sum(max(0, min(stall.last_ns, last_ns) - max(stall.first_ns, first_ns)) for stall in self.stalls)
         return 1.0 - lost / (last_ns - first_ns)
 
     def longest_s(self, first_ns: int, last_ns: int) -> float:
-        """Give the longest time without one of the processors [s]."""
+        """Return the longest time without one of the processors [s]."""
         inside = (stall for stall in self.stalls if stall.last_ns > first_ns and stall.first_ns < last_ns)
         return max((stall.last_ns - stall.first_ns for stall in inside), default=0) * 1e-9
 
 
 def keep_deadlines(cpu: int, stop: Connection, period_ns: int = PERIOD_NS, late_ns: int = LATE_NS) -> None:
-    """Keep deadlines on one processor until stopped, then send when they were missed."""
+    """Keep deadlines on one processor until stopped, then send the stalls."""
     os.sched_setaffinity(0, {cpu})
-    # where it is not permitted the rig has no real time either
+    # Where this is not permitted, the rig has no real-time scheduling either.
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     stop.send("running")
@@ -98,7 +98,7 @@ def keep_deadlines(cpu: int, stop: Connection, period_ns: int = PERIOD_NS, late_
 
 
 def merged(stalls: Sequence[Stall]) -> list[Stall]:
-    """Join stalls that overlap: a loop across two processors stands still when either does."""
+    """Join stalls that overlap: a loop across two processors stands still if either of them does."""
     found: list[Stall] = []
     for stall in sorted(stalls):
         if found and stall.first_ns <= found[-1].last_ns:
@@ -109,7 +109,7 @@ def merged(stalls: Sequence[Stall]) -> list[Stall]:
 
 
 def main() -> None:
-    """Watch the machine for a time and report how much time it took away."""
+    """Watch the machine for a time and report the time that it took away."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=10.0, help="time to watch [s]")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")

@@ -1,11 +1,11 @@
-"""From the start of `telenano estop` to the AFM's emergency stop, as a ratio to the start of the interpreter.
+"""Measure the time from the start of `telenano estop` to the AFM's emergency stop, relative to an interpreter's start.
 
     python benchmarks/estop.py [--rounds N] [--command "session estop"] [--json]
 
-A rig runs (`telenano up fig12`). In each round the devices are armed and the command is started as a process
-of its own; the clock runs from before its start to the `t_ns` of the first afm/state that is in emergency stop, and on
-until the command has ended. The baseline is `python -c pass`, from before its start to its end, in the same round.
-Half of the rounds are on the machine as it is, the other half beside one busy process for each processor.
+A rig runs (`telenano up fig12`). Each round arms the devices and starts the command as its own process. The time runs
+from before its start to the `t_ns` of the first afm/state in emergency stop, and also to the end of the command. The
+baseline is `python -c pass` in the same round, from before its start to its end. Half of the rounds run on the machine
+as it is, the other half beside one busy process for each processor.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from telenano.signals import children
 from telenano.wire.errors import TelenanoError
 
 AFM = "afm_node@slave"
-# how msgpack writes the mode of an afm/state
+# The mode of an afm/state, as msgpack encodes it.
 STOPPED, FOLLOWS = b"\xa4mode\xa5estop", b"\xa4mode\xa6follow"
 PATIENCE_S = 90.0
 
@@ -67,7 +67,7 @@ class Afm:
         self._socket.connect(AddressBook.load(DEFAULT_SITE_FILE).endpoint(AFM))
 
     def wait_for(self, mode: bytes) -> int:
-        """Wait for a state in a mode, as it is on the wire; return its t_ns. SystemExit when there is none."""
+        """Wait for a state in a mode, as encoded on the wire, and return its t_ns; SystemExit after PATIENCE_S."""
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             if self._socket.poll(1000):
@@ -87,7 +87,7 @@ class Afm:
 
 
 def arm() -> None:
-    """Arm both devices, which may need a moment of fresh commands."""
+    """Arm both devices, which may first need a moment of fresh commands."""
     end = time.monotonic() + PATIENCE_S
     for device in ("haptic_node", "afm_node"):
         while time.monotonic() < end:
@@ -99,7 +99,7 @@ def arm() -> None:
 
 
 def one_round(afm: Afm, command: list[str]) -> dict[str, float]:
-    """Return the time to the stop, to the end of the command, and that of the baseline [s]."""
+    """Return the times to the stop, to the end of the command, and of the baseline [s]."""
     arm()
     afm.wait_for(FOLLOWS)
     begun = time.monotonic()
@@ -115,7 +115,7 @@ def one_round(afm: Afm, command: list[str]) -> dict[str, float]:
 
 
 def summary(rounds: list[dict[str, float]]) -> dict[str, float]:
-    """Return p50 and max of each time [s], and the ratio of the medians of stop and baseline."""
+    """Return median and maximum of each time [s], and the ratio of the medians of stop and baseline."""
     found = {}
     for name in rounds[0]:
         values = [each[name] for each in rounds]

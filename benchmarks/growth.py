@@ -3,16 +3,16 @@
     python benchmarks/growth.py [--quick] [--rounds N] [--window S] [--json]
     python benchmarks/growth.py --subscribers 0,32,64 --pages '' --rates '' --topics ''
 
-A row is a session of its own (`observers.py`), in which all that reads it has connected before the window begins: of
-processes that read every topic, of pages (of the protocol, without a browser), of the rate of the rig, and of how many
-topics four processes read, those of the loop first. The rig at 1 kHz with nothing beside it is measured before each of
-the four: its median is the baseline of all ages. The readers are on the same machine, and have their own columns. With
-more rounds the sessions take turns, and the medians are compared.
+Each row is its own session (`observers.py`), in which all readers have connected before the window begins. The four
+axes are the number of processes that read every topic, the number of pages (clients of the protocol, without a
+browser), the rate of the rig, and the number of topics that four processes read, those of the loop first. The rig at 1
+kHz without any load is measured before each of the four: its median is the baseline of all ages. The readers are on the
+same machine and have their own columns. With more rounds the sessions take turns, and the medians are compared.
 
-A row holds its rate where hand and instrument both have 99 % of it. The sentences name the row from which on none does,
-the one from which on the loop is older than a tick at 99 %, and what happens in it: messages that a newer one
-superseded in the nodes, deadlines that were missed, what a reader still has, and what `telenano status` says at that
-moment. A row that fails before one that does not is named as well: it was disturbed.
+A row holds its rate if hand and instrument both have 99 % of it. The sentences name the row from which on none holds it
+and the row from which on the age of the loop at 99 % is more than a tick, with its details: messages that a newer one
+superseded in the nodes, missed deadlines, the messages that still reach a reader, and the output of `telenano status`
+at that moment. They also name a row that fails before one that does not: it was disturbed.
 """
 
 import argparse
@@ -33,13 +33,13 @@ OF_THE_LOOP = ("haptic/state", "afm/state", "teleop/forward", "teleop/backward",
 IN_ORDER = (*OF_THE_LOOP, *(topic for topic in TOPICS if topic not in OF_THE_LOOP))
 READERS_OF_TOPICS = 4
 USUAL_HZ = 1000.0
-# A rig holds its rate where its hand and its instrument have at least this share of it.
+# A rig holds its rate if its hand and its instrument have at least this share of it.
 LEAST_SHARE = 0.99
 Row = Mapping[str, Any]
 
 
 class Axis(NamedTuple):
-    """What grows: what one and several of it are called, and the values of a table, the baseline first."""
+    """A quantity that grows: its title, the words for one and several, and the values of its table, baseline first."""
 
     title: str
     one: str
@@ -47,7 +47,7 @@ class Axis(NamedTuple):
     values: tuple[int, ...]
 
     def named(self, value: int) -> str:
-        """Return a value with what it is of."""
+        """Return a value with its unit or noun."""
         return f"{value} {self.one if value == 1 else self.several}"
 
 
@@ -59,7 +59,7 @@ AXES = {
         f"topics that {READERS_OF_TOPICS} processes read", "topic", "topics", (0, 1, 2, 4, 6, len(IN_ORDER))
     ),
 }
-# Along these axes a reader receives the same in each row, while all goes well.
+# Along these axes a reader receives the same in each row, as long as all goes well.
 OF_READERS = ("subscribers", "pages")
 COLUMNS = {
     "rig [%]": ("rig_percent", 0),
@@ -81,7 +81,7 @@ COLUMNS = {
 
 
 def load_of(axis: str, value: int) -> Load:
-    """Return what a value of an axis puts on a rig."""
+    """Return the load of a rig for a value of an axis."""
     if axis == "rates":
         return Load(rate_hz=float(value))
     if value == 0:
@@ -92,7 +92,7 @@ def load_of(axis: str, value: int) -> Load:
 
 
 def measured(load: Load, window_s: float, folder: Path) -> dict[str, Any]:
-    """Return the figures of a session, or why it had none (`failed`)."""
+    """Return the results of a session, or the reason why it had none (`failed`)."""
     try:
         return {"asked_hz": load.rate_hz, **session(load, window_s, folder, asks_status=True)}
     except SessionError as error:
@@ -100,7 +100,7 @@ def measured(load: Load, window_s: float, folder: Path) -> dict[str, Any]:
 
 
 def joined(rounds: Sequence[Row]) -> dict[str, Any]:
-    """Return one row of the rounds of a value: the medians, all that was said, or why every round failed."""
+    """Return one row for the rounds of a value: medians and all status texts, or the first reason if all failed."""
     good = [row for row in rounds if "failed" not in row]
     if not good:
         return dict(rounds[0])
@@ -125,7 +125,7 @@ def holds_rate(row: Row) -> bool:
 
 
 def within_tick(row: Row) -> bool:
-    """Return whether the loop is younger than a tick at 99 %."""
+    """Return whether the age of the loop at 99 % is at most a tick."""
     return row["p99_ms"] <= 1e3 / row["asked_hz"]
 
 
@@ -140,18 +140,18 @@ def age_of(row: Row) -> str:
 
 
 def where_from(rows: Sequence[Row], is_good: Callable[[Row], bool]) -> tuple[Row | None, list[Row]]:
-    """Return the row from which on none is good, None where the last one is, and those before it that are not good.
+    """Return the row from which on none is good (None if the last one is), and the rows before it that are not good.
 
-    More of what loads a machine does not make it better: a row that fails before one that does not was disturbed.
+    More load does not make a machine better, so a row that fails before one that does not was disturbed.
     """
     last = max((place for place, row in enumerate(rows) if is_good(row)), default=-1)
     return next(iter(rows[last + 1 :]), None), [row for row in rows[: last + 1] if not is_good(row)]
 
 
 def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
-    """Return in sentences from which row on the rate is not held, from which on the loop is too old, and what then is.
+    """Return sentences on the row from which on the rate is not held, and that from which on the loop is too old.
 
-    The rows are taken in the order of their values, and the last one that has figures is described as well.
+    The rows are taken in the order of their values. Those rows and the last one with results are described in detail.
     """
     named, ordered = AXES[axis].named, sorted(rows, key=lambda row: row["value"])
     answered = [row for row in ordered if "failed" not in row]
@@ -174,7 +174,7 @@ def where_it_stops(axis: str, rows: Sequence[Row]) -> list[str]:
         found.append(f"The loop is younger than a tick at 99 % up to {named(answered[-1]['value'])}.")
     found += [f"At {named(row['value'])} it was not, but with more it was: {age_of(row)}." for row in odd]
     if answered:
-        # the most that was tried says what becomes of it
+        # The largest value that was tried shows the effect of the most load.
         shown.setdefault(answered[-1]["value"], answered[-1])
     had_first = next((row["received_hz"] for row in answered if row.get("received_hz")), 0.0)
     for value, row in sorted(shown.items()):
@@ -195,7 +195,7 @@ def measure(wanted: Mapping[str, Sequence[int]], rounds: int, window_s: float) -
             done = set[Load]()
             for axis, value in ((axis, value) for axis, values in wanted.items() for value in values):
                 load = load_of(axis, value)
-                # all ages are compared with the baseline, so each axis has it again
+                # All ages are compared with the baseline, so each axis measures it again.
                 if load in done and load != Load():
                     continue
                 done.add(load)
@@ -212,7 +212,7 @@ def measure(wanted: Mapping[str, Sequence[int]], rounds: int, window_s: float) -
 
 
 def cells(row: Row, columns: Mapping[str, tuple[str, int]]) -> list[str]:
-    """Return the cells of a row, the value first; those without a figure are empty."""
+    """Return the cells of a row, the value first; cells without a result are empty."""
     return [
         f"{row['value']}",
         *(f"{row[name]:.{digits}f}" if name in row else "" for name, digits in columns.values()),
@@ -220,7 +220,7 @@ def cells(row: Row, columns: Mapping[str, tuple[str, int]]) -> list[str]:
 
 
 def columns_of(rows: Sequence[Row]) -> dict[str, tuple[str, int]]:
-    """Return the columns that say something: no row of an axis may have a page."""
+    """Return the columns in which some row has a value: the rows of an axis may all be without a page, for example."""
     return {head: (name, digits) for head, (name, digits) in COLUMNS.items() if any(row.get(name) for row in rows)}
 
 

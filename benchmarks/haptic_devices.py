@@ -1,8 +1,8 @@
 """Age of the loop with each haptic device behind its real wire, beside the simulated master, in sessions by turns.
 
-`python benchmarks/haptic_devices.py --rounds 3` runs Fig. 12 with the simulated master, the emulated Inverse3 (its
-service is a process of its own), and the doubles of libdhd (1 and 4 kHz) and libHD (1 kHz), a round of all after the
-other. Each figure is the median of the rounds, with its ratio to the simulated master of the same round.
+`python benchmarks/haptic_devices.py --rounds 3` runs Fig. 12 with the simulated master, the emulated Inverse3 (whose
+service is its own process), and the doubles of libdhd (1 and 4 kHz) and libHD (1 kHz), each once a round. Each result
+is the median of the rounds, with its ratio to the simulated master of the same round.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def settings_of(case: str, service: str) -> list[str]:
 
 
 def session(case: str, folder: Path, duration_s: float) -> dict[str, Any]:
-    """Run one session of Fig. 12 and return what is compared of it."""
+    """Run one session of Fig. 12 and return the quantities to compare."""
     telenano = [sys.executable, "-m", "telenano"]
     emulator = None
     service = ""

@@ -1,6 +1,6 @@
-"""The time of a node by part of a hop, for `loop.py`, which starts its rigs with `traced_node/sitecustomize.py`.
+"""Trace the time of a node by part of a hop, for `loop.py`, which starts its rigs with `traced_node/sitecustomize.py`.
 
-It replaces methods of the bus by timed ones in the process that installs it.
+`install` replaces methods of the bus by timed ones in the process that calls it.
 """
 
 import functools
@@ -13,7 +13,7 @@ from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.log import StructuredLog
 
-# in the order of a hop; `act` is all that a node does besides: its step, the journal, the loop around both
+# The parts in the order of a hop; `act` is all other work of a node: its step, the journal, the loop around both.
 PARTS = ("take", "decode", "act", "build", "send", "after")
 _TIMED = (
     (Subscriber, "receive_raw", "take"),
@@ -21,15 +21,15 @@ _TIMED = (
     (ZmqPublisher, "publish", "build"),
     (ZmqPublisher, "send", "send"),
 )
-# These are half a minute of a node at 1 kHz.
+# So many hops are half a minute of a node at 1 kHz.
 _MOST_HOPS = 60_000
 
 
 class HopTrace:
-    """Time of each part of a hop [ns], from the end of a wait to the beginning of the next one.
+    """Records the time of each part of a hop [ns], from the end of a wait to the beginning of the next one.
 
     A hop is a turn in which the process sent something. The time since its last message, `after`, delays that message
-    where sender and reader share a processor: the thread that sends it is of the sender's priority.
+    if sender and reader share a processor, because the thread that sends it has the sender's priority.
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.perf_counter_ns) -> None:
@@ -41,16 +41,16 @@ class HopTrace:
         self.hops: list[tuple[int, ...]] = []
 
     def begin(self, part: str) -> None:
-        """Charge the time from now on to a part, until its end."""
+        """Charge the time from now on to a part, until that part ends."""
         self._charge()
         self._open.append(part)
         if part == "build":
-            # this was not the last one
+            # The message before this one was not the last of the turn.
             self._spent_ns["act"] += self._spent_ns["after"]
             self._spent_ns["after"] = 0
 
     def end(self) -> None:
-        """Charge the time from now on to the part around the one in hand."""
+        """End the current part, and charge the time from now on to the part around it."""
         self._charge()
         self._sent = self._open.pop() == "send" or self._sent
 
@@ -67,7 +67,7 @@ class HopTrace:
             self.hops.append(tuple(self._spent_ns.values()))
 
     def medians_us(self) -> dict[str, float]:
-        """Return the median of each part [us], empty without a hop."""
+        """Return the median of each part [us]; empty if there was no hop."""
         columns = zip(*self.hops, strict=True)
         return {part: statistics.median(spent) * 1e-3 for part, spent in zip(PARTS, columns, strict=False)}
 
@@ -81,7 +81,10 @@ class HopTrace:
 
 
 def install(log: StructuredLog) -> Callable[[], None]:
-    """Time the bus of this process from now on; return what writes the medians to its log and ends that."""
+    """Time the bus of this process from now on.
+
+    Returns a function that writes the medians to the log and restores the bus.
+    """
     trace = HopTrace()
     replaced: list[tuple[type, str, Any]] = [(ZmqBus, "wait", ZmqBus.wait)]
     wait = ZmqBus.wait

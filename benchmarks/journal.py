@@ -2,12 +2,12 @@
 
     python benchmarks/journal.py [LAW]
 
-Each figure stands beside the decoding of one message of the same run, which every input costs anyway. All of it comes
-after the turn's outputs were sent; the batch comes twice a second, with node/health.
+Each time stands beside that of decoding one message in the same run, which every input costs anyway. All of this work
+comes after the turn's outputs were sent; the batch comes twice a second, with node/health.
 
-The link handles the most messages. It runs here in its own loop on its own sockets, with a journal and without, on the
-same messages at the rate of a rig, a hundredth of a second at a time: the ratio is that of the processor time of its
-thread. In a rig each message has to wake it as well, so that the ratio there is lower.
+The link handles the most messages. Here it runs in its own loop on its own sockets, with a journal and without one, on
+the same messages at the rate of a rig, a hundredth of a second at a time. The ratio is that of the processor times of
+its thread. In a rig each message has to wake it as well, so the ratio is lower there.
 """
 
 import argparse
@@ -56,7 +56,7 @@ ROUNDS = 8
 
 
 class _NullBus(SimpleNamespace):
-    """Builds and encodes what is published, and sends nothing."""
+    """A bus that builds and encodes each published message, and sends nothing."""
 
     def publish(self, topic: str, **fields: Any) -> Any:
         model = TOPICS[topic].model
@@ -66,7 +66,7 @@ class _NullBus(SimpleNamespace):
 
 
 def measure_turns(law: str, repeats: int) -> dict[str, dict[str, float]]:
-    """Return the time of an entry and of a batch [us], and as so many decodings of a message."""
+    """Return the time of an entry and of a batch [us], and the same in units of the decoding of a message."""
     bus: Any = _NullBus()
     node = MasterController(
         NodeContext("controller@master", SystemClock(), bus, StructuredLog("controller@master")),
@@ -96,7 +96,7 @@ def measure_turns(law: str, repeats: int) -> dict[str, dict[str, float]]:
 
 
 class LinkBench:
-    """Two links on sockets of their own that receive the same messages: one keeps a journal, the other does not."""
+    """Two links on their own sockets that receive the same messages: one keeps a journal, the other does not."""
 
     def __init__(self, folder: Path, settings: dict[str, Any]) -> None:
         self._context = zmq.Context[zmq.Socket[bytes]]()
@@ -132,7 +132,7 @@ class LinkBench:
         time.sleep(0.3)
 
     def second(self) -> dict[bool, float]:
-        """Let both links handle a second of a rig; return the processor time of each [s]."""
+        """Let both links handle a second of a rig; return the processor time [s] with and without a journal."""
         taken_s = dict.fromkeys(self.loops, 0.0)
         fields = {
             topic: {
@@ -173,7 +173,7 @@ class LinkBench:
 
 
 def measure_links(rounds: int) -> dict[str, dict[str, float]]:
-    """Return the processor time of a message [us] in the link with and without a journal, and their ratio."""
+    """Return the processor time for a message [us] in the link with and without a journal, and their ratio."""
     messages, found = sum(count for _, _, count in SECOND), {}
     for name, settings in LINKS.items():
         with tempfile.TemporaryDirectory() as folder:

@@ -2,18 +2,19 @@
 
     python benchmarks/late_cycles.py [--rounds N] [--duration S] [--quick] [--json]
 
-Three loops at 1 kHz under the scheduling of the hand's node take turns, first undisturbed, then beside the process:
-one thread that only waits for its deadlines, the eight hops over bare ZeroMQ (`chains.py`), and the whole rig.
+Three loops at 1 kHz under the scheduling of the hand's node take turns, first undisturbed, then beside the process: one
+thread that only waits for its deadlines, the eight hops over bare ZeroMQ (`chains.py`), and the whole rig.
 
-A cycle begins at its deadline, on an absolute grid. It ends when its answer is back at the hand, or the answer of a
-later cycle, which is then in force; for the thread, when it runs. Deadlines that a loop skipped are cycles like the
-others. A cycle is late when it ends more than 1 ms after the median cycle of the same loop, undisturbed in the same
-round: so the three are compared by what the machine adds, and not by what they do. `after the next tick` counts those
-that took more than a period, which is what a controller notices that expects each answer before its next sample.
+A cycle begins at its deadline, on an absolute grid. It ends when its answer arrives at the hand, or the answer of a
+later cycle, which then takes its place; for the thread, when it runs. Deadlines that a loop skipped count as cycles
+like the others. A cycle is late if it ends more than 1 ms after the median cycle of the same loop, undisturbed in the
+same round: so the three are compared by the time that the machine adds, and not by their own work. `after the next
+tick` counts the cycles of more than a period, which matter to a controller that expects each answer before its next
+sample.
 
-Late cycles come in runs, one for each time that a loop stood still. The runs are counted as well, because they and not
-their cycles come by chance: the interval (95 %) is the exact one of their count, and a ratio is one of runs. A ratio to
-a baseline that had none is the least that it can be (>).
+Late cycles come in runs, one for each time that a loop stood still. The runs are counted as well, because they, and not
+their cycles, come by chance: the interval (95 %) is the exact one of their count, and a ratio is one of runs. If a
+baseline had no run, the ratio to it is a lower bound (>).
 """
 
 import argparse
@@ -36,7 +37,7 @@ from telenano.runtime.loop.realtime import shallow_idle
 from telenano.signals import children
 
 PERIOD_MS = PERIOD_NS * 1e-6
-# It takes pages from the kernel, writes to each of them, gives them back, and computes for about as long.
+# The process takes pages from the kernel, writes to each, gives them back, and then computes for about as long.
 BURNER = """
 import sys
 size = int(sys.argv[1])
@@ -57,7 +58,7 @@ BESIDE = {"nothing": "nothing", "burner": "a burning process"}
 
 @contextlib.contextmanager
 def burning(wanted: bool) -> Iterator[Callable[[], float]]:
-    """Run the process beside the block, if it is wanted; yield what gives its processor time so far [s]."""
+    """Run the burning process beside the block if `wanted`; yield a function for its processor time so far [s]."""
     if not wanted:
         yield lambda: 0.0
         return
@@ -75,12 +76,15 @@ def burning(wanted: bool) -> Iterator[Callable[[], float]]:
 
 
 def ratio(found: Interval, base: Interval) -> tuple[float, bool]:
-    """Return how many times as many cycles are late as in a baseline, and whether that is the least it can be."""
+    """Return the ratio of a rate of late runs to a baseline, and whether that is only a lower bound."""
     return (found.rate / base.rate, False) if base.rate else (found.low / base.high, True)
 
 
 def measure(rounds: int, duration_s: float) -> dict[str, Any]:
-    """Return the figures of each loop, beside nothing and beside the process."""
+    """Return the results of each loop, beside nothing and beside the process.
+
+    Raises SystemExit if a loop answers no cycle.
+    """
     kinds = [(beside, name) for beside in BESIDE for name in LOOPS]
     late = {kind: Late((), 0) for kind in kinds}
     missed = {kind: Late((), 0) for kind in kinds}
@@ -93,7 +97,7 @@ def measure(rounds: int, duration_s: float) -> dict[str, Any]:
             with burning(beside == "burner") as burned_s:
                 for name, (_, run) in LOOPS.items():
                     begun, used_s = time.monotonic(), burned_s()
-                    # a rig asks for that itself
+                    # A rig asks for shallow idle states itself.
                     with shallow_idle():
                         found_ms = responses_ms(run(duration_s), PERIOD_NS)
                     if not found_ms.size:
@@ -137,7 +141,7 @@ HEAD = (
 def cells(row: dict[str, Any]) -> tuple[str, ...]:
     """Return the cells of a row of the table, in the order of `HEAD`."""
     runs = Interval(**row["runs_in_million"])
-    # nothing beside nothing says nothing
+    # A bound without any late run carries no information.
     has_ratio = row["loop"] != "waiting" and not (row["ratio_is_bound"] and not row["runs"])
     return (
         BESIDE[row["beside"]],

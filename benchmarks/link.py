@@ -3,9 +3,9 @@
     python benchmarks/link.py [--duration S] [--json]
 
 A source sends teleop/forward and teleop/backward at 3 kHz each (as much as six topics at 1 kHz) through a real
-`delay_node` process; a sink subscribes to the source itself and to the link. At 100 ms: the error of the delay, from
-the source's stamp to the sink's, less 100 ms, so it holds two hops as well. At 0 ms: the median latency through the
-link as a ratio to that of the direct subscription, message by message in the same run.
+`delay_node` process; a sink subscribes to the source itself and to the link. At 100 ms the benchmark measures the error
+of the delay: the time from the source's stamp to the sink's, less 100 ms, so it includes two hops. At 0 ms it measures
+the median latency through the link as a ratio to that of the direct subscription, in the same run.
 """
 
 import argparse
@@ -51,7 +51,7 @@ ANSWER = {**SIGNAL, "separation_m": 1e-9, "separation_valid": True, "in_contact"
 
 
 def endpoints(folder: Path) -> dict[str, str]:
-    """Give the address book of the three processes."""
+    """Return the address book of the three processes."""
     nodes = ("controller@master", "controller@slave", "delay_node@master", "delay_node@slave", "afm_node@slave")
     return {node: f"ipc://{folder}/{node}" for node in nodes}
 
@@ -78,7 +78,7 @@ def source(book: dict[str, str], ticks: int, go: Connection) -> None:
 
 
 def sink(book: dict[str, str], result: Connection, go: Connection) -> None:
-    """Stamp what comes from the source and from the link; give the ages [ns] by way and topic."""
+    """Stamp the messages from the source and from the link; send ages [ns] and losses by way through `result`."""
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("sink"), "sink@slave")
     clock, context = SystemClock(), zmq.Context[zmq.Socket[bytes]]()
     plans = {
@@ -104,7 +104,7 @@ def sink(book: dict[str, str], result: Connection, go: Connection) -> None:
 
 
 def run(delay_s: float, duration_s: float) -> tuple[dict[str, np.ndarray], dict[str, int]]:
-    """Give the ages [ms] of a run through the link and past it, and what was lost."""
+    """Return the ages [ms] of a run through the link and past it, and the number of lost messages, by way."""
     with tempfile.TemporaryDirectory() as name, shallow_idle():
         folder = Path(name)
         book = endpoints(folder)

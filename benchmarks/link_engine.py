@@ -44,7 +44,7 @@ print(best * 1e3)
 
 
 def cost_us(folder: Path, network: str) -> float:
-    """Return the least processor time of a message, by parts of a thousand [us]."""
+    """Return the least processor time for a message [us], over parts of a thousand messages."""
     command = [sys.executable, "-c", CARRY, network, REFERENCE]
     own = {"PYTHONPATH": str(folder)}
     done = children.run(command, cwd=folder, capture_output=True, text=True, check=True, env=own)

@@ -1,8 +1,8 @@
 """What `telenano link udp` adds to datagrams, beside a bare forwarder of them.
 
-Datagrams with their time of sending go at a rate through the link, with the network `clean`, and in turns through a
-process that only reads and sends on. Each round takes so many seconds of both. The forwarders have one processor,
-sender and receiver another one.
+The benchmark sends datagrams that carry their time of sending at a fixed rate through the link, with the network
+`clean`, and in turn through a process that only reads and sends on. Each round takes the same time for both. The
+forwarders have one processor, sender and receiver another one.
 
 python benchmarks/link_udp.py
 """
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def measured(name: str, folder: Path, rate_per_s: float, seconds: float) -> dict[str, float]:
-    """Return quantiles of the way of a datagram [ms], the share lost, and the processor time of the forwarder."""
+    """Return quantiles of the delay of a datagram [ms], the share lost, and the forwarder's share of a processor."""
     processors = sorted(os.sched_getaffinity(0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
@@ -103,7 +103,7 @@ def measured(name: str, folder: Path, rate_per_s: float, seconds: float) -> dict
 
 
 def started(name: str, folder: Path, listening: int, target: int) -> "subprocess.Popen[str]":
-    """Return the process of a forwarder that is ready."""
+    """Start a forwarder and return its process once it is ready; SystemExit if it does not begin."""
     command = [sys.executable, "-c", BARE, str(listening), str(target)]
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder)}
     if name == "link":
@@ -119,7 +119,10 @@ def started(name: str, folder: Path, listening: int, target: int) -> "subprocess
 def exchanged(
     receiver: socket.socket, listening: int, rate_per_s: float, seconds: float
 ) -> tuple["np.ndarray[Any, np.dtype[np.float64]]", int]:
-    """Send stamped datagrams at a rate and return how long those that arrived took [ms], and how many were sent."""
+    """Send stamped datagrams at a rate; return the delays of those that arrived [ms], and the number sent.
+
+    Raises SystemExit if no datagram arrived.
+    """
     receiver.setblocking(False)
     padding = bytes(SIZE_BYTES - _STAMP.size)
     taken_ns: list[int] = []
@@ -143,13 +146,13 @@ def exchanged(
 
 
 def processor_time_s(pid: int) -> float:
-    """Return the processor time that a process has taken [s]."""
+    """Return the processor time used by a process so far [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
 
 
 def free_port() -> int:
-    """Return a port of UDP that nobody has at the moment."""
+    """Return a UDP port that is free at the moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])

@@ -2,8 +2,8 @@
 
     python benchmarks/lockstep.py [--laws all] [--round-trip-ms 20] [--session-s 20] [--repeats 5] [--json]
 
-The parts are the compiled steps of the haptic site and of the instrument, run alone over the course that the whole loop
-took; the rest is the law, the link and the bookkeeping. The best of several repeats counts, as another process on the
+The parts are the compiled steps of the haptic site and of the instrument, run alone over the course of the whole loop;
+the rest is the law, the link and the bookkeeping. The best of several repeats counts, because another process on the
 core can only make it slower.
 """
 
@@ -33,7 +33,7 @@ _SETTLE_TICKS = 300
 
 @always_compiled
 def haptic_alone(params: Any, state: Any, references_m: np.ndarray, times_s: np.ndarray, dt: float) -> float:
-    """Run the haptic site under the references of a course."""
+    """Run the haptic site alone with the references of a course."""
     total = 0.0
     for n in range(len(times_s)):
         asked = HapticInputs(1, references_m[n], 0.0, 0.0, times_s[n], False, False)
@@ -44,7 +44,7 @@ def haptic_alone(params: Any, state: Any, references_m: np.ndarray, times_s: np.
 
 @always_compiled
 def instrument_alone(params: Any, state: Any, bases_m: np.ndarray, dt: float) -> float:
-    """Run the instrument over the base positions of a course."""
+    """Run the instrument alone over the base positions of a course."""
     total, arm = 0.0, True
     for base_m in bases_m:
         state, outputs = instrument_step(params, state, AfmInputs(base_m, 0.0, 0, arm, False, 0.0, 0.0, False), dt)
@@ -54,7 +54,7 @@ def instrument_alone(params: Any, state: Any, bases_m: np.ndarray, dt: float) ->
 
 
 def best_s(run: Callable[[], object], repeats: int) -> float:
-    """Give the shortest processor time [s] of several runs, after one that does not count."""
+    """Return the shortest processor time [s] of several runs, after one that does not count."""
     run()
     times = []
     for _ in range(repeats):
@@ -65,7 +65,7 @@ def best_s(run: Callable[[], object], repeats: int) -> float:
 
 
 def measure(cell: Cell, session_s: float, repeats: int) -> dict[str, Any]:
-    """Measure the whole loop and its parts."""
+    """Return the real-time factor of the whole loop, and the time a tick of it and of its parts [ns]."""
     rig = rig_of(cell, cell.hand_points())
     ticks = _SETTLE_TICKS + round(session_s / rig.period_s)
     link = symmetric_link(cell.round_trip_ms * 1e-3, 0.0, 0.0, 0)
@@ -89,7 +89,7 @@ def measure(cell: Cell, session_s: float, repeats: int) -> dict[str, Any]:
 
 
 def parts_s(rig: Rig, course: Trajectory, repeats: int) -> tuple[float, float]:
-    """Give the times [s] that the haptic site and the instrument take for a course."""
+    """Return the processor times [s] of the haptic site and of the instrument for a course."""
     times_s, references_m, bases_m = course.time_s, course.reference_m, course.base_position_m
     return (
         best_s(lambda: haptic_alone(rig.haptic, rig.haptic_start, references_m, times_s, rig.period_s), repeats),

@@ -2,17 +2,17 @@
 
     python benchmarks/loop.py [--rounds N] [--duration S] [--processes node|site|paired] [--json]
 
-The floors (`chains.py`): five processes pass bytes of the very sizes of our messages along the eight hops of the loop
-(hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, doing nothing else:
-over connected Unix-domain sockets, `plain` as any program would run and `placed` under the scheduling that the rig's
-nodes ask for; and placed over `zeromq`, with a subscriber that drains everything in the recorder's place. The rig:
-`telenano up fig12`, the age of the loop as its own recording has it, the processor time and memory of each
-process as the kernel has it, and the time to the first tick of the hand. A last run of each round with `hop_trace` in
-its nodes tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
+For the floors (`chains.py`), five processes pass bytes of the sizes of our messages along the eight hops of the loop
+(hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, and do nothing else.
+They use connected Unix-domain sockets, `plain` like any program and `placed` under the scheduling that the rig's nodes
+ask for; and, placed, `zeromq`, with a subscriber that drains everything in the place of the recorder. For the rig,
+`telenano up fig12`, the benchmark reports the age of the loop from its recording, the processor time and memory of each
+process from the kernel, and the time to the first tick of the hand. A last run of each round with `hop_trace` in its
+nodes measures each part of a hop. All take turns, and the medians of the rounds are compared.
 
 `--processes site` runs the rig with the nodes of each site in one process (`site_process/`), beside the same recorder
-and launcher. `--processes paired` compares both ways, with no floors: each round has a rig of either kind, and one more
-of either in the opposite order (A B B A); the ratio is that of the pairs.
+and launcher. `--processes paired` compares both ways, without floors: each round has a rig of either kind, and then one
+more of either in the opposite order (A B B A); the ratio is that of the pairs.
 """
 
 import argparse
@@ -46,9 +46,9 @@ FLOORS = {
     "zeromq": ("ZeroMQ, placed", lambda ticks: measure_zeromq(ticks, placed=True)),
 }
 TRACED_NODE = Path(__file__).parent / "traced_node"
-# The command that runs a rig, by how its nodes are put into processes.
+# The command that runs a rig, by the distribution of its nodes over processes.
 COMMANDS = {"node": ("-m", "telenano"), "site": (str(Path(__file__).parent / "site_process" / "rig.py"),)}
-# How long each turn took, by a node and what brought it, is written to the log where this is set.
+# If this variable is set, the time of each turn is written to the log, by node and cause.
 TRACE_VARIABLE = "TELENANO_SITE_TRACE"
 FIGURES = ("p50", "p99", "max")
 # These topics are published once each millisecond.
@@ -56,12 +56,13 @@ PACED = ("haptic/state", "afm/state")
 
 
 class RigRun(NamedTuple):
-    """What one run of the rig showed: age of the loop [ms], by process [% of one core] and [MB], start [s], parts [us].
+    """The results of one run of the rig.
 
-    `start_s`: from the command to the first sample of the hand, and to the first tick of its programme. `parts_us`: by
-    process, empty in a run without trace. `late_share`: of the messages of PACED, by topic. `cycles`: of the hand, in
-    the session. `age_parts_ms`: where the median age is spent. `turns_us`: of a traced process of a site, by a node and
-    what brought its turn.
+    `age_ms`: age of the loop [ms]. `processor_percent`: share of one core [%], `memory_mb`: memory [MB], by process.
+    `start_s`: time from the command to the first sample of the hand, and to the first tick of its programme [s].
+    `parts_us`: parts of a hop [us] by process, empty in a run without trace. `late_share`: share of late messages for
+    the topics in PACED. `cycles`: those of the hand in the session. `age_parts_ms`: contributions to the median age.
+    `turns_us`: time of a turn in a traced process of a site, by node and cause.
     """
 
     age_ms: dict[str, float]
@@ -78,9 +79,9 @@ class RigRun(NamedTuple):
 def measure_rig(
     duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12"), processes: str = "node"
 ) -> RigRun:
-    """Run the rig of these words once, with the time of each part of a hop in its logs if `trace`.
+    """Run a rig with these words once; with `trace` the time of each part of a hop is in its logs.
 
-    `processes`: whether each node has a process, or each site.
+    `processes`: "node" for one process per node, "site" for one per site. Raises SystemExit if the rig fails.
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
@@ -111,9 +112,10 @@ def measure_rig(
 
 
 class ProcessWatch:
-    """Processor time [s] and resident memory [MB] of processes and of those below them, as the kernel has them.
+    """Records processor time [s] and resident memory [MB] of processes and their descendants, from the kernel.
 
-    Those of a rig have names of their own; the others one name for each group, whose figures are sums.
+    The processes of a rig each have their own name; those of another group share the name of the group, and their
+    numbers are summed.
 
     Parameters: launcher, the process of the rig; groups, the name of the group of other processes.
     """
@@ -130,16 +132,16 @@ class ProcessWatch:
         self._thread.join()
 
     def while_running(self, duration_s: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Return for each process its share of a processor [%] and its memory [MB], while all of them ran."""
+        """Return the share of a processor [%] and the memory [MB] of each process, while all of them ran."""
         most = max(len(found) for _, found in self._samples)
         whole = [sample for sample in self._samples if len(sample[1]) == most]
         end_s = whole[-1][0]
-        # the start of the rig does not count, nor the first second of its session
+        # The start of the rig does not count, nor the first second of its session.
         begin = next(place for place, sample in enumerate(whole) if end_s - sample[0] <= duration_s - 1.0)
         return _used(whole[begin:])
 
     def within(self, begin_s: float, end_s: float) -> tuple[dict[str, float], dict[str, float]]:
-        """Return the same for a time on the monotonic clock [s], from the last look before it to the first after it."""
+        """Return the same for a time on the monotonic clock [s], from the last sample before it to the first after."""
         begin = max((place for place, sample in enumerate(self._samples) if sample[0] <= begin_s), default=0)
         after = (place for place, sample in enumerate(self._samples) if sample[0] >= end_s)
         return _used(self._samples[begin : next(after, len(self._samples)) + 1])
@@ -153,10 +155,10 @@ class ProcessWatch:
             self._samples.append((time.monotonic(), found))
 
     def _found(self) -> Iterator[tuple[str, tuple[float, float]]]:
-        """Yield name, processor time [s] and memory [MB] of each process."""
+        """Yield the name of each process with its processor time [s] and memory [MB]."""
         looks: dict[int, list[str]] = {}
         for folder in Path("/proc").glob("[0-9]*"):
-            # a process may end meanwhile
+            # A process may end meanwhile.
             with contextlib.suppress(OSError):
                 looks[int(folder.name)] = (folder / "stat").read_text().rpartition(")")[2].split()
         for number, after_name in looks.items():
@@ -173,7 +175,7 @@ class ProcessWatch:
 
 
 def _name_of(folder: Path) -> str:
-    """Return the name of a process of a rig; OSError or IndexError where it has ended."""
+    """Return the name of a process of a rig; OSError or IndexError if the process has ended."""
     words = (folder / "cmdline").read_text().split("\0")
     name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
     name = name or next(("site" for word in words if word.endswith("site_process/process.py")), "")
@@ -199,13 +201,13 @@ def _start_s(recording: Recording, begin_ns: int) -> dict[str, float]:
 
 
 def _late_share(recording: Recording, topic: str) -> float:
-    """Return the share of the messages of a topic that were sent more than 1.5 ms after the one before."""
+    """Return the share of the messages of a topic that were sent more than 1.5 ms after the previous one."""
     sent_ns = [message.publish_ns for message in recording.messages([topic])]
     return sum(b - a > 1_500_000 for a, b in pairwise(sent_ns)) / max(len(sent_ns) - 1, 1)
 
 
 def _logged(logs: Path, key: str) -> dict[str, Any]:
-    """Return what the entries of the logs have under a key, by node."""
+    """Return the values that the log entries have under a key, by node."""
     entries = [json.loads(line) for log in sorted(logs.glob("*.log")) for line in log.read_text().splitlines()]
     return {entry["node"]: entry[key] for entry in entries if key in entry}
 
@@ -217,7 +219,7 @@ def _medians(found: Iterable[Mapping[str, float]]) -> dict[str, float]:
 
 
 def measure(rounds: int, duration_s: float, processes: str = "node") -> dict[str, Any]:
-    """Return all figures, medians of the rounds, of the rig with these `processes`."""
+    """Return all results of the rig with these `processes`, as medians of the rounds."""
     ages: dict[str, list[dict[str, float]]] = {name: [] for name in (*FLOORS, "rig")}
     runs, traced = [], []
     for _ in range(rounds):
@@ -243,7 +245,7 @@ def measure(rounds: int, duration_s: float, processes: str = "node") -> dict[str
 
 
 def compare(rounds: int, duration_s: float) -> dict[str, Any]:
-    """Return the figures of both ways, and of their pairs the ratios: site to node, A B B A in each round."""
+    """Return the results of both ways, and the ratios of their pairs, site to node, A B B A in each round."""
     runs: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
     traced: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
     loads = []
@@ -277,7 +279,7 @@ def compare(rounds: int, duration_s: float) -> dict[str, Any]:
 
 
 def print_pairs(found: Mapping[str, Any]) -> None:
-    """Print what `compare` returns."""
+    """Print the results of `compare`."""
     print(f"{'':28}" + "".join(f"{key:>11}" for key in (*FIGURES, "processor")))
     for name, ages in found["age_ms"].items():
         together = found["processor_together_percent"][name]

@@ -1,7 +1,7 @@
-"""Records of which the true mean is 0, for a table of how often an interval of a mean covers.
+"""Make records with a true mean of 0, for a table of the coverage of an interval of a mean.
 
-Nothing here knows an estimator: noise is shaped in the frequency domain over 20 s or more, or filtered, and a window is
-cut out at a random place, so that the slow parts of a longer record are missing in it.
+The makers know nothing of any estimator: they shape noise in the frequency domain over 20 s or more, or filter it, and
+cut out a window at a random place, so that the window misses the slow parts of the longer record.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from scipy import signal
 
 Records = npt.NDArray[np.float64]
 Maker = Callable[[np.random.Generator, int, int], Records]
-# The samples of a hand [1/s], and the record of which a window is a part [s].
+# The sampling rate of a hand [Hz], and the length of the record from which a window is cut [s].
 RATE_HZ, WHOLE_S = 1000.0, 20.0
 
 
@@ -22,7 +22,7 @@ def white(random: np.random.Generator, count: int, samples: int) -> Records:
 
 
 def power_law(exponent: float) -> Maker:
-    """Return a maker of noise of 1/f^exponent down to a cycle in the whole record."""
+    """Return a maker of noise with a spectrum of 1/f^exponent, down to one cycle in the whole record."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         whole = max(round(WHOLE_S * RATE_HZ), 2 * samples)
@@ -41,7 +41,7 @@ def power_law(exponent: float) -> Maker:
 
 
 def hand(corner_hz: float = 2.0, order: int = 1) -> Maker:
-    """Return a maker of the force of a hand: noise behind a low-pass of Butterworth."""
+    """Return a maker of the force of a hand: noise through a Butterworth low-pass."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         b, a = signal.butter(order, 2.0 * corner_hz / RATE_HZ)
@@ -53,7 +53,7 @@ def hand(corner_hz: float = 2.0, order: int = 1) -> Maker:
 
 
 def tremor(middle_hz: float = 9.0, width_hz: float = 1.0, beside: float = 0.3) -> Maker:
-    """Return a maker of a tremor: noise in a band, with white noise beside it, as a part of its deviation."""
+    """Return a maker of a tremor: band-passed noise, plus white noise of `beside` times its deviation."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         edges = np.array([middle_hz - 0.5 * width_hz, middle_hz + 0.5 * width_hz]) * 2.0 / RATE_HZ
@@ -66,7 +66,7 @@ def tremor(middle_hz: float = 9.0, width_hz: float = 1.0, beside: float = 0.3) -
 
 
 def wave(frequency_hz: float, overtones: tuple[float, ...] = (), beside: float = 0.5) -> Maker:
-    """Return a maker of a wave, such as breathing or a pulse, whose period differs by a tenth, with white noise."""
+    """Return a maker of a wave such as breathing or pulse plus white noise; records differ in period by a tenth."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         turn = frequency_hz * np.exp(0.1 * random.normal(size=(count, 1))) * np.arange(samples) / RATE_HZ
@@ -80,7 +80,7 @@ def wave(frequency_hz: float, overtones: tuple[float, ...] = (), beside: float =
 
 
 def scaled(maker: Maker, size: float) -> Maker:
-    """Return a maker of the same records, so many times as large."""
+    """Return a maker of the same records multiplied by `size`."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         return size * maker(random, count, samples)
@@ -89,7 +89,7 @@ def scaled(maker: Maker, size: float) -> Maker:
 
 
 def together(*makers: Maker) -> Maker:
-    """Return a maker of the sums of records."""
+    """Return a maker of the sums of records of several makers."""
 
     def made(random: np.random.Generator, count: int, samples: int) -> Records:
         return np.sum([own(random, count, samples) for own in makers], axis=0)
@@ -112,7 +112,7 @@ RECORDS: dict[str, Maker] = {
     "hand, 3 Hz": hand(3.0),
     "tremor and 1/f": together(tremor(beside=0.3), scaled(power_law(1.0), 0.5)),
 }
-# What a hand that holds a force does, of which the interval of its mean should cover in 92 to 98 % of the sessions.
+# The records of a hand that holds a force; the interval of their mean should cover in 92 to 98 % of the sessions.
 HANDS = (
     *("white", "tremor, 9 Hz", "tremor and 1/f", "hand, 3 Hz"),
     *("pulse, 1.2 Hz", "breathing, 0.25 Hz", "breathing and tremor", "drift, 0.05 Hz, and tremor"),

@@ -14,12 +14,12 @@ WINDOWS_S = (0.3, 1.0, 3.0, 10.0)
 
 
 def _lengths(text: str) -> tuple[float, ...]:
-    """Return lengths of windows [s] that are separated by commas."""
+    """Return the lengths of windows [s] from a text in which commas separate them."""
     return tuple(float(one) for one in text.split(","))
 
 
 def covered(name: str, window_s: float, count: int, seed: int) -> tuple[int, int]:
-    """Return of how many of `count` windows there is an interval, and how many of those have the true mean in it."""
+    """Return how many of `count` windows have an interval, and how many of those intervals contain the true mean."""
     rows = RECORDS[name](np.random.default_rng(seed), count, round(window_s * RATE_HZ))
     halves = [mean_half_width(row) for row in rows]
     known = [(row.mean(), half) for row, half in zip(rows, halves, strict=True) if half is not None]
@@ -27,13 +27,13 @@ def covered(name: str, window_s: float, count: int, seed: int) -> tuple[int, int
 
 
 def shares(name: str, window_s: float, count: int, seed: int) -> dict[str, float]:
-    """Return the share of windows with an interval, and the share of those that has the true mean in it."""
+    """Return the share of windows with an interval, and the share of those intervals that contain the true mean."""
     known, inside = covered(name, window_s, count, seed)
     return {"known": known / count, "covered": inside / known if known else 0.0}
 
 
 def cell(known: int, inside: int, count: int) -> str:
-    """Return which share covers of the windows with an interval, with Wilson's interval, and which has none."""
+    """Return a cell of the table: the coverage with Wilson's interval, and the share of windows without an interval."""
     if not known:
         return "all refused"
     low, high = wilson(inside, known)
@@ -42,7 +42,7 @@ def cell(known: int, inside: int, count: int) -> str:
 
 
 def main() -> None:
-    """Print a table: the share of windows with an interval that cover, and the share of windows without one."""
+    """Print a table of the coverage of the intervals and of the share of windows without one."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.mean_intervals", description=__doc__)
     parser.add_argument("--count", type=int, default=400, help="windows of each kind (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the records (default: %(default)s)")

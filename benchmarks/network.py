@@ -2,10 +2,10 @@
 
     python benchmarks/network.py [--rounds N] [--messages N] [--json]
 
-Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first sends
-teleop/forward, the second answers each with teleop/backward, and the first takes the time from its send to the answer.
-The five ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
-that of both processes, their ZeroMQ threads included.
+Two processes on this machine take the places of the two machines. They send checked messages as the rig does, at 1 kHz:
+the first sends teleop/forward, the second answers each with teleop/backward, and the first measures the time from its
+send to the answer. The five ways alternate in short runs, so that other load on the machine affects all alike. The
+processor time is that of both processes, including their ZeroMQ threads.
 """
 
 import argparse
@@ -38,21 +38,21 @@ from telenano.signals import children
 from telenano.timing.clock import SystemClock
 
 PERIOD_NS = 1_000_000
-# the two ends of the link between machines
+# The two ends of the link between the machines.
 MASTER, SLAVE = "delay_node@slave", "controller@slave"
 WAYS = ("ipc", "plain", "curve", "datagram", "relayed")
 WARM_UP = 200
-# an answer that takes longer than this will not come any more
+# A run ends early after twenty times this without an answer [s].
 LOST_S = 1.0
 
 
 def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
-    """Give the address book of the two processes for a way of transport."""
+    """Return the address book of the two processes for a way of transport."""
     if way == "ipc":
         return AddressBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
     nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
     if way == "relayed":
-        # two ends on one machine would find the way past the relay at once
+        # Two ends on one machine would find the direct path past the relay at once.
         link = {"transport": "datagram", "direct": False}
         return AddressBook(nodes=nodes, link=link, relay=f"127.0.0.1:{free_port()}")
     link = {"transport": "datagram" if way == "datagram" else "stream"}
@@ -60,7 +60,7 @@ def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
 
 
 def carry(book: AddressBook) -> None:
-    """Be the relay, and the ends of both machines that dial it, until killed."""
+    """Run the relay, and the ends of both machines that dial it, until killed."""
     ahead_of_others()
     asyncio.run(_carry(book))
 
@@ -76,7 +76,7 @@ async def _carry(book: AddressBook) -> None:
 
 
 def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
-    """Be one of the two machines; gives the round trips [ns], none where it answers, and the processor time [s]."""
+    """Run one of the two machines; send round trips [ns] (none if it answers) and processor time [s] through `pipe`."""
     own_cpu = RealtimeConfig(cpus={node: 0 if node == MASTER else os.cpu_count() - 1})
     apply_realtime(own_cpu, StructuredLog(node), node)
     with open_context(serves_network=book.spans_machines) as context:
@@ -99,7 +99,8 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
         asking = node == MASTER
         while count < messages and not (not asking and pipe.poll()):
             if asking:
-                # what was late is not made up for: back to back is another load, and more than the link's send budget
+                # A late tick is not made up for: back-to-back sending is another load, and more than the link's send
+                # budget.
                 deadline = max(deadline + PERIOD_NS, clock.monotonic_ns())
                 time.sleep(max(0, deadline - clock.monotonic_ns()) * 1e-9)
                 sent_ns = clock.monotonic_ns()
@@ -122,7 +123,8 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
                 publisher.publish("teleop/backward", **ANSWER)
                 count += 1
                 cpu_s = cpu_s or time.process_time()
-            # the loop of a node asks its end in every turn, also when nothing has come: what is due is done then
+            # The loop of a node asks its end in every turn, even without a message, because the end then does its due
+            # work.
             for end in ends.readers:
                 end.receive()
             if asking and time.monotonic() - silent_since > 20 * LOST_S:
@@ -135,7 +137,7 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
 
 
 def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
-    """Give the round trips [ns] of a run and the processor time of both processes [s]."""
+    """Return the round trips [ns] of a run and the processor time of both processes [s]."""
     book = book_of(way, folder, (free_port(), free_port()))
     spawn = multiprocessing.get_context("spawn")
     pipes = [spawn.Pipe() for _ in (MASTER, SLAVE)]
@@ -161,14 +163,14 @@ def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
 
 
 def free_port() -> int:
-    """Give a port that nobody has at the moment."""
+    """Return a TCP port that is free at the moment."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def make_keys(folder: Path) -> None:
-    """Have both machines know each other."""
+    """Create keys so that both machines and the relay know each other."""
     os.environ[KEYS_DIRECTORY_VARIABLE] = str(folder)
     ring = Keyring(folder)
     for name in ("master", "slave", RELAY):
@@ -210,7 +212,7 @@ def main() -> None:
             "p99": p99["datagram"] / p99["curve"],
             "cpu": (cpu_s["datagram"] / len(trips["datagram"])) / (cpu_s["curve"] / len(trips["curve"])),
         },
-        # the processor time of the relay is not in this
+        # The processor time of the relay is not included here.
         "relayed_to_datagram": {
             "p50": p50["relayed"] / p50["datagram"],
             "p99": p99["relayed"] / p99["datagram"],

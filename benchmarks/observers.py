@@ -1,9 +1,9 @@
 """What observers cost a running rig: none, at its nodes, through its shared reader, and as pages that watch or draw.
 
-`python benchmarks/observers.py --observers 20 --rounds 3` runs sessions of the kinds in turn, and prints the age of the
+`python benchmarks/observers.py --observers 20 --rounds 3` runs sessions of the kinds in turn. It prints the age of the
 loop and the rate of the hand of each, and the ratio to the sessions without observers. Pages are `--observers` clients
-of the page's protocol, which draw nothing, and `--drawing` pages in a browser, of which the pictures are counted. The
-figures are those of a window in which all of them read.
+of the page's protocol, which draw nothing, and `--drawing` pages in a browser, whose rendered frames are counted. All
+values are those of a window in which all observers read.
 """
 
 import argparse
@@ -34,14 +34,14 @@ from telenano.signals import children
 from telenano.wire.messages import SUPERSEDED
 
 KINDS = ("none", "direct", "shared", "pages")
-# Readers connect while the rig runs already, and take all that they are sent from then on.
+# Readers connect while the rig is already running, and from then on take all that is sent to them.
 SETTLE_S, MARGIN_S = 1.0, 2.0
-# A session is ended when its window is over; nothing here takes longer than that [s].
+# The nominal length of a session, which ends when its window is over, and the longest wait for a process [s].
 LONGEST_S, PATIENCE_S = 600.0, 60.0
-# On a machine that is full an ordinary process has little of it: what readers and `status` say is waited for that long.
+# An ordinary process is slow on a fully loaded machine, so readers and `status` have this long to answer [s].
 ANSWER_S = 10.0
-# They have imported all that they need when the rig starts: that takes more processor time than to listen. They count
-# for a time, say how many they had, and go on until they are ended.
+# Observers import everything before the rig starts, because that takes more processor time than to listen. They count
+# messages for a time, print the number, and go on until they are ended.
 OBSERVER = """
 import sys
 from telenano.settings import DEFAULT_SITE_FILE
@@ -58,7 +58,7 @@ print(sum(1 for _ in observer.listen(length_s)), flush=True)
 for _ in observer.listen(None):
     pass
 """
-# Clients of the page's protocol in one process, as far away people have processors of their own.
+# Clients of the page's protocol in one process, because remote people have their own processors.
 WATCHING = """
 import asyncio, sys, time
 import msgpack, websockets
@@ -88,7 +88,7 @@ async def watch_all():
     await asyncio.gather(report(), *(watch() for _ in range(count)))
 asyncio.run(watch_all())
 """
-# Pages in a browser that draws in software where the machine has no graphics.
+# Pages in a browser that renders in software if the machine has no graphics processor.
 DRAWING = """
 import shutil, sys, time
 from playwright.sync_api import sync_playwright
@@ -114,10 +114,10 @@ with sync_playwright() as playwright:
 
 
 class Load(NamedTuple):
-    """What reads a rig, and the rate that the rig is to have [Hz].
+    """The readers of a rig, and the rate that the rig is to have [Hz].
 
-    `kind` is one of KINDS, `readers` the number of processes or pages, `drawing` that of pages in a browser besides,
-    and `topics` what a process reads, all where it is empty.
+    `kind` is one of KINDS, `readers` the number of processes or pages, `drawing` the number of additional pages in a
+    browser, and `topics` the topics that a process reads, all if empty.
     """
 
     kind: str = "none"
@@ -131,11 +131,11 @@ Process = subprocess.Popen[bytes]
 
 
 class SessionError(Exception):
-    """A session that gave no figures; the text says why."""
+    """A session had no results; the text tells why."""
 
 
 def served(environment: dict[str, str], stack: contextlib.ExitStack) -> tuple[Process, str, str]:
-    """Start the server of the page; return it with its host and the token of observers."""
+    """Start the server of the page; return the process with its host and the token of observers."""
     server = started([sys.executable, "-m", "telenano", "view", "--port", "0"], environment, stack, signal.SIGINT)
     addresses = Path([line_of(server, "server of the page") for _ in range(2)][1].split()[-1]).read_text().splitlines()
     host, _, token = addresses[1].split()[1].removeprefix("http://").partition("/#")
@@ -143,16 +143,16 @@ def served(environment: dict[str, str], stack: contextlib.ExitStack) -> tuple[Pr
 
 
 def started(command: list[str], environment: dict[str, str], stack: contextlib.ExitStack, by: int) -> Process:
-    """Start a process that the end of the block ends by a signal (0: by the end of its input), whatever happens."""
+    """Start a process that ends with the block, by a signal (0: by the end of its input), whatever happens."""
     pipe = subprocess.PIPE
-    # There is no buffer, so that `select` says whether there is a line.
+    # The pipe has no buffer, so that `select` tells whether there is a line.
     process = children.start(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0)
     stack.callback(ended, process, by)
     return process
 
 
 def ended(process: Process, by: int) -> str:
-    """End a process by a signal, or in any case after a time; return what it still printed."""
+    """End a process by a signal, or kill it after PATIENCE_S; return its remaining output."""
     assert process.stdout is not None
     if process.stdout.closed:
         return ""
@@ -162,14 +162,14 @@ def ended(process: Process, by: int) -> str:
         return process.communicate(timeout=PATIENCE_S)[0].decode()
     except subprocess.TimeoutExpired:
         process.kill()
-    # A process that it started may keep its output open.
+    # A descendant of the process may keep its output open.
     with contextlib.suppress(subprocess.TimeoutExpired):
         return process.communicate(timeout=ANSWER_S)[0].decode()
     return ""
 
 
 def line_of(process: Process, what: str) -> str:
-    """Return the next line that a process prints; SessionError where it has ended, or says nothing in time."""
+    """Return the next line that a process prints; SessionError if it has ended or prints none within PATIENCE_S."""
     assert process.stdout is not None
     if not select.select([process.stdout], [], [], PATIENCE_S)[0]:
         raise SessionError(f"the {what} said nothing for {PATIENCE_S:g} s")
@@ -179,14 +179,14 @@ def line_of(process: Process, what: str) -> str:
 
 
 def count_of(reader: Process, until_s: float) -> int:
-    """Return how many messages a reader had; 0 where it has not said so by a time on the monotonic clock [s]."""
+    """Return the number of messages of a reader; 0 if it printed none by a time on the monotonic clock [s]."""
     assert reader.stdout is not None
     is_there = select.select([reader.stdout], [], [], max(0.0, until_s - time.monotonic()))[0]
     return int(line_of(reader, "reader")) if is_there else 0
 
 
 def reason_of(process: Process) -> str:
-    """Return the last line of what a process that has ended said of an error, or else its exit code."""
+    """Return the last line of the standard error of a process that has ended, or else its exit code."""
     assert process.stderr is not None
     try:
         code = process.wait(ANSWER_S)
@@ -197,7 +197,7 @@ def reason_of(process: Process) -> str:
 
 
 def wait_for_session(out: Path, rig: Process) -> None:
-    """Wait until the operator's programme has begun; SessionError where that does not happen."""
+    """Wait until the operator's programme has begun; SessionError if the rig ends or PATIENCE_S is over first."""
     log = out / "logs" / "launcher@master.log"
     end_s = time.monotonic() + PATIENCE_S
     while not (log.exists() and "the session is running" in log.read_text()):
@@ -209,18 +209,18 @@ def wait_for_session(out: Path, rig: Process) -> None:
 
 
 def session(load: Load, window_s: float, folder: Path, *, asks_status: bool = False) -> dict[str, Any]:
-    """Run a rig under a load, and return what a window [s] of its session shows; SessionError where there is none.
+    """Run a rig under a load, and return the results of a window [s] of its session; SessionError if there are none.
 
-    `says` is what `telenano status` prints of the machine and of problems, while the load is still there.
+    `says` is the output of `telenano status` on the machine and on problems, while the load is still there.
     """
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder / "run")}
     out = folder / load.kind
-    # the log of a session before it would be taken for that of this one
+    # Otherwise the log of an earlier session would be taken for that of this one.
     shutil.rmtree(out, ignore_errors=True)
     rate = ["--set", f"realtime.rate_hz={load.rate_hz:g}"]
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--out", str(out)]
     with contextlib.ExitStack() as stack:
-        # They are as important as those of a person: ordinary processes.
+        # The readers are ordinary processes, as those of a person are.
         programs, groups, times = [], dict[int, str](), [str(SETTLE_S), str(window_s)]
         if load.kind in ("direct", "shared"):
             programs = [[OBSERVER, load.kind, *times, ",".join(load.topics)]] * load.readers
@@ -229,7 +229,7 @@ def session(load: Load, window_s: float, folder: Path, *, asks_status: bool = Fa
             groups[server.pid] = "page server"
             counts = ((WATCHING, load.readers), (DRAWING, load.drawing))
             programs = [[program, host, token, str(count), *times] for program, count in counts if count]
-        # a browser has to be closed by who opened it
+        # A browser has to be closed by the process that opened it.
         ways = [0 if program[0] is DRAWING else signal.SIGTERM for program in programs]
         readers = [
             started([sys.executable, "-c", *program], environment, stack, by)
@@ -259,7 +259,7 @@ def session(load: Load, window_s: float, folder: Path, *, asks_status: bool = Fa
         for each, by in zip(readers, ways, strict=True):
             ended(each, by)
         printed = ended(rig, signal.SIGINT)
-        # a recorder that could not keep up is a figure
+        # A recorder that could not keep up is a result and no failure.
         if rig.returncode not in (0, EXIT_INCOMPLETE) or not printed:
             raise SessionError(f"the rig ended with exit code {rig.returncode}")
     share, memory = watch.within(begin_s, end_s)
@@ -283,14 +283,14 @@ def session(load: Load, window_s: float, folder: Path, *, asks_status: bool = Fa
 
 
 def seen_of(out: Path, period_ns: int, begin_ns: int, end_ns: int) -> dict[str, float]:
-    """Return what the recording of a session says of a window [ns]: age of the loop, rates, and what did not fit in.
+    """Return the age of the loop, the rates and the counts of a window [ns] from the recording of a session.
 
-    The age is that of every sample, also of those whose answer another one overtook before the hand showed it. Where
-    none was answered it is the length of the window, which is the least that it can be.
+    The age is that of every sample, including those whose answer another one overtook before the hand showed it. If
+    none was answered, it is the length of the window, which is a lower bound.
     """
     recording, span_s = Recording(out / "session.mcap"), (end_ns - begin_ns) * 1e-9
     ages_ms = [(each.ended_ns - each.begun_ns) * 1e-6 for each in cycles_of(out, period_ns, begin_ns, end_ns)]
-    # a loop that answers nothing is older than the window
+    # A loop that answers nothing is older than the window.
     ages_ms = ages_ms or [1e3 * span_s]
     sent = Counter(
         message.topic
@@ -309,9 +309,9 @@ def seen_of(out: Path, period_ns: int, begin_ns: int, end_ns: int) -> dict[str, 
 
 
 def counted_hz(recording: Recording, begin_ns: int, end_ns: int) -> dict[str, float]:
-    """Return how many messages a second were superseded in a window [ns], and how many deadlines were missed.
+    """Return the superseded messages and the missed deadlines a second in a window [ns].
 
-    Nodes count them, and report twice a second: the difference of the reports around the window.
+    Nodes count both and report twice a second, so these are differences of the reports around the window.
     """
     reports: dict[str, list[tuple[int, int, int]]] = {}
     around = begin_ns - HEALTH_PERIOD_NS, end_ns + HEALTH_PERIOD_NS
@@ -331,7 +331,7 @@ def counted_hz(recording: Recording, begin_ns: int, end_ns: int) -> dict[str, fl
 
 
 def status_says(environment: Mapping[str, str]) -> list[str]:
-    """Return what `telenano status` says of the machine and of problems of a rig that runs."""
+    """Return the output of `telenano status` on the machine and on problems of a running rig."""
     command = [sys.executable, "-m", "telenano", "status"]
     wide = {**environment, "COLUMNS": "400"}
     try:
@@ -342,11 +342,11 @@ def status_says(environment: Mapping[str, str]) -> list[str]:
 
 
 def said(out: str, err: str) -> list[str]:
-    """Return what `telenano status` says of the machine and of nodes with a problem; else its last sentence.
+    """Return the statements of `telenano status` on the machine and on nodes with a problem; else its last sentence.
 
     Args:
-        out: What it printed. Lines below the table have a label, which may be a node that has a row above as well.
-        err: What it said of an error: of a rig that runs, which nodes have a problem.
+        out: Its standard output. Lines below the table have a label, which may be a node that also has a row above.
+        err: Its standard error: for a running rig, the nodes that have a problem.
     """
     lines, last = out.splitlines(), err.strip().removeprefix("telenano: ")
     named = [name.strip() for name in last.rpartition(":")[2].split(",")] if last else []

@@ -2,10 +2,10 @@
 
     python benchmarks/particles.py [--steps 4000] [--rounds 9] [--rigs 6] [--json]
 
-The step is one of the simulated instrument as the node calls it, without particles, with 50 that it does not touch,
-and with 50 of which it pushes one. Rounds alternate, and the shortest counts. The environment is compared with real
-time, by itself and as 64 rows of one step. With --rigs, whole rigs without particles and with 50 of them take turns,
-for the age of the loop and the share of messages that were late.
+The step is one of the simulated instrument as the node calls it: without particles, with 50 that it does not touch, and
+with 50 of which it pushes one. Rounds alternate, and the shortest counts. The environment is compared with real time,
+by itself and as 64 rows of one step. With --rigs, whole rigs without particles and with 50 of them take turns, for the
+age of the loop and the share of late messages.
 """
 
 import argparse
@@ -31,7 +31,7 @@ _PRESSED_M = 30e-9
 
 
 def instrument(count: int) -> Any:
-    """Return a simulated instrument over so many particles; one of them lies at -1 um, 0."""
+    """Return a simulated instrument over `count` particles; one of them lies at (-1 um, 0)."""
     places = [[-1e-6, 0.0], *([-9e-6 + 2e-6 * (i % 10), 2e-6 + 1.5e-6 * (i // 10)] for i in range(count - 1))]
     particles = {"particles": {"places": places}} if count else {}
     section = {
@@ -77,11 +77,11 @@ def step_us(steps: int, rounds: int) -> dict[str, float]:
 
 
 def times_real_time(steps: int, rounds: int) -> dict[str, float]:
-    """Return the simulated seconds a second of the environment by itself, and of its rows."""
+    """Return the simulated seconds a second of the environment by itself, and of its 64 rows."""
     one, many = gymnasium.make(PUSH, longest_s=3600.0), PushVectorEnv(ROWS, longest_s=60.0)
     one.reset(seed=1)
     many.reset(seed=1)
-    # across the particle and back, down on the substrate
+    # The action moves the tip across the particle and back, down on the substrate.
     action = np.array([0.6, 0.0, -1.0], np.float32)
     batch = np.tile(action, (ROWS, 1))
 
@@ -100,7 +100,7 @@ def times_real_time(steps: int, rounds: int) -> dict[str, float]:
 
 
 def rig_turns(turns: int, duration_s: float) -> dict[str, Any]:
-    """Return medians of the age of the loop [ms] and of the share that was late, without particles and with 50."""
+    """Return medians of the age of the loop [ms] and of the share of late messages, without particles and with 50."""
     flat = ["--scenario", "assembly", "--set", "afm_node.sample.size_m=24e-6", "--no-view", "--set"]
     rigs = {
         "none": [*flat, "afm_node.sample.particles=null"],

@@ -3,10 +3,11 @@
     pip install 'telenano[peers]'
     python benchmarks/peers.py [--rounds N] [--duration S] [--smoke] [--json]
 
-Unix-domain sockets, ZeroMQ with a subscriber that takes everything, iceoryx2 (a sample in shared memory, and a notified
-event) and zenoh (sessions between neighbours over Unix-domain sockets) carry bytes of the sizes of our messages through
-five processes that do nothing else (`chains.py`), under the scheduling that the rig's nodes ask for. The rig has its
-physics, checks, guards, journals and recorder. All take turns; the medians of the rounds are compared.
+Four transports carry bytes of the sizes of our messages through five processes that do nothing else (`chains.py`),
+under the scheduling that the rig's nodes ask for: Unix-domain sockets, ZeroMQ with a subscriber that takes everything,
+iceoryx2 (a sample in shared memory, and a notified event) and zenoh (sessions between neighbours over Unix-domain
+sockets). The rig has in addition its physics, checks, guards, journals and recorder. All take turns; the medians of the
+rounds are compared.
 """
 
 import argparse
@@ -31,7 +32,7 @@ _MOST_BYTES = 1024
 
 
 class IceoryxEnd:
-    """An end over iceoryx2: samples in shared memory each way, and an event that wakes up who waits for one."""
+    """An end over iceoryx2: samples in shared memory each way, and an event that wakes the receiver."""
 
     def __init__(self, place: str, link: int, side: int) -> None:
         import iceoryx2
@@ -51,7 +52,7 @@ class IceoryxEnd:
         self._publisher = out.publisher_builder().initial_max_slice_len(_MOST_BYTES).create()
         self._notifier, self._listener = told.notifier_builder().create(), heard.listener_builder().create()
         self._subscriber = into.subscriber_builder().create()
-        # The later of the two ends of a service opens what the earlier one made.
+        # The services are kept, because the later of their two ends opens what the earlier one made.
         self._services = (out, told, into, heard)
 
     def recv(self, _size: int) -> bytes:
@@ -67,7 +68,7 @@ class IceoryxEnd:
 
 
 class ZenohEnd:
-    """An end over zenoh: a session of its own, which the near side of a link listens for."""
+    """An end over zenoh with its own session; the near side of a link listens, the far side connects."""
 
     def __init__(self, place: str, link: int, side: int) -> None:
         import zenoh
@@ -79,7 +80,7 @@ class ZenohEnd:
             "scouting/multicast/enabled": "false",
             "listen/endpoints": where if side == 0 else "[]",
             "connect/endpoints": "[]" if side == 0 else where,
-            # the other side may come later
+            # The other side may come later.
             "connect/timeout_ms": "-1",
         }
         for key, value in settings.items():
@@ -96,7 +97,7 @@ class ZenohEnd:
 
 
 def over(kind: Callable[[str, int, int], Any]) -> Callable[[int], list[Cycle]]:
-    """Return what measures a chain of such ends, in a folder and under names of its own."""
+    """Return a function that measures a chain of such ends, in its own folder and under its own names."""
 
     def measured(ticks: int) -> list[Cycle]:
         with tempfile.TemporaryDirectory() as folder:
@@ -107,7 +108,7 @@ def over(kind: Callable[[str, int, int], Any]) -> Callable[[int], list[Cycle]]:
     return measured
 
 
-# by name: what it needs from PyPI, and what measures it
+# By name: the module that the transport needs from PyPI, and the function that measures it.
 PEERS: dict[str, tuple[str, Callable[[int], list[Cycle]]]] = {
     "Unix-domain sockets": ("", lambda ticks: measure_sockets(ticks, placed=True)),
     "ZeroMQ": ("", lambda ticks: measure_zeromq(ticks, placed=True)),

@@ -22,7 +22,7 @@ STUDY = (
     *("study", "stability", "--law", "virtual_impedance", "--environment", "tip_sample", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
 )
-# what is done, the file, a text in it and what takes its place
+# Each edit: its name, the file, a text in it, and the text that replaces it.
 LAW = "telenano/extend/virtual_impedance.py"
 MODEL = "telenano/afm/contact/lennard_jones.py"
 FIGURES = "telenano_lab/studies/pages/figures.py"
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def study(environment: dict[str, str], out: Path) -> tuple[float, int, float]:
-    """Return the time of a study [s], the functions that it compiled, and the size of the cache [MB]."""
+    """Return the time of a study [s], the number of functions that it compiled, and the size of the cache [MB]."""
     cache = Path(environment["XDG_CACHE_HOME"])
     began_ns = time.time_ns()
     command = [sys.executable, "-m", "telenano", *STUDY, str(out)]

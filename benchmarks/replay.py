@@ -1,4 +1,4 @@
-"""Recording and replay against what they are made of, in one run.
+"""Measure recording and replay in one run, each against the bare parts that it is built on.
 
     python benchmarks/replay.py [--seconds S] [--smoke] [--json]
 
@@ -57,9 +57,9 @@ from telenano.wire.nodes import PLAYER
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000
-# between the sending of a message and its reception by the recorder
+# The time between the sending of a message and its reception by the recorder.
 LAG_NS = 20_000
-# what is sent at 1 kHz in a rig of this design, and two more of the link, so that there are ten
+# The streams that a rig of this design sends at 1 kHz, and two more of the link, so that there are ten.
 STREAMS = (
     ("haptic/state", "haptic_node@master", "master"),
     ("haptic/command", "controller@master", "master"),
@@ -76,7 +76,7 @@ STREAMS = (
 
 @cache
 def ordinary(topic: str) -> Message:
-    """Give the example of a topic; a clock that is said to differ would have the player shift what it plays."""
+    """Return the example of a topic, with an invalid clock: a clock offset would make the player shift the times."""
     example = ordinary_example(topic)
     if topic != "link/status":
         return example
@@ -85,17 +85,17 @@ def ordinary(topic: str) -> Message:
 
 
 def typical(topic: str, src: str, seq: int, t_ns: int) -> Message:
-    """Give a message of usual size that was sent at a time [ns]."""
+    """Return a message of usual size that was sent at a time [ns]."""
     return msgspec.structs.replace(ordinary(topic), seq=seq, t_ns=t_ns, src=src)
 
 
 def make_recording(folder: Path, seconds: float) -> Path:
-    """Write a recording of all streams at 1 kHz, the messages of a tick spread over it as in a rig."""
+    """Write a recording of all streams at 1 kHz, with the messages of a tick spread over it as in a rig."""
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
     channels = [writer.channel(topic, src, site) for topic, src, site in STREAMS]
     for seq in range(round(seconds * 1000)):
         for number, (topic, src, _) in enumerate(STREAMS):
-            # A player plays at the times of sending, and so the messages of a tick have different ones, as in a rig.
+            # A player plays at the times of sending, so the messages of a tick have different ones, as in a rig.
             t_ns = EPOCH_NS + seq * PERIOD_NS + number * PERIOD_NS // (2 * len(STREAMS))
             writer.write(channels[number], t_ns + LAG_NS, t_ns, seq, encode(typical(topic, src, seq, t_ns)))
         if seq % 200 == 199:
@@ -105,7 +105,7 @@ def make_recording(folder: Path, seconds: float) -> Path:
 
 
 def make_site(folder: Path) -> Path:
-    """Write an address book of the nodes that are played."""
+    """Write an address book of the nodes whose messages are played."""
     nodes = {src if src.endswith(site) else f"delay_node@{site}" for _, src, site in STREAMS} | {PLAYER}
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump({"nodes": {node: f"ipc://{folder}/{node}" for node in sorted(nodes)}}))
@@ -113,13 +113,13 @@ def make_site(folder: Path) -> Path:
 
 
 def play(path: Path, site_file: Path, rate: float) -> None:
-    """Play a recording, in a process of its own."""
+    """Play a recording, in its own process."""
     settings = PlaySettings(rate=rate, wait_s=20.0)
     run_replay(ReplayRequest([path], site_file, settings=settings))
 
 
 def listen(site_file: Path, expected: int, result: Connection) -> None:
-    """Receive so many messages and send their times of arrival [ns] by stream."""
+    """Receive `expected` messages; send their times of arrival [ns] and their frames, in order, through `result`."""
     apply_realtime(RealtimeConfig(cpus="free", memory_lock="off"), StructuredLog("reader"), "reader@master")
     freeze_garbage()
     endpoints = yaml.safe_load(site_file.read_text())["nodes"]
@@ -140,8 +140,8 @@ def listen(site_file: Path, expected: int, result: Connection) -> None:
 
 
 def schedule(path: Path) -> list[tuple[int, str, bytes, bytes]]:
-    """Return when each message of a recording is played [ns], by which node, its topic and its payload, in order."""
-    # What the link sent on is played at the time at which it did, which is told by its reception.
+    """Return the messages of a recording in order: time of playing [ns], node, topic and payload."""
+    # A message that the link sent on is played at the time at which the link did, known from its reception.
     rows = [
         (
             message.log_ns if message.via == "link" else message.publish_ns,
@@ -161,12 +161,12 @@ def send_bare(path: Path, site_file: Path, rate: float, *, apart: bool = False) 
         path: The recording.
         site_file: The address book.
         rate: 0 sends as fast as the reader takes them, 1 as recorded.
-        apart: Whether each node has a socket of its own, as in a replay, or all of them one.
+        apart: True if each node has its own socket, as in a replay; False if all share one.
     """
     rows = schedule(path)
     endpoints = yaml.safe_load(site_file.read_text())["nodes"]
     nodes = sorted({node for _, node, _, _ in rows})
-    # The threads of a context have the scheduling under which it was made.
+    # The threads of a context have the scheduling under which the context was made.
     scheduling = on_time() if rate > 0.0 else contextlib.nullcontext()
     with contextlib.ExitStack() as stack:
         stack.enter_context(scheduling)
@@ -198,7 +198,7 @@ def send_at_once(parts: list[tuple[int, "zmq.Socket[bytes]", tuple[bytes, bytes]
 
 
 def send_on_time(parts: list[tuple[int, "zmq.Socket[bytes]", tuple[bytes, bytes]]]) -> None:
-    """Send messages when they are due, by a plain loop."""
+    """Send each message when it is due, in a plain loop."""
     ahead_ns = parts[0][0] - time.monotonic_ns()
     for due_ns, socket, pair in parts:
         if (wait_ns := due_ns - ahead_ns - time.monotonic_ns()) > 0:
@@ -210,7 +210,7 @@ Sender = Callable[[Path, Path, float], None]
 
 
 def replayed(path: Path, site_file: Path, rate: float, expected: int, sender: Sender) -> tuple[Any, list[bytes]]:
-    """Play a recording to a reader by a process of its own; gives times of arrival [ns] and frames."""
+    """Play a recording to a reader from another process; return the times of arrival [ns] and the frames."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     reader = context.Process(target=listen, args=(site_file, expected, theirs))
@@ -225,13 +225,13 @@ def replayed(path: Path, site_file: Path, rate: float, expected: int, sender: Se
 
 
 def timing(path: Path, site_file: Path, sender: Sender = play) -> dict[str, Any]:
-    """Measure the error of the interval between consecutive messages, all streams taken together [s]."""
+    """Return the error of the interval between consecutive messages [s], over all streams together."""
     by_frame: dict[bytes, list[int]] = {}
     rows = schedule(path)
     for sent_ns, _, topic, payload in rows:
         by_frame.setdefault(topic + payload, []).append(sent_ns)
     arrivals, frames = replayed(path, site_file, 1.0, len(rows), sender)
-    # the two copies of what crosses the link are the same bytes and come in the order recorded
+    # The two copies of a message that crosses the link are the same bytes, and come in the order recorded.
     times = [by_frame[frame].pop(0) for frame in frames]
     order = np.argsort(times, kind="stable")
     recorded, arrived = np.asarray(times)[order], arrivals[order]
@@ -282,7 +282,7 @@ def verification(path: Path) -> dict[str, Any]:
 
 
 def timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    """Return a result and the processor's time that it took [s]."""
+    """Return a result and the processor time that it took [s]."""
     begun = time.process_time()
     return work(), time.process_time() - begun
 
@@ -320,7 +320,7 @@ def _our_intake(rows: list[tuple[Any, ...]], folder: Path) -> float:
         begun = time.process_time()
         for number, (topic, payload, log_ns, _, _, site) in enumerate(rows):
             intake.record(listeners[site], [topic, payload], log_ns)
-            # as often as the node does at 10 000 messages a second
+            # This is as often as the node flushes at 10 000 messages a second.
             if number % 2000 == 1999:
                 intake.flush(clock.monotonic_ns())
         intake.finish()
@@ -331,7 +331,7 @@ def _our_intake(rows: list[tuple[Any, ...]], folder: Path) -> float:
 
 
 def main() -> int:
-    """Run all three and print them."""
+    """Run all measurements and print them."""
     parser = argparse.ArgumentParser(description="Recording and replay against what they are made of.")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of the recording [s]")
     parser.add_argument("--smoke", action="store_true", help="a fraction of a second of each, to see that it runs")

@@ -1,7 +1,7 @@
 """Rigs side by side on one machine, and one rig at other rates: age of the loop, rates and processor time of each.
 
-`python benchmarks/side_by_side.py --rigs 1,2,3 --rates 100,1000,2000` runs sessions in turn, a round of all cases after
-the other. A case is compared with one rig at 1 kHz of the same round.
+`python benchmarks/side_by_side.py --rigs 1,2,3 --rates 100,1000,2000` runs sessions in turn, each case once a round. A
+case is compared with one rig at 1 kHz of the same round.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from telenano.recording.reader import Recording
 from telenano.signals import children
 
 BASELINE = (1, 1000.0)
-# These are in the loop, or carry it.
+# The nodes that are in the loop, or carry its messages.
 LOOP = ("haptic_node", "controller", "delay_node", "afm_node")
 
 
@@ -31,7 +31,7 @@ def start(folder: Path, rate_hz: float, duration_s: float, environment: dict[str
 
 
 def figures(summary: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return what is compared of a session."""
+    """Return the quantities of a session that are compared."""
     shares: dict[str, list[float]] = {}
     for message in Recording(folder / "session.mcap").messages(["node/health"]):
         fields = message.fields()

@@ -2,14 +2,15 @@
 
     python benchmarks/soak.py [--duration S] [--rate HZ] [--page] [--out DIR] [--json]
 
-Runs `telenano up` with a hand that presses, holds and lets go every ten seconds, and judges the session by its own
-recording. Loops that do nothing but keep deadlines (`empty_loop.py`) run beside it: what they lose is the machine's,
-and the rig's rate is judged against theirs. A recorder that had to wait for a processor keeps the memory of what queued
-up meanwhile, so its growth counts from its longest wait on. Exit code 1 when a bound is missed.
+The benchmark runs `telenano up` with a hand that presses, holds and lets go every ten seconds, and judges the session
+by its own recording. Loops that do nothing but keep deadlines (`empty_loop.py`) run beside it: the time that they lose
+is lost by the machine, and the rig's rate is judged against theirs. A recorder that had to wait for a processor keeps
+the memory of its queue from that time, so its growth counts from its longest wait on. The exit code is 1 if a bound is
+missed.
 
-`processes` has what the kernel counts for each process of the rig, the launcher and the server of the page included:
-resident memory at the end of the settling time and at the end of the run, its slope, and the least and the most open
-descriptors and threads. With `--page` a page of an observer is open all the time.
+`processes` has the kernel's counts for each process of the rig, including the launcher and the server of the page:
+resident memory at the end of the settling time and at the end of the run, its slope, and the least and greatest number
+of open descriptors and threads. With `--page` an observer's page is open all the time.
 """
 
 import argparse
@@ -40,19 +41,19 @@ from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.signals import children
 from telenano.wire import TOPICS
 
-# caches, free lists and the recorder's buffers find their size in the first part of a run
+# Caches, free lists and the recorder's buffers reach their size in the first part of a run [s].
 SETTLED_S = 60.0
 MOST_GROWTH_BYTES_PER_MIN = 250_000
-# the recorder keeps the index of its chunks, which the file ends with: 2 kB five times a second
+# The recorder keeps the index of its chunks for the end of the file: 2 kB five times a second.
 MOST_RECORDER_GROWTH_BYTES_PER_MIN = 1_000_000
 LEAST_RATE_SHARE = 0.999
-# how often the processes are looked at [s]
+# The interval between two looks at the processes [s].
 LOOK_S = 10.0
 CYCLE = ((0.0, 0.0), (1.0, 1.0), (4.0, 1.0), (5.0, 2.0), (7.0, 2.0), (8.0, 0.0), (10.0, 0.0))
 
 
 def scenario(duration_s: float) -> dict[str, Any]:
-    """Give the scenario: the hand's cycle again and again."""
+    """Return the scenario, which repeats the cycle of the hand."""
     document: dict[str, Any] = yaml.safe_load((SCENARIO_DIRECTORY / "fig12.yaml").read_text())
     cycles = range(int(duration_s // CYCLE[-1][0]) + 1)
     times = {round(CYCLE[-1][0] * n + at_s, 3): force_n for n in cycles for at_s, force_n in CYCLE}
@@ -63,7 +64,7 @@ def scenario(duration_s: float) -> dict[str, Any]:
 
 
 class Look(NamedTuple):
-    """What the kernel counts for a process at a moment [s]; memory and the regular files that it has open [bytes]."""
+    """The kernel's counts for a process at a moment [s]; memory and size of its open regular files [bytes]."""
 
     at_s: float
     resident_bytes: int
@@ -73,13 +74,13 @@ class Look(NamedTuple):
 
 
 def look_at(number: int, at_s: float) -> Look:
-    """Return what the kernel counts for a process; OSError where it has ended."""
+    """Return the kernel's counts for a process; OSError if it has ended."""
     folder = Path(f"/proc/{number}")
     resident = int((folder / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     opened = list((folder / "fd").iterdir())
     files: dict[tuple[int, int], int] = {}
     for each in opened:
-        # closed in the meantime
+        # The file may have been closed in the meantime.
         with contextlib.suppress(OSError):
             found = each.stat()
             if stat.S_ISREG(found.st_mode):
@@ -88,7 +89,7 @@ def look_at(number: int, at_s: float) -> Look:
 
 
 def family(parent: int) -> dict[int, str]:
-    """Return a process and those below it by number, with what each one runs."""
+    """Return a process and its descendants by number, each with the name of the program that it runs."""
     below: dict[int, list[int]] = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -108,7 +109,7 @@ def family(parent: int) -> dict[int, str]:
 
 
 class Watch:
-    """Looks at processes and those below them while the block runs; `looks` has what was seen, by name and number."""
+    """Samples processes and their descendants while the block runs; `looks` has the samples by name and number."""
 
     def __init__(self) -> None:
         self.looks: dict[tuple[str, int], list[Look]] = {}
@@ -117,7 +118,7 @@ class Watch:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def add(self, process_id: int) -> None:
-        """Look at this process and at those below it from now on."""
+        """Sample this process and its descendants from now on."""
         self._parents.append(process_id)
 
     def __enter__(self) -> "Watch":
@@ -129,7 +130,7 @@ class Watch:
         self._thread.join()
 
     def figures(self, settled_s: float) -> dict[str, dict[str, Any]]:
-        """Return the figures of each process from the settling time [s] on, while the recorder ran."""
+        """Return the statistics of each process from the settling time [s] on, while the recorder ran."""
         end_s = max(looks[-1].at_s for (name, _), looks in self.looks.items() if name.startswith("recorder"))
         rows = {}
         for (name, number), looks in sorted(self.looks.items()):
@@ -151,14 +152,14 @@ class Watch:
         while not self._ended.wait(LOOK_S):
             for parent in tuple(self._parents):
                 for number, name in family(parent).items():
-                    # one may end between the list and the look at it
+                    # A process may end between the listing and the look at it.
                     with contextlib.suppress(OSError):
                         self.looks.setdefault((name, number), []).append(look_at(number, time.monotonic() - begin_s))
 
 
 @contextlib.contextmanager
 def open_page(watch: Watch) -> Iterator[None]:
-    """Serve the page of the rig, and keep a page of an observer open that reads all that it is sent."""
+    """Serve the page of the rig, and keep an observer's page open that reads all that is sent to it."""
     command = [sys.executable, "-m", "telenano", "view", "--port", "0"]
     with children.start(command, stdout=subprocess.PIPE, text=True) as server:
         watch.add(server.pid)
@@ -176,7 +177,7 @@ def open_page(watch: Watch) -> Iterator[None]:
 
 
 async def read_page(address: str) -> None:
-    """Read what a page is sent, as the page of an observer does, until the server ends."""
+    """Read all that is sent to a page, as an observer's page does, until the server ends."""
     import websockets
 
     parts = urlsplit(address)
@@ -189,9 +190,9 @@ async def read_page(address: str) -> None:
 
 
 def growth_per_min(recording: Recording, settled_s: float) -> tuple[dict[str, float | None], float]:
-    """Give how fast the memory of each node grew [bytes/min] from `settled_s` on: the slope of a straight line.
+    """Return the growth of the memory of each node [bytes/min] from `settled_s` on, the slope of a straight line.
 
-    None where too little is left of a recorder after it was furthest behind, which is given as well [s].
+    The growth is None if too few samples of a recorder remain after its greatest lag; that lag [s] is returned as well.
     """
     samples: dict[str, list[tuple[int, int]]] = {}
     behind: dict[str, tuple[int, int]] = {}
@@ -209,7 +210,7 @@ def growth_per_min(recording: Recording, settled_s: float) -> tuple[dict[str, fl
 
 
 def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]:
-    """Give the figures of a session and whether they are within the bounds."""
+    """Return the results of a session and whether they are within the bounds."""
     summary = json.loads((folder / "summary.json").read_text())
     recording = Recording(folder / "session.mcap")
     grown, behind_s = growth_per_min(recording, settled_s)
@@ -247,7 +248,7 @@ def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]
 
 
 def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0, page: bool = False) -> dict[str, Any]:
-    """Run the rig and judge it, also where its recording lacks something; CalledProcessError when it failed."""
+    """Run the rig and judge it, even if its recording is incomplete; CalledProcessError if the rig failed."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / "soak.yaml"
     file.write_text(yaml.safe_dump(scenario(duration_s)))
@@ -268,7 +269,7 @@ def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0,
 
 
 def main() -> int:
-    """Run, print, and return an exit code: whether the bounds were kept."""
+    """Run and print; return 0 if the bounds were kept, else 1 (with --smoke always 0)."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=600.0, help="length of the session [s]")
     parser.add_argument("--rate", type=float, default=1000.0, help="rate of the loop [Hz]")

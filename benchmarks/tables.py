@@ -2,8 +2,8 @@
 
     python benchmarks/tables.py [--only loop,lockstep] [--smoke] [--json]
 
-The scripts run one after the other, a quarter of an hour in all, on a machine that has to be quiet. What is between the
-marks of the page is replaced; a script that fails leaves its table as it was, and is named.
+The scripts run one after the other, a quarter of an hour in all, on a machine that has to be quiet. Each table replaces
+the text between its marks in the page; a script that fails leaves its table unchanged, and its name is printed.
 """
 
 import argparse
@@ -29,7 +29,7 @@ Figures = Mapping[str, Any]
 
 
 class Table(NamedTuple):
-    """A table of a page: the script and its arguments, and what makes lines of its figures."""
+    """A table of a page: the script, its arguments, and the function that makes lines from its results."""
 
     script: str
     arguments: tuple[str, ...]
@@ -37,7 +37,7 @@ class Table(NamedTuple):
 
 
 def table(head: str, rows: list[str]) -> list[str]:
-    """Return the lines of a table of a document."""
+    """Return the lines of a Markdown table."""
     return [head, "|---" * (head.count("|") - 1) + "|", *rows]
 
 
@@ -77,7 +77,7 @@ def peers_lines(found: Figures) -> list[str]:
 
 
 def lockstep_lines(found: Figures) -> list[str]:
-    """Return the simulated seconds a second, a row for each law."""
+    """Return the simulated seconds a second, one row for each law."""
     environments = list(dict.fromkeys(row["environment"] for row in found["rows"]))
     speed = {(row["law"], row["environment"]): row["ratio"] for row in found["rows"]}
     laws = dict.fromkeys(row["law"] for row in found["rows"])
@@ -91,7 +91,7 @@ def late_lines(found: Figures) -> list[str]:
 
 
 def growth_lines(found: Figures) -> list[str]:
-    """Return a table for all that grows, each with the sentences that say where it stops."""
+    """Return a table for each quantity that grows, with the sentences on the point at which the rig fails."""
     lines: list[str] = []
     for axis, figures in found["axes"].items():
         columns = growth.columns_of(figures["rows"])
@@ -113,7 +113,7 @@ TABLES = {
 
 
 def machine() -> str:
-    """Return the machine and the commit that the figures are of, in a sentence."""
+    """Return a sentence that names the machine and the commit of the measurements."""
     lines = _text("/proc/cpuinfo").splitlines()
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     model = next(named, platform.machine())
@@ -133,9 +133,9 @@ def _text(path: str) -> str:
 
 
 def figures_of(script: str, arguments: tuple[str, ...]) -> Figures | str:
-    """Return the figures that a script prints as JSON, or why it has none."""
+    """Return the results that a script prints as JSON, or the reason why it has none."""
     command = [sys.executable, str(FOLDER / script), *arguments, "--json"]
-    # the scripts share parts of themselves
+    # The scripts import each other.
     environment = {**os.environ, "PYTHONPATH": str(FOLDER)}
     done = children.run(command, capture_output=True, text=True, cwd=tempfile.gettempdir(), env=environment)
     if done.returncode:
@@ -145,7 +145,7 @@ def figures_of(script: str, arguments: tuple[str, ...]) -> Figures | str:
 
 
 def replaced(text: str, name: str, lines: list[str]) -> str:
-    """Return a page with the lines between its marks of this name; as it was where it has none."""
+    """Return a page with new lines between its marks of this name; unchanged if it has no such marks."""
     begin, end = f"<!-- {name} begins -->", f"<!-- {name} ends -->"
     before, found, rest = text.partition(begin)
     if not found or end not in rest:

@@ -29,15 +29,15 @@ HERE = Path(__file__).resolve().parents[1]
 NODES = ("haptic_node@master", "controller@master", "controller@slave", "afm_node@slave", "delay_node@master")
 PARTS = (*NODES, "receive", "record", "show")
 SESSION_S = 1.5
-# the slowest tenth of the turns has what the machine did meanwhile
+# The slowest tenth of the turns is left out, because other work of the machine disturbed it.
 KEPT_SHARE = 0.9
 SHOWN = ("haptic/state", "haptic/command", "afm/state", "law/status")
-# The end of a context waits for sockets that are open, so nothing of a session is let go.
+# The end of a ZeroMQ context waits for open sockets, so the sessions are kept.
 _sessions: list[Any] = []
 
 
 def virtual() -> Any:
-    """Return the module of the rig in virtual time, which was one of the tests in earlier versions."""
+    """Return the module of the rig in virtual time, which belonged to the tests in earlier versions."""
     import importlib
 
     try:
@@ -47,7 +47,7 @@ def virtual() -> Any:
 
 
 def session() -> tuple[Any, dict[str, list[tuple[int, list[Any]]]]]:
-    """Return a rig after a session, and by node the time [ns] of each turn and what the node received in it."""
+    """Return a rig after a session, and by node the time [ns] of each turn and the messages received in it."""
     rig = virtual().VirtualRig(None, 7)
     turns: dict[str, list[tuple[int, list[Any]]]] = {key: [] for key in rig.nodes}
     for key, bus in rig.buses.items():
@@ -67,7 +67,7 @@ def session() -> tuple[Any, dict[str, list[tuple[int, list[Any]]]]]:
 
 
 def _note_sent(rig: Any) -> None:
-    """Keep what every endpoint of a rig sends, which earlier versions did by themselves."""
+    """Record the messages that every endpoint of a rig sends, for versions that do not record them."""
     if hasattr(rig, "_received"):
         return
     rig.sent, record, epoch_ns = [], rig._record, virtual().EPOCH_OFFSET_NS
@@ -80,14 +80,14 @@ def _note_sent(rig: Any) -> None:
 
 
 def sent(rig: Any) -> list[tuple[str, str, bytes, int]]:
-    """Return endpoint, topic, bytes and time [ns] of what was sent."""
+    """Return endpoint, topic, bytes and time [ns] of each message sent."""
     if hasattr(rig, "sent"):
         return list(rig.sent)
     return [(endpoint, topic, payload, at) for at, _, endpoint, topic, payload in rig._received]
 
 
 class CountingBus:
-    """A bus that shows a node what it received before, and numbers what it sends."""
+    """A bus that gives a node the messages of an earlier session, and numbers those that it sends."""
 
     def __init__(self, rig: Any, turns: list[tuple[int, list[Any]]]) -> None:
         self._rig, self._turns, self._numbers = rig, iter(turns), {}
@@ -123,7 +123,7 @@ class CountingBus:
 
 
 def node_turns(key: str) -> Callable[[], float]:
-    """Return what has a new node take all turns, and returns the mean time of one [us]."""
+    """Return a function that makes a new node take all turns, and returns the mean time of a turn [us]."""
     from telenano.runtime.loop.node import NodeContext
     from telenano.runtime.loop.node_loop import NodeLoop
     from telenano.runtime.loop.realtime import RealtimeStatus
@@ -136,7 +136,7 @@ def node_turns(key: str) -> Callable[[], float]:
         bus = rig.buses[key] = CountingBus(rig, turns[key])
         context = NodeContext(key, rig.clock, bus, virtual().QuietLog(key), period_s=1e-3)
         if hasattr(rig, "build"):
-            # What the link sends at its own endpoint goes nowhere, as what the others send does.
+            # Messages that the link sends at its own endpoint go nowhere, like those of the others.
             rig._endpoints[key] = bus
             node = rig.build(key, context)
         else:
@@ -148,7 +148,7 @@ def node_turns(key: str) -> Callable[[], float]:
 
 
 def receiving() -> Callable[[], float]:
-    """Return what takes messages from a socket, and returns the mean time of one [us]."""
+    """Return a function that takes messages from a socket, and returns the mean time of a message [us]."""
     import zmq
 
     from telenano.runtime.bus.bus import Subscriber, ZmqBus
@@ -173,7 +173,7 @@ def receiving() -> Callable[[], float]:
 
 
 def recording() -> Callable[[], float]:
-    """Return what records a session, and returns the mean time of a message [us]."""
+    """Return a function that records a session, and returns the mean time of a message [us]."""
     import zmq
 
     from services.recorder.intake import begin_recording
@@ -204,7 +204,7 @@ def recording() -> Callable[[], float]:
 
 
 def showing() -> Callable[[], float]:
-    """Return what a page is shown of a session, and returns the mean time of a message [us]."""
+    """Return a function that feeds a session to a page, and returns the mean time of a message [us]."""
     from services.viz_node.feed import Feed, seen
 
     rig, _ = session()
@@ -232,7 +232,7 @@ def _mean_us(calls: Any) -> float:
 
 
 def work(part: str) -> None:
-    """Print the time of a part each time that a line comes in."""
+    """Print the time of a part for each line that arrives on standard input."""
     others = {"receive": receiving, "record": recording, "show": showing}
     run = others[part]() if part in others else node_turns(part)
     gc.collect()
@@ -240,7 +240,7 @@ def work(part: str) -> None:
     gc.disable()
     for _ in sys.stdin:
         print(run(), flush=True)
-    # The process ends at once, because a context of ZeroMQ that is collected waits for its sockets.
+    # The process ends at once, because the collection of a ZeroMQ context would wait for its sockets.
     os._exit(0)
 
 
@@ -269,7 +269,7 @@ class Worker:
 
 
 def pairs_of(part: str, before: Path, pairs: int) -> list[tuple[float, float]]:
-    """Return pairs of the time of a part here and of that in another checkout, taken one after the other [us]."""
+    """Return pairs of times of a part [us], here and in another checkout, measured one after the other."""
     here, other = Worker(HERE, part), Worker(before, part)
     found: list[tuple[float, float]] = []
     for number in range(pairs + 1):
@@ -278,7 +278,7 @@ def pairs_of(part: str, before: Path, pairs: int) -> list[tuple[float, float]]:
         found.append((times[0], times[1]) if number % 2 else (times[1], times[0]))
     here.end()
     other.end()
-    # The first pair finds the caches empty.
+    # The first pair is left out, because it finds the caches empty.
     return found[1:]
 
 

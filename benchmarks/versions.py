@@ -1,14 +1,13 @@
-"""Whether two versions differ in any of some figures, from pairs of measurements that were taken in turn.
+"""Test whether two versions differ in any of several quantities, from pairs of measurements taken in turn.
 
     compared({"hand": [(12.1, 12.3), ...], "link": [...]})
 
-A figure is measured of both versions one after the other, over and over, so that each pair gives a ratio and what the
-machine did meanwhile is in both. Ratios that follow one another are alike where the machine was slow for a while, so
-that they are averaged in blocks of several correlation times, and what is left of the correlation between blocks widens
-the interval. It is Student's of the mean of the blocks, with as many degrees of freedom as there are ratios that do not
-follow from one another, and with the chance of an error divided by the number of figures (C. E. Bonferroni, 1936), so
-that the ratios of all figures are within their intervals at once, and fewer than 5 % of equal versions have a figure
-that differs.
+Each quantity is measured for both versions one after the other, repeatedly, so that each pair gives a ratio and the
+load of the machine affects both. Consecutive ratios are correlated if the machine was slow for a while, so they are
+averaged in blocks of several correlation times, and the remaining correlation between blocks widens the interval. The
+interval is Student's for the mean of the blocks, with as many degrees of freedom as there are independent ratios. The
+probability of an error is divided by the number of quantities (C. E. Bonferroni, 1936), so that the ratios of all
+quantities are within their intervals at once, and fewer than 5 % of equal versions have a quantity that differs.
 """
 
 import math
@@ -21,18 +20,18 @@ from numpy.typing import NDArray
 from telenano.analysis.intervals import student
 
 Series = NDArray[np.float64]
-# All figures are within their intervals with this chance: more than 95 %, because the correlation that the blocks
-# follow from is itself estimated.
+# All quantities are within their intervals with this probability: more than 95 %, because the correlation time that
+# determines the blocks is itself estimated.
 _SURE = 0.985
-# A block has this number of correlation times, if there are then as many blocks as this.
+# The length of a block in correlation times, if that leaves at least the number of blocks below.
 _BLOCK_TIMES = 3.0
 _FEWEST_BLOCKS = 20
-# A ratio that is off by more than so many times the median deviation counts as one that is off by that.
+# A ratio that is off by more than this many median deviations is clipped to that distance.
 _FURTHEST = 8.0
 
 
 class Ratio(NamedTuple):
-    """The ratio of a figure of the one version to that of the other, and the ends of its interval; nan: not known."""
+    """The ratio of a quantity of one version to that of the other, and the ends of its interval (nan if unknown)."""
 
     ratio: float
     low: float
@@ -44,25 +43,25 @@ class Ratio(NamedTuple):
         return math.isfinite(self.low) and not self.low <= 1.0 <= self.high
 
     def told(self) -> str:
-        """Return it in words, for a line of a table."""
+        """Return the ratio in words, for a line of a table."""
         if not math.isfinite(self.low):
             return f"{self.ratio:.3f} (no interval: take more pairs, as these are few or follow from one another)"
         return f"{self.ratio:.3f} ({self.low:.3f} to {self.high:.3f}{', which differs' if self.differs else ''})"
 
 
 def shown(ratio: Ratio) -> dict[str, float | bool | None]:
-    """Return it as values of JSON, which has no nan."""
+    """Return the ratio as values of JSON, in which None stands for nan."""
     ends = {name: value if math.isfinite(value) else None for name, value in ratio._asdict().items()}
     return {**ends, "differs": ratio.differs}
 
 
 def compared(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> dict[str, Ratio]:
-    """Compare two versions in all of some figures.
+    """Compare two versions in several quantities.
 
-    With fewer than twenty pairs that do not follow from one another no interval is known.
+    With fewer than twenty independent pairs no interval is known.
 
     Args:
-        pairs: Of each figure the measurements of both versions, above zero, in the order in which they were taken.
+        pairs: For each quantity the measurements of both versions, above zero, in the order in which they were taken.
     """
     middles, calm, inside = {}, {}, {}
     for what, measured in pairs.items():
@@ -77,9 +76,10 @@ def compared(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> dict[str, Ra
     found = {}
     for what, logs in calm.items():
         means, length = _blocks(logs, time)
-        # The blocks of a process with this correlation time have this share of the variance of a mean of them.
+        # For a process with this correlation time, the spread of the blocks has this share of the variance of their
+        # mean.
         kept = 1.0 + math.expm1(-length / time) / (length / time) if time else 1.0
-        # What is off by more goes where the median goes, and is no measurement of its own (P. J. Huber, 1964).
+        # Clipped ratios follow the median and are no measurements of their own (P. J. Huber, 1964).
         error = float(means.std(ddof=1)) / math.sqrt(kept * len(means)) / inside[what]
         freedom = math.floor(min(len(means), len(logs) / (1.0 + 2.0 * time))) - 1
         middle, wide = float(means.mean()), student(freedom, 1.0 - (1.0 - _SURE) / len(calm)) * error
@@ -88,17 +88,17 @@ def compared(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> dict[str, Ra
 
 
 def _blocks(logs: Series, time: float) -> tuple[Series, int]:
-    """Return the means of blocks of several correlation times, and of twenty blocks at least; and how long they are."""
+    """Return the means of blocks of several correlation times, at least twenty blocks, and their length in pairs."""
     length = min(max(1, math.ceil(_BLOCK_TIMES * time)), len(logs) // _FEWEST_BLOCKS)
     count = len(logs) // length
     return np.asarray(logs[len(logs) - count * length :].reshape(count, length).mean(axis=1)), length
 
 
 def _correlation_time(courses: Sequence[Series]) -> float:
-    """Return the sum of the correlations at the lags of one pair and more, up to the first that could be chance.
+    """Return the sum of the correlations at lags of one pair and more, up to the first that could be chance.
 
-    It is the mean of those of all figures, as one of them has too few pairs to show it, and the machine is the same.
-    What the mean of a course takes away from its correlations is added again.
+    It is the mean over all quantities, because each has too few pairs to show it and the machine is the same. The bias
+    from subtracting the mean of each course is corrected.
     """
     known = [course - course.mean() for course in courses]
     known = [course for course in known if course.any()]

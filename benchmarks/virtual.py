@@ -17,14 +17,14 @@ from pathlib import Path
 from telenano.virtual.request import SimulateRequest, plan_of
 from telenano.virtual.session import SimulatedRig
 
-# The aims, by the rate of the loop [Hz]: times real time.
+# The aims as multiples of real time, by the rate of the loop [Hz].
 AIMS = {1000: 2.0, 250: 7.0}
-# The processor time of a stretch of this length is one figure [s].
+# The length of a stretch, whose processor time is one measurement [s].
 _STRETCH_S = 0.25
 
 
 def stretches_s(rate_hz: int, session_s: float, folder: Path, *, both_sites: bool) -> list[float]:
-    """Return the processor time of a simulated second [s], of each stretch of a session."""
+    """Return the processor time of a simulated second [s] for each stretch of a session."""
     request = SimulateRequest(
         scenario="fig12",
         out=folder,

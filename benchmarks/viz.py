@@ -1,18 +1,19 @@
-"""What the view costs: the age of the loop with and without open pages, bytes to a page, and the time of a frame.
+"""Measure the cost of the view: the age of the loop with and without open pages, bytes to a page, time of a frame.
 
     python benchmarks/viz.py --rounds 4 --window 4
     python benchmarks/viz.py --recording out/session.mcap --window 5
     python benchmarks/viz.py --hour out/session.mcap
 
-One rig runs throughout. Windows without a page and with `--pages` of them follow one another, and the age of the loop
+One rig runs throughout. Windows without a page alternate with windows with `--pages` of them, and the age of the loop
 in each is read from the recording: the ratio compares moments of the same run. Pages are web sockets that read
-everything; with `--browser` a Chromium draws one of them, all scopes live. Of its frames the time between two is
-measured, which on a machine without a graphics processor is that of a renderer in software, and what the page itself
-took of each: taking in what came, decimation, drawing (`performance.now` in its own callbacks). A browser on the same
-machine takes processor time as any program does, so its ratio says more about the machine than about the view; with
-`--recording` there is no rig, and Chromium has the machine for a page that plays a recording. `--hour` repeats a
-recording until it is an hour long, and opens that twice: how long it takes to the address of the page, to curves in a
-scope, to an outline of the whole, to all curves, and to the verdict; the second time by what was kept of the first.
+everything; with `--browser` a Chromium draws one of them, all scopes live. The benchmark then measures the time between
+two of its frames, which on a machine without a graphics processor is that of a software renderer, and the time that the
+page itself needs for each: reading the data, decimation, drawing (`performance.now` in its own callbacks). A browser on
+the same machine takes processor time as any program does, so its ratio says more about the machine than about the view.
+With `--recording` there is no rig, and Chromium has the machine for a page that plays a recording. `--hour` repeats a
+recording until it is an hour long, and opens the result twice. It measures the time to the address of the page, to
+curves in a scope, to an outline of the whole, to all curves, and to the verdict; the second time with the cache of the
+first.
 """
 
 import argparse
@@ -44,7 +45,7 @@ from telenano.wire.topics import LOOP_DEADLINE_S
 
 SETTLE_S = 1.0
 PATIENCE_S = 90.0
-# without a graphics processor Chromium puts a page together a hundred times as fast by itself as with a software WebGL
+# Without a graphics processor Chromium composes a page a hundred times as fast by itself as with a software WebGL.
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--disable-gpu", "--enable-unsafe-swiftshader"]
 FLAGS += ["--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows"]
 FLAGS += ["--disable-background-timer-throttling"]
@@ -93,7 +94,7 @@ def process(arguments: Sequence[str], environment: dict[str, str]) -> Iterator["
 
 
 def address_of(view: "subprocess.Popen[str]") -> str:
-    """Return the operator's address, which is not written to a pipe but to the file that the output names."""
+    """Return the operator's address, which the view writes to a file (named in its output) and not to a pipe."""
     assert view.stdout is not None
     lines = [view.stdout.readline() for _ in range(2)]
     addresses = Path(lines[1].split()[-1]).read_text()
@@ -102,7 +103,7 @@ def address_of(view: "subprocess.Popen[str]") -> str:
 
 @contextlib.contextmanager
 def drawn(address: str, wanted: bool) -> Iterator[Any]:
-    """Return a page in Chromium; None where none is wanted."""
+    """Yield a page in Chromium, None if none is `wanted`; SystemExit if it has no curves within PATIENCE_S."""
     if not wanted:
         yield None
         return
@@ -122,7 +123,7 @@ def drawn(address: str, wanted: bool) -> Iterator[Any]:
 
 
 def ages_ms(recording: Path, windows: Sequence[tuple[int, int]]) -> list[float]:
-    """Return the age of the loop of each sample that arrived in the windows [ns]: hand's sample to its answer [ms]."""
+    """Return the age of the loop [ms], from the hand's sample to its answer, for the samples in the windows [ns]."""
     found = []
     for begin_ns, end_ns in windows:
         for message in Recording(recording).messages(["haptic/state"], begin_ns, end_ns):
@@ -133,13 +134,13 @@ def ages_ms(recording: Path, windows: Sequence[tuple[int, int]]) -> list[float]:
 
 
 def figures(values: Sequence[float]) -> dict[str, float]:
-    """Return median, 99th percentile and count."""
+    """Return median, 99th percentile and count of values."""
     ordered = sorted(values)
     return {"p50": statistics.median(ordered), "p99": ordered[int(0.99 * (len(ordered) - 1))], "n": len(ordered)}
 
 
 def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """Run a rig and return the figures."""
+    """Run a rig and return the results."""
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": tempfile.mkdtemp(prefix="tnv-")}
     duration_s = 2 * given.rounds * (given.window + SETTLE_S) + 30.0
     out = folder / "rig"
@@ -153,7 +154,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     with process(up, environment) as rig, process(["view", "--port", "0"], environment) as view:
         address = address_of(view)
         wait_for_session(out, rig)
-        # until the devices have come to rest
+        # Wait until the devices have come to rest.
         time.sleep(2.0 * SETTLE_S)
         for _ in range(given.rounds):
             without.append(_window(given.window))
@@ -193,7 +194,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 
 def measure_recording(recording: str, window_s: float) -> dict[str, Any]:
-    """Return the figures of a page that plays a recording, with all scopes live and no rig."""
+    """Return the frame times of a page that plays a recording, with all scopes live and no rig."""
     with (
         process(["view", "--port", "0", recording], dict(os.environ)) as view,
         drawn(address_of(view), True) as page,
@@ -205,11 +206,11 @@ def measure_recording(recording: str, window_s: float) -> dict[str, Any]:
     return {"frame_ms": figures(frames), "page_ms": figures(costs)}
 
 
-# times [ns], and that of the programme [s], in the messages of a rig, which pack them in eight bytes
+# The patterns of times [ns], and of the time of the programme [s], packed in eight bytes in the messages of a rig.
 _TIMES = re.compile(rb"(_ns\xcf)(.{8})", re.DOTALL)
 _PROGRAMME = re.compile(rb"(session_s\xcb)(.{8})", re.DOTALL)
 _HOUR_S = 3600.0
-# what a page has when it was opened, in order
+# The steps of a page after it was opened, in order.
 STEPS = {
     "connected": "window.telenano?.store.streams.size",
     "curves": "telenano.scopes.plots[0]?.data?.[1]?.some((value) => value !== null && value !== undefined)",
@@ -220,7 +221,7 @@ STEPS = {
 
 
 def repeated(source: str, length_s: float, folder: Path) -> Path:
-    """Write a recording that goes on for a length [s] with what is in another one, one time after the other."""
+    """Write a recording of a length [s] that repeats another recording."""
     recording = Recording(source)
     begin_ns, end_ns = recording.span_ns
     writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
@@ -231,7 +232,7 @@ def repeated(source: str, length_s: float, folder: Path) -> Path:
     messages = [message for message in recording.select() if message.topic in TOPICS]
     places = {m.channel: (m.topic, m.src, m.site) for m in messages}
     channels = {channel: writer.channel(*place) for channel, place in places.items()}
-    # the numbers of a turn go on where those before it ended: a gap would have every message read for it
+    # The numbers of a turn continue those of the turn before: for a gap every message would have to be read.
     firsts = {message.channel: message.seq for message in reversed(messages)}
     counts = {message.channel: message.seq - firsts[message.channel] + 1 for message in messages}
     payloads = Payloads([message.payload for message in messages])
@@ -249,7 +250,7 @@ def repeated(source: str, length_s: float, folder: Path) -> Path:
 
 
 class Payloads:
-    """The payloads of many messages in one buffer, in which all times are put later at once."""
+    """The payloads of many messages in one buffer, in which all times are shifted at once."""
 
     def __init__(self, payloads: Sequence[bytes]) -> None:
         self._data = np.frombuffer(b"".join(payloads), dtype=np.uint8)
@@ -260,7 +261,7 @@ class Payloads:
         self._programmes, self._times_s = self._found(_PROGRAMME, whole, ">f8")
 
     def later(self, by_ns: int) -> Iterator[bytes]:
-        """Yield each payload with its times later by so much [ns]."""
+        """Return an iterator over the payloads, with their times shifted by `by_ns` [ns]."""
         data = self._data.copy()
         data[self._clocks] = (self._times_ns + np.uint64(by_ns)).astype(">u8").view(np.uint8).reshape(-1, 8)
         later_s = np.where(self._times_s >= 0.0, self._times_s + by_ns * 1e-9, self._times_s)
@@ -277,7 +278,7 @@ class Payloads:
 
 
 def measure_hour(source: str, length_s: float) -> dict[str, Any]:
-    """Return when a page of a long recording has what, from the command on [s]: at the first look and the second."""
+    """Return the times from the command to each step of a page of a long recording [s], for two looks at it."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         begun_s = time.monotonic()
@@ -300,7 +301,7 @@ def _looked(path: str, environment: dict[str, str]) -> dict[str, float]:
         times["address"] = time.monotonic() - begun_s
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         page = browser.new_page(viewport={"width": 1360, "height": 850})
-        # the browser of a person runs already
+        # The start of the browser does not count, because that of a person is already running.
         begun_s = time.monotonic() - times["address"]
         page.goto(address, wait_until="commit", timeout=PATIENCE_S * 1e3)
         for step, expression in STEPS.items():

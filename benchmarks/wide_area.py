@@ -2,10 +2,10 @@
 
     python benchmarks/wide_area.py [--delays-ms 10,50,100] [--losses 0,0.01,0.02,0.05,0.1] [--seconds S] [--json]
 
-Two network namespaces are joined by the cable of tests/stack/tun_cable.py. At one end a process sends teleop/forward
-at 1 kHz, at the other one looks at each millisecond how old the newest sample is. It needs root and the command `ip`.
-The cable is a process: how many packets it handed over more than a millisecond late, and how long it got no processor
-at most, is printed with each figure.
+The cable of tests/stack/tun_cable.py joins two network namespaces. At one end a process sends teleop/forward at 1 kHz,
+at the other end a process checks the age of the newest sample each millisecond. The benchmark needs root and the
+command `ip`. Because the cable is a process too, the number of packets that it handed over more than a millisecond
+late, and its longest time without a processor, are printed with each result.
 """
 
 import argparse
@@ -33,13 +33,13 @@ TUN_CABLE = ROOT / "tests" / "stack" / "tun_cable.py"
 THERE, HERE = "10.78.0.1", "10.78.0.2"
 PORT = 5704
 WAYS = ("tcp", "bare", "link")
-# before the ages count: connections, keys, and TCP's first windows
+# The time before the ages count, for connections, keys, and TCP's first windows [s].
 _WARM_UP_S = 2.0
 
 
 @contextmanager
 def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, str], Callable[[], dict[str, Any]]]]:
-    """Make two namespaces and join them; gives their names, and what the cable has counted when it is asked."""
+    """Join two new namespaces; yield their names and a function that returns the counts of the cable."""
     token = secrets.token_hex(3)
     names = (f"wa{token}", f"wb{token}")
     for name in names:
@@ -70,7 +70,7 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, s
 
 
 def send(way: str, seconds: float, folder: Path) -> None:
-    """Be the sending end."""
+    """Run the sending end."""
     from telenano.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
@@ -91,7 +91,7 @@ def _send_plain(way: str) -> None:
     publisher, bare = context.socket(zmq.PUB), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     publisher.bind(f"tcp://{THERE}:{PORT}")
     begin_ns = time.monotonic_ns()
-    # until it is ended
+    # The loop runs until the process is ended.
     for tick in itertools.count(1):
         time.sleep(max(0, begin_ns + tick * 1_000_000 - time.monotonic_ns()) * 1e-9)
         sample = time.monotonic_ns().to_bytes(8, "big") + payload
@@ -102,7 +102,7 @@ def _send_plain(way: str) -> None:
 
 
 def receive(way: str, seconds: float, folder: Path) -> list[float]:
-    """Be the receiving end; gives the age of the newest sample at each millisecond [ms]."""
+    """Run the receiving end; return the age of the newest sample at each millisecond [ms]."""
     from telenano.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
@@ -142,7 +142,7 @@ def _receive_plain(way: str, seconds: float) -> list[float]:
 
 
 def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
-    """Run an end of the link itself, its keys agreed over CURVE as in a rig; gives the ages at the receiving one."""
+    """Run an end of the link with keys agreed over CURVE as in a rig; return the ages of the newest sample [ms]."""
     from link import ANSWER, SIGNAL
 
     from telenano.runtime.bus.address_book import AddressBook
@@ -188,7 +188,7 @@ def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
 
 
 def measure(way: str, delay_s: float, loss: float, seconds: float) -> tuple[list[float], str]:
-    """Give the ages [ms] of one way over one network, and how late the cable was itself."""
+    """Return the ages [ms] of one way over one network, and the lateness of the cable itself in words."""
     with cable(delay_s, loss, seed=1) as (names, ask), tempfile.TemporaryDirectory() as folder:
         if way == "link":
             make_keys(Path(folder))
@@ -209,7 +209,7 @@ def measure(way: str, delay_s: float, loss: float, seconds: float) -> tuple[list
 
 
 def make_keys(folder: Path) -> None:
-    """Have both machines know each other."""
+    """Create keys so that both machines know each other."""
     from telenano.runtime.security.keyring import Keyring
 
     rings = {name: Keyring(folder / name) for name in ("master", "slave")}
@@ -219,7 +219,7 @@ def make_keys(folder: Path) -> None:
 
 
 def numbers(text: str) -> list[float]:
-    """Return numbers separated by commas."""
+    """Return the numbers of a text in which commas separate them."""
     return [float(word) for word in text.split(",")]
 
 
@@ -239,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.smoke:
         given.delays_ms, given.losses, given.seconds = [10.0], [0.0], 0.5
     if given.be is not None:
-        # as the nodes of a rig run
+        # The nodes of a rig have this scheduling, too.
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
     if given.be == "send":

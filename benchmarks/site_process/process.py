@@ -1,11 +1,12 @@
-"""The nodes of one site in one process and one thread, with the sockets of each: what `loop.py --processes` compares.
+"""Run the nodes of one site in one process and one thread, each with its sockets, for `loop.py --processes`.
 
-`rig.py` starts it in the place of the processes of a site. On the wire nothing changes: each node binds its own
-endpoint and publishes all its messages there, in its own order. What a node publishes for another one of its site is
-encoded once, sent, and handed over in memory; what comes from elsewhere is received from sockets. One poll waits for
-the sockets and deadlines of all nodes, and the deferred work of all shares the idle gap of the process.
+`rig.py` starts this process in the place of the processes of a site. Nothing changes on the wire: each node binds its
+own endpoint and publishes all its messages there, in its own order. A message for another node of the same site is
+encoded once, sent, and also handed over in memory; messages from elsewhere come from sockets. One poll waits for the
+sockets and deadlines of all nodes, and the deferred work of all nodes shares the idle gap of the process.
 
-It is made for the measurement, and no way to run a rig: a node that hangs here holds the device of its site as well.
+This process is only for the measurement and no way to run a rig: a node that hangs here also holds up the device of its
+site.
 """
 
 import contextlib
@@ -56,20 +57,20 @@ from telenano.wire.received import Received
 # The nodes of each site, in the order in which they are built.
 _LINK_NODE = f"{LINK}@master"
 MEMBERS = {"master": (_LINK_NODE, "controller@master", HAND), "slave": (TIP, "controller@slave")}
-# After one of these messages the tick is at the other site, or over, for the longest time.
+# After one of these messages the tick is at the other site, or over, for longest, so the idle gap begins.
 _IDLE_AFTER = {(HAND, "haptic/command"), ("controller@slave", "afm/state")}
-# After this number of turns that only memory has brought, the sockets are looked at again.
+# After this number of turns for messages from memory alone, the sockets are checked again.
 _MOST_TURNS = 64
-# Of so many messages that the link has received the decoded form is at hand, beside their bytes.
+# The number of messages received by the link whose decoded form is kept, by their bytes.
 _KNOWN = 256
-# These are ten seconds of a kind of turn that comes six times a tick.
+# So many turns are ten seconds of a kind of turn that comes six times a tick.
 _MOST_TRACED = 60_000
-# With this variable the time of each turn is written to the log at the end.
+# If this variable is set, the median time of each kind of turn is written to the log at the end.
 TRACE_VARIABLE = "TELENANO_SITE_TRACE"
 
 
 class MemoryReader(VirtualReader):
-    """What a node receives from nodes of its own process: each message with its bytes, as it was published."""
+    """Receives the messages of nodes in the same process, each with its bytes as it was published."""
 
     def __init__(self, clock: Clock, topics: Iterable[str], *, newest_only: bool) -> None:
         super().__init__(clock, topics, newest_only=newest_only)
@@ -83,7 +84,7 @@ class MemoryReader(VirtualReader):
 
 
 class SitePublisher(ZmqPublisher):
-    """A PUB socket that also hands each message to the nodes of this process that read it."""
+    """A PUB socket that also hands each message to its readers in this process."""
 
     site: "Site"
 
@@ -102,7 +103,7 @@ class SitePublisher(ZmqPublisher):
 
 
 class SiteBus(ZmqBus):
-    """The bus of a node of a site: the process has waited for it."""
+    """The bus of a node of a site; it does not wait itself, because the process waits for all nodes."""
 
     def __init__(self, site: "Site", key: str, publisher: Publisher, readers: Sequence[Reader], **given: Any) -> None:
         self.near = [reader for reader in readers if isinstance(reader, MemoryReader)]
@@ -111,7 +112,7 @@ class SiteBus(ZmqBus):
         for reader in self.near:
             self.subscribers.insert(0, cast(Subscriber, reader))
             self.count(reader)
-        # The sockets that are to be asked at the next `receive`, by their descriptors.
+        # The descriptors of the sockets to read at the next `receive`.
         self.asked: list[int] = []
         self._site, self._key = site, key
 
@@ -120,10 +121,10 @@ class SiteBus(ZmqBus):
         return [*(reader.descriptor for reader in self.sockets), *self._network_descriptors]
 
     def wait(self, deadline_ns: int) -> None:
-        """Return at once: the process has waited."""
+        """Return at once, because the process has already waited."""
 
     def wake(self, descriptor: int) -> None:
-        """Have a socket asked at the next `receive`, or the network looked after."""
+        """Have a socket read at the next `receive`, or the events of the network processed."""
         if descriptor in self._network_descriptors:
             self._events_pending = True
         self.asked.append(descriptor)
@@ -151,7 +152,7 @@ class SiteBus(ZmqBus):
 class NodeTasks:
     """The tasks of one node among those of its process, which runs them."""
 
-    # The process looks at what is due.
+    # The process, not the node, checks which tasks are due.
     due_ns = NEVER_NS
 
     def __init__(self, shared: "SiteTasks", key: str) -> None:
@@ -163,7 +164,7 @@ class NodeTasks:
         self._shared.add(task, is_turn=is_turn, within_ns=within_ns)
 
     def note_event(self, begin_ns: int, end_ns: int, *, is_last: bool) -> None:
-        """Do nothing: the events of the process count."""
+        """Do nothing, because the events of the process count."""
 
     @property
     def has_turns(self) -> bool:
@@ -203,7 +204,7 @@ class SiteTasks(DeferredTasks):
 
 @dataclass(frozen=True, kw_only=True)
 class SiteWiring(Wiring):
-    """What the builder of a node is given: sockets to other processes, and memory within this one."""
+    """The wiring for the builder of a node: sockets to other processes, and memory within this one."""
 
     site: "Site" = field(repr=False)
 
@@ -242,7 +243,7 @@ class SiteWiring(Wiring):
     def context(self, bus: Bus) -> NodeContext:
         context = super().context(bus)
         if self.key not in DEVICES:
-            # The node of the device looks after the paths and connections of the process.
+            # The node of the device handles the paths and connections of the process.
             context.places = context.hearing = None
         context.deferred = cast(DeferredTasks, NodeTasks(self.site.tasks, self.key))
         return context
@@ -257,11 +258,11 @@ class Member:
 
 
 class Site:
-    """The nodes of a site: one poll, one order of turns."""
+    """The nodes of a site, with one poll and one order of turns."""
 
     def __init__(self, keys: Sequence[str], clock: Clock) -> None:
         self.keys = tuple(keys)
-        # The link ends in an endpoint at each site, and both are bound by its process.
+        # The link has an endpoint at each site, and its process binds both.
         self.endpoints = {*keys, *(f"{LINK}@slave" for key in keys if name_of(key) == LINK)}
         self.tasks = SiteTasks(clock)
         self.members: dict[str, Member] = {}
@@ -269,9 +270,9 @@ class Site:
         self.trace: dict[str, list[int]] | None = defaultdict(list) if TRACE_VARIABLE in os.environ else None
         self._monotonic_ns = clock.monotonic_ns
         self._routes: dict[tuple[str, str], list[tuple[str, MemoryReader]]] = defaultdict(list)
-        # The nodes that have messages in memory, in the order in which the first of each was published.
+        # The nodes that have messages in memory, in the order in which the first message of each was published.
         self._pending: deque[str] = deque()
-        # What sockets have brought of late, which the link sends on as it came.
+        # The latest messages of the link from sockets, by their bytes: the link sends them on unchanged.
         self._known: dict[bytes, Message] = {}
         self._was_last = False
         self._order: list[Member] = []
@@ -288,14 +289,14 @@ class Site:
 
     def open(self, members: Iterable[Member], wake_descriptor: int) -> None:
         self.members = {member.key: member for member in members}
-        # A tick of the hand comes before what sockets have brought meanwhile.
+        # A tick of the hand comes before the messages that arrived at sockets meanwhile.
         self._order = sorted(self.members.values(), key=lambda member: member.key not in DEVICES)
         self._owner = {number: member for member in self._order for number in member.bus.own_descriptors}
         self._sockets = [(socket, member.bus) for member in self._order for socket in member.bus.sockets]
         self._descriptors, self._wake = [*self._owner, wake_descriptor], wake_descriptor
 
     def deliver(self, endpoint: str, topic: str, payload: bytes, message: Message | None) -> None:
-        """Hand a message that was just sent to the nodes of this process that read it."""
+        """Hand a message that was just sent to its readers in this process."""
         if message is None:
             message = self._known.get(payload)
         for key, reader in self._routes.get((endpoint, topic), ()):
@@ -304,7 +305,7 @@ class Site:
             reader.inbox.append((0, 0, topic, payload, message))
 
     def note_received(self, key: str, received: Sequence[Received]) -> None:
-        """Note what a node has received: whether the idle gap begins, and what the link may send on."""
+        """Note the messages that a node received: whether the idle gap begins, and those that the link may send on."""
         if (key, received[-1].topic) in _IDLE_AFTER:
             self._was_last = True
         elif key == _LINK_NODE:
@@ -314,19 +315,19 @@ class Site:
                 self._known[one.payload] = one.message
 
     def has_arrived(self) -> bool:
-        """Return whether something may have arrived since the last wait, in memory or at a socket."""
+        """Return whether a message may have arrived since the last wait, in memory or at a socket."""
         self._readable, _, _ = select.select(self._descriptors, (), (), 0)
         return bool(self._pending or self._readable)
 
     def next_ns(self) -> int:
-        """Return the next deadline of a node, or report of one, on the monotonic clock [ns]."""
+        """Return the time of the next deadline or health report of a node, on the monotonic clock [ns]."""
         next_ns = NEVER_NS
         for member in self._order:
             next_ns = min(next_ns, member.deadline_ns(), member.loop._health_ns)
         return next_ns
 
     def turn(self) -> None:
-        """Wait for what is next, and have every node that it concerns take its turn, and those that follow from it."""
+        """Wait for the next event, then let every node concerned take its turn, and those that get messages from it."""
         readable = self._wait()
         woken_ns, all_wake, pending = self._monotonic_ns(), False, self._pending
         for number in readable:
@@ -375,13 +376,13 @@ class Site:
             spent.append(time.perf_counter_ns() - begun_ns)
 
     def _run_deferred(self) -> None:
-        """Run the tasks that are due, until a message comes."""
+        """Run the tasks that are due, until a message arrives."""
         while not self._pending and (now_ns := self._monotonic_ns()) >= self.tasks.due_ns:
             if (task := self.tasks.take(now_ns, self.next_ns())) is not None:
                 self.members[self.tasks.owners[task.run]].loop._run_task(task)
 
     def run(self) -> None:
-        """Run until a stop is requested, then leave every node safe whatever happened."""
+        """Run until a stop is requested, then leave every node in a safe state whatever happened."""
         members = self.members.values()
         try:
             while not any(member.node.context.stop_requested for member in members):
@@ -396,7 +397,7 @@ class Site:
 
 
 def _guarded(guard: HangGuard, keys: Sequence[str]) -> Callable[[str], None]:
-    """Return what renews the limit of processor time once every node has reported since it was renewed."""
+    """Return a function that notes a report of a node and renews the limit of processor time once all have reported."""
     waiting = set(keys)
 
     def note(key: str) -> None:
@@ -410,7 +411,7 @@ def _guarded(guard: HangGuard, keys: Sequence[str]) -> Callable[[str], None]:
 
 @contextlib.contextmanager
 def opened(arguments: Any, keys: Sequence[str], wake_descriptor: int) -> Iterator[tuple[Site, RealtimeStatus]]:
-    """Build the nodes of a site while the block runs."""
+    """Build the nodes of a site for the duration of the block; yield the site and the real-time status."""
     site_file = site_file_named(arguments.site_file) or DEFAULT_SITE_FILE
     scenario_file = find_scenario(str(arguments.scenario))
     book, loaded = AddressBook.load(site_file), LoadedScenario.load(scenario_file, arguments.set)
@@ -427,7 +428,7 @@ def opened(arguments: Any, keys: Sequence[str], wake_descriptor: int) -> Iterato
             wiring = SiteWiring(**values, site_file=site_file, scenario_file=scenario_file, site=site)
             node, bus = kind.build(wiring, loaded.section(kind.name, kind.config))
             for publisher in site.publishers.values():
-                # The turns that a message brings in memory come first, and the process waits soon after.
+                # The turns for messages in memory come first, and the process waits soon after.
                 publisher.yields = False
             alive = functools.partial(note_alive, key)
             loop = NodeLoop(node, bus, status, starting_period_ns=STARTING_PERIOD_NS, note_alive=alive)
@@ -443,7 +444,7 @@ def opened(arguments: Any, keys: Sequence[str], wake_descriptor: int) -> Iterato
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the nodes of the site that the command line names, until they are stopped."""
+    """Run the nodes of the site named on the command line until they are stopped; return an exit code."""
     read = parse_arguments("site", tuple(MEMBERS), arguments)
     gc.freeze()
     gc.enable()

@@ -1,7 +1,7 @@
-"""The `telenano` command with a process a site: `python benchmarks/site_process/rig.py up --scenario fig12`.
+"""The `telenano` command with one process per site: `python benchmarks/site_process/rig.py up --scenario fig12`.
 
-For `loop.py` it replaces how the launcher starts the nodes of a site (`process.py`); recorder, page and launcher stay
-as they are. The nodes of a site start, end and are started again together.
+For `loop.py` it replaces the launcher's start of the nodes of a site (`process.py`); recorder, page and launcher are
+unchanged. The nodes of a site start, end and restart together.
 """
 
 import subprocess
@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-# A program that another one starts has no folder of its own on its path.
+# The script's own folder may be missing from the path if another program starts it.
 sys.path.insert(0, str(Path(__file__).parent))
 
 from process import MEMBERS
@@ -22,7 +22,7 @@ _SITE_OF = {key: site for site, keys in MEMBERS.items() for key in keys}
 
 
 class SiteProcesses(processes.NodeProcesses):
-    """The nodes of a rig as processes, those of a site as one."""
+    """The nodes of a rig as processes, with one process for the nodes of a site."""
 
     def __init__(self, commands: Any, *given: Any) -> None:
         together = {

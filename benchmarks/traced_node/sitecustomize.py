@@ -1,4 +1,4 @@
-"""Times the parts of a hop in each node of the loop: Python imports this at its start where PYTHONPATH has this folder.
+"""Times the parts of a hop in each node of the loop; Python imports this at its start if PYTHONPATH has this folder.
 
 `loop.py` sets PYTHONPATH for its traced rigs, and the processes of the rig inherit it.
 """

@@ -1,4 +1,4 @@
-"""The `telenano` command: where it begins."""
+"""The entry point of the `telenano` command."""
 
 import contextlib
 import gc
@@ -6,12 +6,12 @@ import os
 import sys
 from collections.abc import Sequence
 
-# The priority is below that of the nodes, whose loops continue while the stop is in transit.
+# A priority below that of the nodes, whose loops continue while the stop is in transit.
 _URGENT = 1
 
 
 def main() -> None:
-    """Run the command line; an emergency stop without what the other commands need."""
+    """Run the command line; an emergency stop runs without the imports that the other commands need."""
     from telenano.cli import terminal
 
     terminal.install()
@@ -27,17 +27,18 @@ def main() -> None:
     from telenano.signals import interrupts
 
     interrupts.install()
-    # What imports make stays: looking through it for garbage, again and again, takes a sixth of their time.
+    # Garbage collection is off during imports: their objects stay, and searching them took a sixth of the time.
     gc.disable()
     try:
         from telenano.cli.root import app
 
         app()
     except SystemExit as end:
-        # The libraries end a command whose reader, such as `head`, has closed the pipe: it has what it wanted.
+        # A command whose reader, such as `head`, has closed the pipe is ended by the libraries; the reader had enough:
+        # code 0.
         raise (SystemExit(0) if isinstance(end.__context__, BrokenPipeError) else end) from None
     except BaseException:
-        # It is an interruption, whatever a library makes of it.
+        # After a signal the command was interrupted, whatever exception a library makes of it.
         if not interrupts.received():
             raise
         raise SystemExit(_interrupted(arguments, interrupts.exit_code())) from None
@@ -46,7 +47,7 @@ def main() -> None:
 
 
 def _interrupted(arguments: Sequence[str], code: int) -> int:
-    """Print that a signal ended a command which was at nothing that has words of its own; return the exit code."""
+    """Print that a signal ended a command that reports no interruption itself; return the exit code."""
     import json
 
     with contextlib.suppress(OSError):
@@ -58,9 +59,9 @@ def _interrupted(arguments: Sequence[str], code: int) -> int:
 
 
 def _hurry() -> None:
-    """Run ahead of ordinary processes where that is permitted: a busy machine may leave them a tenth of its time."""
+    """Take a real-time priority where permitted: a busy machine may leave other processes a tenth of its time."""
     # No object here lives long enough to be collected.
     gc.disable()
-    # other systems than Linux have no such priorities
+    # Only Linux has these priorities.
     with contextlib.suppress(PermissionError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_URGENT))

@@ -1,4 +1,4 @@
-"""A session by a `telenano up` of its own, for commands that run several; it ends in order when they do."""
+"""Run a session in a `telenano up` process of its own, for commands that run several; it ends in order when they do."""
 
 import json
 import subprocess
@@ -16,19 +16,19 @@ _LOOK_S = 0.5
 def run_session(
     command: Sequence[str], most_s: float | None = None, progress: Callable[[float], object] = lambda spent_s: None
 ) -> dict[str, Any]:
-    """Run a `telenano up … --json` to its end and return its summary, also where its recording is not whole.
+    """Run a `telenano up … --json` to its end and return its summary, even if its recording is incomplete.
 
     Ctrl-C and SIGTERM at this process end the session as Ctrl-C at its own terminal does: the devices are made safe and
-    the recording is complete before the interruption continues.
+    the recording is completed before the interruption continues.
 
     Args:
         command: The command and its arguments.
-        most_s: How long the session may take [s].
+        most_s: The longest time that the session may take [s]; None for no limit.
         progress: Called twice a second with the time so far [s].
 
     Raises:
-        TimeoutError: The session took longer; it has ended.
-        RigError: The session failed; the text is what it reports of itself.
+        TimeoutError: The session took longer and was ended.
+        RigError: The session failed; the text is its own report.
     """
     begun_s = time.monotonic()
     pipe = subprocess.PIPE
@@ -50,7 +50,7 @@ def run_session(
 
 
 def _summary(code: int, out: str, err: str) -> dict[str, Any]:
-    """Return the summary that a session has printed; RigError with its own reason where it failed."""
+    """Return the summary that a session has printed; RigError with the session's own reason if it failed."""
     try:
         document: dict[str, Any] = json.loads(out)
     except ValueError:

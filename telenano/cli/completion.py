@@ -1,24 +1,24 @@
-"""What the shell completes besides commands and options. Nothing is imported here that takes time."""
+"""Shell completion of values, besides commands and options. The module imports nothing that takes time."""
 
 from typing import Any
 
 
 def scenario_names(incomplete: str) -> list[str]:
-    """Return the known scenarios that begin so."""
+    """Return the known scenarios whose names begin with the text."""
     from telenano.settings.included import known_scenarios
 
     return [name for name in known_scenarios() if name.startswith(incomplete)]
 
 
 def scenario_sections(incomplete: str) -> list[str]:
-    """Return the sections of a scenario that begin so."""
+    """Return the sections of a scenario whose names begin with the text."""
     from telenano.wire.nodes import SERVICES
 
     return [name for name in SERVICES if name.startswith(incomplete)]
 
 
 def scenario_keys(incomplete: str) -> list[str]:
-    """Return what can follow in `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, a value of a list."""
+    """Return completions of `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, or a value of a choice."""
     import json
 
     from telenano.settings.included import SCHEMA_DIRECTORY
@@ -63,7 +63,7 @@ def _values(part: dict[str, Any]) -> list[str]:
 
 
 def topic_names(incomplete: str) -> list[str]:
-    """Return the topics that begin so, and their copies that left the link."""
+    """Return the topics whose names begin with the text, and `topic@site` for their copies that left the link."""
     from telenano.settings.package_topics import topics_by_name
     from telenano.wire import TOPICS
 
@@ -74,14 +74,14 @@ def topic_names(incomplete: str) -> list[str]:
 
 
 def law_names(incomplete: str) -> list[str]:
-    """Return the laws that begin so, those of installed packages included, and `all`; of a list a,b,c the last part."""
+    """Return the laws whose names begin with the text, and `all`; in a list a,b,c the last part is completed."""
     before, comma, last = incomplete.rpartition(",")
     names = [*law_name(last), *(["all"] if "all".startswith(last) else [])]
     return [f"{before}{comma}{name}" for name in names]
 
 
 def law_name(incomplete: str) -> list[str]:
-    """Return the laws that begin so, those of installed packages included, without importing one."""
+    """Return the laws whose names begin with the text, including those of installed packages, without importing one."""
     from telenano.sections.law_names import LAW_NAMES
     from telenano.settings.plugins import installed
 
@@ -89,14 +89,14 @@ def law_name(incomplete: str) -> list[str]:
 
 
 def service_names(incomplete: str) -> list[str]:
-    """Return what `telenano node` takes that begins so: names without a site, and `list`."""
+    """Return the arguments of `telenano node` that begin with the text: names without a site, and `list`."""
     from telenano.wire.nodes import SERVICES
 
     return [name for name in (*SERVICES, "list") if name.startswith(incomplete)]
 
 
 def node_names(incomplete: str) -> list[str]:
-    """Return the nodes of a rig that begin so, by name and as name@site."""
+    """Return the nodes of a rig whose names begin with the text, as name and as name@site."""
     from telenano.wire.nodes import START_ORDER, name_of
 
     return [name for name in (*dict.fromkeys(map(name_of, START_ORDER)), *START_ORDER) if name.startswith(incomplete)]

@@ -1,4 +1,4 @@
-"""`telenano estop`, and `telenano session estop`: without typer and without models where nothing else is asked for."""
+"""`telenano estop` and `telenano session estop`, without typer, and without models unless the request needs them."""
 
 import contextlib
 import json
@@ -31,7 +31,7 @@ from telenano.wire.printable import one_line
 
 
 class EstopRequest(NamedTuple):
-    """The options of the command: `site` is empty where both are one, `rig` where each of this user's is meant."""
+    """The options of the command; site '' stands for a rig of one machine, rig '' for every rig of this user."""
 
     target: str = "*"
     site: str = ""
@@ -41,7 +41,7 @@ class EstopRequest(NamedTuple):
 
 
 def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
-    """Return the request in a command line; None when it is another command, or better read by the usual way."""
+    """Return the request in a command line; None for another command, or for words that typer should read."""
     words = list(arguments)
     if words[:1] == ["session"]:
         words = words[1:]
@@ -69,7 +69,7 @@ def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
 
 
 def run_estop(request: EstopRequest) -> int:
-    """Stop what the request means, print the answers, and return the exit code."""
+    """Stop the devices of the request, print the answers, and return the exit code."""
     try:
         answers = _stop(request)
     except TelenanoError as error:
@@ -87,36 +87,36 @@ def run_estop(request: EstopRequest) -> int:
 
 
 def _print(line: str) -> None:
-    """Print a line; a stop continues, and has its exit code, where that is not possible."""
+    """Print a line; if that is not possible, the stop continues and keeps its exit code."""
     try:
         sys.stdout.write(one_line(line) + "\n")
         sys.stdout.flush()
     except OSError as error:
         with contextlib.suppress(OSError):
             sys.stderr.write(f"telenano: standard output cannot be written: {error.strerror}\n")
-        # Otherwise Python would fail to write it when it ends.
+        # Otherwise Python would fail to write the rest of the buffer when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _stop(request: EstopRequest) -> dict[str, Answer]:
-    """Stop the rig that is named, or else every rig of this user: a person in a hurry names none."""
+    """Stop the rig that is named, or else every rig of this user, because a person in a hurry names none."""
     seen = look()
     if request.rig or os.environ.get(RIG_VARIABLE):
         name = request.rig or os.environ[RIG_VARIABLE]
         return _stop_rig(request, name, seen, lambda answer: _show(request, answer))
     first = _reached(request, FIRST_RIG, seen)[0].endpoints
     here, elsewhere = _rigs_of(seen)
-    # A site file may have folders of its own, which are the same for all.
+    # A site file may have folders of its own, which are then the same for all names.
     named = [name for name in here if _reached(request, name, seen)[0].endpoints != first]
     others = [name for name in named if _runs(request, name, seen)]
     rigs: dict[str, tuple[LocalRig, Reach]] = {}
     if request.site_file is None and not os.environ.get(RUNTIME_DIRECTORY_VARIABLE):
-        # They were started where another folder was that of this user, as in a session without a login.
+        # Rigs that were started with another folder for this user, as in a session without a login.
         found = {folder: LocalRig.of_holders(holders, seen) for folder, holders in elsewhere.items()}
         rigs = {folder: (rig, rig.reach(request.target, request.site)) for folder, rig in found.items()}
     if not others and not rigs:
         return _stop_rig(request, "", seen, lambda answer: _show(request, answer))
-    # All at once: one that does not answer must not keep the stop from the others.
+    # All rigs are stopped at once: one that does not answer must not delay the stop of the others.
     names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name, seen)]
     rigs |= {name: _reached(request, name, seen) for name in names}
     answers: dict[str, Answer] = {}
@@ -146,7 +146,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
 
 
 def _tell_which(rigs: Sequence[str]) -> None:
-    """Say which rigs were meant, where a person has named none and there is not only that of this folder."""
+    """Print the rigs that were stopped, if none was named and there are others than the one of this folder."""
     text = f"no rig was named, and the stop went to each one of this user that was found: {', '.join(rigs)}"
     with contextlib.suppress(OSError):
         sys.stderr.write(
@@ -156,7 +156,10 @@ def _tell_which(rigs: Sequence[str]) -> None:
 
 
 def _rigs_of(seen: Look) -> tuple[list[str], dict[str, list[Holder]]]:
-    """Return the names of the rigs in the folder of this process, and the devices of others by their folder."""
+    """Return the names of the rigs in this process's folder, and device and recorder processes of others by folder.
+
+    A rig elsewhere counts only if one of its devices runs.
+    """
     names, elsewhere = rigs_with_folders(), dict[tuple[int, str], list[Holder]]()
     for holder in seen.holders:
         base, name = base_and_rig(holder.folder)
@@ -180,7 +183,7 @@ def _runs(request: EstopRequest, name: str, seen: Look) -> bool:
 
 
 def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Reach]:
-    """Return the endpoints of a rig on this machine, and the way to its devices."""
+    """Return a rig on this machine with its endpoints, and the ways to its devices."""
     before = os.environ.get(RIG_VARIABLE, "")
     os.environ[RIG_VARIABLE] = name
     try:
@@ -194,7 +197,7 @@ def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Re
 
 
 def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answer], None]) -> dict[str, Answer]:
-    """Stop the devices of one rig, by every way that there is."""
+    """Stop the devices of one rig by every way that there is, and return their answers by node."""
     os.environ[RIG_VARIABLE] = name
     site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
     rig, reach = _reached(request, name, seen)
@@ -211,7 +214,7 @@ def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answ
 
 
 def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> None:
-    """Stop the devices that are reached without a console; RigError where none of those that are meant is found."""
+    """Stop the devices that are reached without a console; RigError if none of the targets is found."""
     for text in rig.strangers():
         sys.stderr.write(f"telenano: {text}\n")
     missing = (*reach.absent, *reach.unknown)
@@ -229,8 +232,8 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
 
 
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
-    """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
-    # This import brings models and keys, which takes longer.
+    """Send the command like any other: over a network, to nodes of an older version, to nodes without a device."""
+    # Imported here, because it loads models and keys, which takes longer.
     from telenano.console.send_commands import send_control
     from telenano.runtime.loop.commands import Command
 

@@ -4,7 +4,7 @@ EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2
 # The command is done, but the recording lacks something.
 EXIT_INCOMPLETE = 3
-# SIGINT (Ctrl-C) or SIGTERM ended the command, numbered as in shells; `telenano.signals.interrupts.exit_code` returns
-# which.
+# A signal ended the command: SIGINT (Ctrl-C) or SIGTERM, numbered as in shells; `telenano.signals.interrupts.exit_code`
+# returns which.
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143

@@ -1,4 +1,4 @@
-"""Single keys and a status line of a terminal, for commands that run until a person ends them."""
+"""Single keys and a status line in a terminal, for commands that run until a person ends them."""
 
 import contextlib
 import os
@@ -23,18 +23,18 @@ _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B"
 class RawKeyboard:
     """Single keys of standard input and a status line on standard error, each only where that is a terminal.
 
-    Ctrl-C stays a signal, and waiting is left to the caller, whose loop has more than keys to wait for.
+    Ctrl-C stays a signal. Waiting is left to the caller, whose loop waits for other things as well.
     """
 
     def __init__(self) -> None:
         self._input = sys.stdin.fileno() if termios is not None and sys.stdin.isatty() else None
         terminal = Console(stderr=True)
-        # It has no thread of its own: `show` refreshes it.
+        # The line has no thread of its own: `show` refreshes it.
         self._line = Live(console=terminal, auto_refresh=False) if terminal.is_terminal else None
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        """Switch the terminal to single keys, without Enter and echo."""
+        """Switch the terminal to single keys: no Enter is needed, and nothing is echoed."""
         if self._input is not None:
             before = termios.tcgetattr(self._input)
             self._open.callback(termios.tcsetattr, self._input, termios.TCSADRAIN, before)
@@ -53,7 +53,7 @@ class RawKeyboard:
         return split_keys(os.read(self._input, 64))
 
     def show(self, line: str) -> None:
-        """Show a line in the place of the one before; where it has no room it wraps."""
+        """Show a line instead of the one before; a line that is too long wraps."""
         if self._line is not None:
             self._line.update(Text(line), refresh=True)
 

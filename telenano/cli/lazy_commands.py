@@ -1,4 +1,4 @@
-"""The table of commands, each imported when it runs: `telenano --help` answers at once, without what they need."""
+"""The table of commands, each imported when it runs, so that `telenano --help` answers at once."""
 
 import contextlib
 import gc
@@ -20,14 +20,14 @@ from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, TelenanoError, named_by, probably_meant
 from telenano.wire.nodes import module_of
 
-# what the wheel installs at the top level
+# The packages that the wheel installs at the top level.
 _OWN = ("services", "telenano")
-# typer has no other name for the base of all errors of the command line.
+# typer does not export the base of its usage errors.
 _UsageError: Any = typer.BadParameter.__base__
 
 
 class LazyCommand(NamedTuple):
-    """Where a command or a group of them is defined, its line in the list of commands, and the entry that adds it."""
+    """A command or a group: its module and attribute, its line in the list, and the entry of its package, if any."""
 
     module: str
     attribute: str
@@ -35,7 +35,7 @@ class LazyCommand(NamedTuple):
     entry: plugins.Plugin | None = None
 
 
-# The commands of telenano itself, each in the module of its name; groups are the `app` of theirs.
+# The commands of telenano itself, each in the module of its name; a group is the `app` of its module.
 _ABOUT = {
     "up": "Run a scenario on a rig, record it, write figure and summary.",
     "simulate": "Run a scenario in virtual time, record it, write figure and summary.",
@@ -61,7 +61,7 @@ _ABOUT = {
 }
 _GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "keys", "device")
 _MODULES = {name: f"telenano.cli.commands.{name}" for name in _ABOUT}
-# A command that is a process of the rig lies with that process.
+# A command that starts a process of the rig is defined in the folder of that process.
 _PROCESSES = (("record", "recorder"), ("replay", "player"), ("view", "viz_node"))
 _MODULES |= {name: f"{module_of(process)}.command" for name, process in _PROCESSES}
 LAZY_COMMANDS = {
@@ -69,7 +69,7 @@ LAZY_COMMANDS = {
 }
 
 
-# Commands of the test kit, which packages of laws and clients of the wire are examined by.
+# Commands of the test kit, with which laws of packages and clients of the protocol are examined.
 _TEST_KIT = {
     ("conformance",): LazyCommand(
         "telenano.testing.conformance.conformance_command",
@@ -83,7 +83,7 @@ _TEST_KIT = {
     ),
 }
 
-# The order of the list of commands; those of packages of the project stand in it where they are installed.
+# The order of the list of commands; it includes the commands of this project's packages, which appear if installed.
 GROUPS = {
     "Run": ("up", "simulate", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "bridge", "inspect"),
@@ -143,16 +143,16 @@ def function_of_package(words: str) -> Any:
 
 
 def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
-    """Import the command of a row; a group takes in those that packages have for it.
+    """Import the command of a row; a group also gets the commands that packages add to it.
 
     Raises:
-        ConfigError: The row of a package leads to no command.
+        ConfigError: The row of a package does not lead to a command.
     """
     try:
         return _made(name, getattr(importlib.import_module(row.module), row.attribute), row.about, path)
     except BaseException as error:
         entry, top = row.entry, row.module.partition(".")[0]
-        # Where a package of the project lacks a library, another sentence says how that is installed.
+        # If a package of this project lacks a library, another sentence says how to install that.
         is_library = isinstance(error, ModuleNotFoundError) and (error.name or top).partition(".")[0] != top
         if entry is None or (is_library and entry.package in OWN_PACKAGES):
             raise
@@ -160,7 +160,7 @@ def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
         command = f"the command {' '.join(path)!r} of the package {entry.package} {entry.version}"
         raise ConfigError(f"{command} cannot be used: {text} that can be imported") from error
     finally:
-        # The command may run for long.
+        # The imports are done, and the command may run for long.
         gc.enable()
 
 
@@ -192,25 +192,25 @@ class _UpCommand(TyperCommand):
 
 
 def _plain(command: Any, path: tuple[str, ...]) -> Any:
-    """Name arguments and bounded numbers by their metavars alone, and list commands with their whole sentences."""
+    """Show arguments and bounded numbers by their metavars alone, and list commands with their whole sentences."""
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
     check_paths(command)
     if any(parameter.name == "site_file" for parameter in command.params):
-        # What names the address book of a rig names the rig.
+        # A command that takes the address book of a rig takes the name of a rig as well.
         command.params.append(_rig_option())
     if isinstance(command, OpenGroup):
         command.path = path
     for name, child in getattr(command, "commands", {}).items():
-        # The help is the whole sentence, which would be cut off after 45 letters.
+        # Without a short help the list would cut the sentence off after 45 letters.
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child, (*path, name))
     return command
 
 
 def _choose_rig(name: str | None) -> None:
-    """Have this process, and those that it starts, speak to a rig of this name; None leaves it as it is."""
+    """Make this process and its children use the rig of this name; None changes nothing."""
     if name is None:
         return
     # An emergency stop has no time for these imports.
@@ -222,7 +222,10 @@ def _choose_rig(name: str | None) -> None:
 
 
 def _rig_option() -> Any:
-    """Return `--rig`, which chooses the rig and is no argument of a command; typer makes it of a signature alone."""
+    """Return the option `--rig`, which selects the rig and is not passed to the command.
+
+    typer makes an option only from the signature of a function.
+    """
     option = typer.Option(
         "--rig",
         metavar="NAME",
@@ -243,7 +246,7 @@ def _rig_option() -> Any:
 _MOST_MEANT = 4
 # Commands by another name.
 ALIASES = {"run": "up"}
-# What people type who look for something that has another name.
+# Hints for words that people type for something that has another name.
 _ENDS = (
     "Ctrl-C ends a session in its terminal, `telenano session stop` stops the hand of a running rig, and"
     " `telenano estop` its devices at once"
@@ -281,13 +284,13 @@ MEANT = {
 
 
 class OpenGroup(TyperGroup):
-    """A group whose commands, beside those of its module, are imported when they run; packages add to it."""
+    """A group whose commands, besides those of its own module, are imported when they run; packages can add some."""
 
     path: tuple[str, ...] = ()
     own_rows: Mapping[str, LazyCommand] = {}
 
     def rows(self) -> Mapping[str, LazyCommand]:
-        """Return the commands that are imported when they run, with those of packages."""
+        """Return the commands that are imported when they run, including those of packages."""
         added = {path[-1]: row for path, row in package_commands().items() if path[:-1] == self.path}
         return {**added, **self.own_rows}
 
@@ -295,7 +298,7 @@ class OpenGroup(TyperGroup):
         return list(dict.fromkeys([*super().list_commands(ctx), *self.own_rows, *self.rows()]))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return what the list of commands needs of one; None if it is unknown."""
+        """Return a command with the help that the list of commands needs; None if it is unknown."""
         row = None if cmd_name in self.commands else self.rows().get(cmd_name)
         if row is None:
             return super().get_command(ctx, cmd_name)
@@ -312,7 +315,7 @@ class OpenGroup(TyperGroup):
         path = (*self.path, name)
         if row := self.own_rows.get(name) or self.rows().get(name):
             return name, load_row(name, row, path), args[1:]
-        # A command of a group that is missing as well may be of another package than the group.
+        # The missing command may be in another package than its group, which is missing as well.
         asked = (" ".join([*path, *args[1:2]]), " ".join(path))
         if words := [each for each in asked if f"command {each}" in KNOWN_PACKAGES]:
             from telenano.wire.extras import how_to_add_package
@@ -320,7 +323,7 @@ class OpenGroup(TyperGroup):
             package, last = KNOWN_PACKAGES[f"command {words[0]}"], words[0].removeprefix(" ".join([*self.path, ""]))
             ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
-        # What is another way to say a name, such as its plural, is meant by it before what only has the word.
+        # A variant of the name, such as its plural, is preferred to commands whose text only contains the word.
         if not any(near == f"; did you mean {each}?" for each in (name[:-1], f"{name}s")):
             near = self._meant(ctx, name) or near
         if not near:
@@ -328,11 +331,11 @@ class OpenGroup(TyperGroup):
         return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
 
     def _first(self, ctx: Any) -> list[str]:
-        """Return the commands to begin with."""
+        """Return the commands for a beginner; in a group, all of them."""
         return [name for name in self.list_commands(ctx) if self.path or name in FIRST_COMMANDS]
 
     def _meant(self, ctx: Any, name: str) -> str:
-        """Return `: ...` with what an unknown command is another word for: a file, an option, or commands elsewhere."""
+        """Return `: …` with what an unknown command may stand for: a file, a scenario, an option, or other commands."""
         if os.path.exists(name):  # noqa: PTH110 - `Path.exists` raises for a name that is too long
             from telenano.wire.printable import quoted
 
@@ -350,10 +353,10 @@ class OpenGroup(TyperGroup):
                 return f": it is a scenario; `telenano up {name}` runs it"
         root = ctx.find_root().command
         groups = {row: root.command_at(row) for row in (*_GROUPS, "session")}
-        # a command of a group, and one of the root, may have the name or be what is said to do it
+        # A command of a group, or one of the root, may have this name, or its sentence may contain it.
         abouts = {row: one.about for row, one in root.rows().items()}
         for row, group in groups.items():
-            # A command of another group that has the name, such as `list`, does it to something else.
+            # A command of the same name in another group, such as `list`, is about something else and does not count.
             if not self.path or row == self.path[0]:
                 for child in getattr(group, "commands", {}).values():
                     abouts[f"{row} {child.name}"] = child.short_help or ""
@@ -374,18 +377,18 @@ class OpenGroup(TyperGroup):
 
 
 class LazyRoot(OpenGroup):
-    """The group of all commands, which lists them without importing them, and reports what none of them did."""
+    """The group of all commands; it lists them without importing them, and prints errors that no command reports."""
 
     own_rows = LAZY_COMMANDS
     lists_all = False
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Run a command and exit; a usage error, and what the system refuses, is a sentence as any other error is."""
+        """Run a command and exit; usage errors and system errors are printed as sentences, like all other errors."""
         words, standalone = args[0] if args else extra.get("args"), extra.pop("standalone_mode", True)
         as_json = "--json" in (sys.argv[1:] if words is None else words)
         try:
             code = super().main(*args, **{**extra, "standalone_mode": False})
-        # The command of a package may raise anything, of which not all is an `Exception`; SystemExit is a code.
+        # The command of a package may raise anything, also a BaseException; SystemExit carries an exit code.
         except BaseException as error:
             if not standalone or interrupts.received() or isinstance(error, SystemExit | interrupts.Interrupted):
                 raise
@@ -396,7 +399,7 @@ class LazyRoot(OpenGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
     def command_at(self, name: str) -> Any:
-        """Return a command or a group of the table, imported; None where a package cannot be used."""
+        """Return a command or group of the table, imported now; None if it is unknown or its package cannot be used."""
         try:
             return load_row(name, self.rows()[name], (name,))
         except (ConfigError, KeyError):
@@ -407,7 +410,7 @@ class LazyRoot(OpenGroup):
             return super().make_context(*args, **extra)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command to run; `help` and other names of commands are taken as what they mean."""
+        """Return the command to run; `help` and the aliases of commands are replaced by the commands that they mean."""
         name, *rest = args or [""]
         if name == "help" and not rest:
             typer.echo(ctx.get_help())
@@ -440,7 +443,7 @@ class LazyRoot(OpenGroup):
 
 @contextlib.contextmanager
 def _unknown_to_typer() -> Iterator[None]:
-    """Raise an interruption on as what typer does not catch: it would end the command without a word."""
+    """Raise an interruption as an exception that typer does not catch; typer would end the command without a word."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -448,7 +451,7 @@ def _unknown_to_typer() -> Iterator[None]:
 
 
 def _report(error: Any, *, as_json: bool) -> int:
-    """Print what no command has reported; return the exit code. What is a fault of the core is raised again."""
+    """Print an error that no command has reported and return the exit code; a fault of the core is raised again."""
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
     from telenano.wire.extras import how_to_add_package, missing
@@ -458,7 +461,7 @@ def _report(error: Any, *, as_json: bool) -> int:
     if isinstance(error, _UsageError):
         code = error.exit_code
         if error.format_message().startswith("Usage:"):
-            # A group without a command shows its help.
+            # A group without a command prints its help.
             error.show()
             return code
         text = usage_text(error)

@@ -16,14 +16,14 @@ from telenano.launcher.rig_status import node_facts
 from telenano.launcher.session import SessionNode
 
 _REFRESH_TICKS = 5
-# A line repeats at this interval what is still waited for.
+# A line repeats what is still waited for at this interval [ns].
 _REMIND_NS = 5_000_000_000
 _REPORTS_SHOWN = 6
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB")
 
 
 class LineView(AbstractContextManager["LineView"]):
-    """One line for each change of phase and each report, for logs and pipes."""
+    """A view that prints a line for each change of phase and each report, for logs and pipes."""
 
     def __init__(self, console: Console, *, quiet: bool = False) -> None:
         self._console = console
@@ -33,10 +33,10 @@ class LineView(AbstractContextManager["LineView"]):
         self._reminded_ns = 0
 
     def __exit__(self, *error: object) -> None:
-        """Do nothing: each line was printed as it came."""
+        """Do nothing: each line has been printed already."""
 
     def observe(self, rig: RigNode) -> None:
-        """Print what is new: reports, a phase, the nodes that are waited for."""
+        """Print the news: reports, a new phase, the nodes that are waited for."""
         while rig.reports:
             self.show(rig.reports.popleft())
         if rig.phase != self._phase:
@@ -53,7 +53,7 @@ class LineView(AbstractContextManager["LineView"]):
             self.show("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
     def show(self, text: str) -> None:
-        """Print a line; a session continues where its output cannot be written."""
+        """Print a line; the session continues if its output cannot be written."""
         if self._quiet:
             return
         with contextlib.suppress(OSError):
@@ -61,10 +61,10 @@ class LineView(AbstractContextManager["LineView"]):
 
 
 class LiveView(AbstractContextManager["LiveView"]):
-    """The table of nodes, the progress of the session and the last events, in place."""
+    """A view that redraws the table of nodes, the progress of the session and the last events."""
 
     def __init__(self, console: Console) -> None:
-        # It has no thread of its own: the launcher's loop refreshes it.
+        # The view has no thread of its own: the launcher's loop refreshes it.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._ticks = 0
         self._last: Group | None = None
@@ -79,14 +79,14 @@ class LiveView(AbstractContextManager["LiveView"]):
             self._live.stop()
 
     def observe(self, rig: RigNode) -> None:
-        """Show a tick of the rig, a few times a second."""
+        """Redraw the rig, a few times a second; called at every tick."""
         self._ticks += 1
         if self._ticks % _REFRESH_TICKS == 1:
             self._last = rig_picture(rig)
             self._update(self._last)
 
     def show(self, text: str) -> None:
-        """Show a line below the table, or print it once the table is gone, as while the report is made."""
+        """Show a line below the table, or print it when the table is closed, as while the report is made."""
         if not self._live.is_started:
             LineView(self._live.console).show(text)
             return
@@ -116,7 +116,7 @@ def rig_picture(rig: RigNode) -> Group:
 
 
 def nodes_table(rig: RigNode) -> Table:
-    """Draw the table of nodes from their last health; restarts are known of own nodes only."""
+    """Draw the table of nodes from their last health messages; restarts are known for this launcher's nodes only."""
     table = Table("node", *_COLUMNS, "restarts")
     for column in table.columns[2:]:
         column.justify = "right"

@@ -1,8 +1,8 @@
-"""Options of a command from a settings model: name, type, unit, bounds and default, each said once, in the model.
+"""Make options of a command from a settings model, in which name, type, unit, bounds and default are stated once.
 
-A field `dwell_s` is the option `--dwell MS`: the end of its name is its unit, and the option takes the unit that a
-person would use. A field whose annotation has an `Option` says itself how it is asked for. What was given reaches the
-command as one mapping of fields to values; what was not is the model's.
+A field `dwell_s` becomes the option `--dwell MS`: the end of the field's name is its unit, and the option takes the
+unit that a person would use. A field whose annotation has an `Option` states the form of its option itself. The command
+receives the given values as one mapping from fields to values; for all others the defaults of the model hold.
 """
 
 import inspect
@@ -26,20 +26,20 @@ from telenano.wire.errors import ConfigError
 F = TypeVar("F", bound=Callable[..., Any])
 M = TypeVar("M", bound=BaseModel)
 
-# The options replace this parameter of a command, which gets the values by field.
+# The options replace this parameter of a command, which receives their values by field.
 GIVEN = "given"
 Given = dict[str, Any]
 
 
 class Unit(NamedTuple):
-    """Unit of an option as it is written, the SI unit of its field, and what the first is in the second."""
+    """The unit in which an option is written, the SI unit of its field, and the size of the first in the second."""
 
     name: str
     si: str
     scale: float
 
 
-# Units are found by the end of a field's name, the longest first.
+# Units by the end of a field's name; longer ends come before shorter ones that they contain.
 _UNITS = {
     "_m_per_s": Unit("nm/s", "m/s", 1e-9),
     "_n_per_m": Unit("N/m", "N/m", 1.0),
@@ -55,7 +55,7 @@ SECONDS = {"_s": Unit("s", "s", 1.0)}
 _NO_UNIT = Unit("", "", 1.0)
 _PLAIN = (bool, int, float, str, Path)
 _COMPLETIONS = {"--law": law_names, "--without": node_names, "--scenario": scenario_names}
-# Options of one name may take different texts.
+# Completions by metavar, because options of one name may take different texts.
 _TEXTS = {"SECTION.KEY=VALUE": scenario_keys}
 
 
@@ -72,7 +72,7 @@ class ModelOption(NamedTuple):
 
     @property
     def flag(self) -> str:
-        """The name in messages."""
+        """The name of the option in messages."""
         return self.flags[0]
 
 
@@ -82,13 +82,13 @@ def with_options(
     defaults: Mapping[str, str] = MappingProxyType({}),
     units: Mapping[str, Unit] = MappingProxyType({}),
 ) -> Callable[[F], F]:
-    """Return a decorator that gives a command an option for each field of a model, where its parameter `given` stands.
+    """Return a decorator that replaces the parameter `given` of a command by an option for each field of a model.
 
     Args:
         model: The settings; its fields are numbers, flags, texts and choices.
         leave_out: Fields for which the command has options of its own, or none.
-        defaults: Defaults of this command in place of those of the model, as a person would write them.
-        units: Units of this command in place of the usual ones, by the end of a field's name.
+        defaults: Defaults of this command instead of those of the model, as a person would write them.
+        units: Units of this command instead of the usual ones, by the end of a field's name.
     """
     options = [
         option._replace(default=defaults.get(option.field))
@@ -125,15 +125,15 @@ def options_of(model: type[BaseModel], units: Mapping[str, Unit] = MappingProxyT
 
 
 def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str] | None = None) -> M:
-    """Return the settings that were given.
+    """Return the settings with the given values; the other fields have their defaults.
 
     Args:
-        model: The settings.
-        given: Values by field, as `with_options` hands them on.
-        flags: The options of fields for which the command has options of its own.
+        model: The class of the settings.
+        given: Values by field, as `with_options` passes them on.
+        flags: For fields that have an option of the command's own, the name of that option.
 
     Raises:
-        ConfigError: Naming the options whose values the model refuses, and what would be right.
+        ConfigError: The model refuses a value; the message names the option and the allowed values.
     """
     option_of = {option.field: option for option in options_of(model)}
     read = {name: option.own.read for name, option in option_of.items() if option.own and option.own.read}
@@ -156,14 +156,14 @@ def _option(name: str, field: FieldInfo, units: Mapping[str, Unit]) -> ModelOpti
             kind = list[str] if own.many else str
         return ModelOption(name, own.flags, kind, _NO_UNIT, field, own)
     end = next((end for end in units if name.endswith(end)), "")
-    # texts, and whole numbers but those of bytes, have no unit, whatever they are called
+    # Texts have no unit, nor have whole numbers except bytes, whatever their names end in.
     unit = units[end] if end and (kind is float or end == "_bytes") else _NO_UNIT
     bare = name.removesuffix(end) if unit is not _NO_UNIT else name
     return ModelOption(name, ("--" + bare.replace("_", "-"),), kind, unit, field)
 
 
 def _kind_of(annotation: Any) -> Any:
-    """Return the type that a command line has for a field: int, float, bool, str, or a choice of words."""
+    """Return the type of a field on the command line: int, float, bool, str, a choice, list[str]; None for others."""
     if get_origin(annotation) is Literal or annotation in _PLAIN:
         return annotation
     if get_origin(annotation) is tuple:
@@ -175,7 +175,7 @@ def _kind_of(annotation: Any) -> Any:
 
 
 def _words(annotation: Any) -> tuple[str, ...]:
-    """Return the words that the parts of a list may be, none where they may be any."""
+    """Return the words that the parts of a list are chosen from; empty where any text is allowed."""
     if get_origin(annotation) is Literal:
         return get_args(annotation)
     return next(filter(None, map(_words, get_args(annotation))), ())
@@ -206,7 +206,7 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
     return inspect.Parameter(option.field, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-# Units in which a number may be written, by what they measure, in the SI unit of that.
+# The units in which a number may be written, one table for each quantity, with their size in its SI unit.
 _WRITTEN: tuple[Mapping[str, float], ...] = (
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0},
     {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "pm": 1e-12},
@@ -225,21 +225,21 @@ def _number(unit: str, text: str) -> float:
         try:
             return float(number) * scales[written] / scales[unit]
         except (KeyError, ValueError):
-            # The library adds the name of the option.
+            # typer adds the name of the option to the message.
             raise ValueError(f"{text!r} is not a valid float" + (f" [{unit}]" if unit else "")) from None
 
 
 def _help(option: ModelOption) -> str:
-    """Return what a field is, its bounds and its default, in the unit of the option."""
+    """Return the help of an option: the description of its field, bounds and default, in the unit of the option."""
     about, default = option.about.description or "", option.about.default
     words = [about.replace(f"[{option.unit.si}]", f"[{option.unit.name}]").rstrip(".")]
-    # many descriptions say the bounds themselves
+    # Many descriptions state the bounds themselves.
     if (bounds := _bounds(option)) and bounds not in about:
         words.append(bounds)
     if option.default is not None:
         words = [words[0].partition("; default:")[0], *words[1:], f"default: {option.default}"]
     elif option.own is not None:
-        # text that is read has its default in the words of the option
+        # An option that reads its text states its default as text.
         shown = option.own.written or ("" if option.own.read or not _is_shown(default) else _written(option, default))
         words += [f"default: {shown}"] if shown else []
     elif _is_shown(default):

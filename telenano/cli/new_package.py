@@ -1,4 +1,4 @@
-"""A package that extends telenano, written from the templates: `telenano new`."""
+"""Write a package that extends telenano from the templates, for `telenano new`."""
 
 from collections.abc import Collection
 from importlib.metadata import version
@@ -12,7 +12,7 @@ from telenano.files.atomic_files import whole_folder
 from telenano.settings.plugins import NAME
 from telenano.wire.errors import ConfigError
 
-# What a package can bring.
+# The kinds of extension that a package can begin with.
 Kind = Literal[
     "law", "device", "instrument", "operator", "sample", "program", "task", "command", "analysis", "export", "check",
     "package",
@@ -31,10 +31,10 @@ _TRY_IT: dict[Kind, str] = {
     "check": "telenano doctor",
     "package": "telenano up $name",
 }
-# An instrument is a device of the AFM's node, an analysis a command that reads recordings, a package begins with the
-# scenario of a laboratory.
+# The entry points of kinds whose name is not their group: an instrument is a device of the AFM's node, an analysis is a
+# command that reads recordings, and a package begins with the scenario of a laboratory.
 _GROUPS = {"instrument": "devices", "analysis": "commands", "package": "scenarios"}
-# A command is listed by a module of its own, which imports nothing.
+# A command has a module of its own, because listing it must import nothing.
 _MORE_FILES = {
     "command": {"command_body.py.txt": "command.py"},
     "analysis": {"analysis_body.py.txt": "command.py"},
@@ -43,7 +43,7 @@ _MORE_FILES = {
 
 
 def _taken(kind: Kind) -> Collection[str]:
-    # The import is here because no other command of this module needs the models.
+    # Imported here, because no other command of this module needs the models.
     if kind == "law":
         from telenano.sections.controller_section import TAKEN as TAKEN_LAWS
 
@@ -77,10 +77,10 @@ def _taken(kind: Kind) -> Collection[str]:
 
 
 def new_package(kind: Kind, name: str, folder: Path) -> list[Path]:
-    """Write a package with one of the kinds, such as a law or a device, and a test of it; return its files.
+    """Write a package with an extension of the given kind and a test of it; return its files.
 
     Raises:
-        ConfigError: The name cannot be that of a package, or the folder exists.
+        ConfigError: The name cannot be that of a package, or is taken, or the folder exists.
     """
     if not NAME.fullmatch(name) or iskeyword(name):
         raise ConfigError(f"{name}: a name has lower-case letters, digits and _, begins with a letter, at most 32")

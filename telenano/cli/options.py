@@ -1,4 +1,4 @@
-"""Options and arguments that several commands share, and the way to make a group of commands."""
+"""Options and arguments that several commands share, and a function that makes a group of commands."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,12 +12,12 @@ from telenano.settings.included import SITE_DIRECTORY, site_file_named
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
 
-# ros2 and docker have the same names.
+# ros2 and docker have the same names for help.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 
 
 def _site_file(path: Path | None) -> Path | None:
-    """Return the site file that is named; ConfigError, before the command begins, if it is not there."""
+    """Return the named site file; ConfigError, before the command begins, if it does not exist."""
     file = site_file_named(path)
     if file is not None and not file.exists():
         known = ", ".join(sorted(each.stem for each in SITE_DIRECTORY.glob("*.yaml")))
@@ -113,7 +113,7 @@ _TABLE_FORMATS = ("csv", "parquet", "mat")
 
 
 def _known_formats(text: str) -> str:
-    """Return the formats of figures as they were written; ConfigError, before the command begins, if one is unknown."""
+    """Return the text with the formats of figures; ConfigError, before the command begins, for an unknown one."""
     if text != "png":
         from telenano.analysis.figure_style import FigureOptions
 
@@ -130,7 +130,7 @@ def _known_style(text: str) -> str:
 
 
 def table_formats(text: str) -> tuple[str, ...]:
-    """Read `csv,parquet,mat`; ConfigError names what is known."""
+    """Read `csv,parquet,mat`; ConfigError lists the known formats."""
     chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
     if not chosen or set(chosen) - set(_TABLE_FORMATS):
         raise ConfigError(f"--table {text}: name one or more of {', '.join(_TABLE_FORMATS)}")
@@ -180,11 +180,11 @@ def command_group() -> typer.Typer:
 
 
 def refuse_unused(options: Mapping[str, object], reason: str) -> None:
-    """Raise ConfigError naming the options that were given although the command does not use them, with the reason.
+    """Raise ConfigError if options were given that the command does not use, naming them and the reason.
 
     Args:
-        options: By the name of each option, its value; false where it was not given.
-        reason: Why they are not used: `without --overlay no file is read`.
+        options: The value of each option by its name; false if it was not given.
+        reason: The reason why they are not used, such as `without --overlay no file is read`.
     """
     if names := [name for name, value in options.items() if value]:
         raise ConfigError(f"{', '.join(names)}: {reason}")

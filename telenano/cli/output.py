@@ -1,4 +1,4 @@
-"""Output of commands: errors as sentences and exit codes, results as JSON or tables."""
+"""Output of commands: results as JSON or tables, errors as sentences with exit codes."""
 
 import contextlib
 import errno
@@ -37,19 +37,19 @@ from telenano.wire.errors import (
 )
 from telenano.wire.printable import one_line, printable, quoted
 
-# Windows has no such module. It is loaded here because no file can be opened any more when it is needed.
+# Windows has no such module. It is loaded here because it is used when the process can open no more files.
 resource = optional_module("resource")
-# A pipe has no width, and a line of a table that is folded there could not be searched.
+# The width for a pipe, which has none: a line that is folded there could not be searched.
 _PIPE_COLUMNS = 10_000
-# Of a hold in which hand and tip were both for more than this share [1], the part is not stated.
+# If hand and tip were both in the hold for more than this share [1] of it, the share is not printed.
 _WHOLE_SHARE = 0.995
-# This is what a person can do where a rig does not reach its rate.
+# The advice for a rig that does not reach its rate.
 NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
 
 
 @contextlib.contextmanager
 def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
-    """Report a TelenanoError, what the system refuses, Ctrl-C or SIGTERM as a sentence and an exit code.
+    """Report a TelenanoError, an error of the system, Ctrl-C or SIGTERM as a sentence and an exit code.
 
     Args:
         as_json: Whether the error is printed as JSON.
@@ -63,11 +63,11 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         )
         fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json)
     except BrokenPipeError:
-        raise  # its reader has what it wanted, which `telenano.cli.app` says by the code 0
+        raise  # the reader of the pipe had enough; `telenano.cli.app` exits with code 0
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt as error:
-        # The notes say of each result that was begun whether there is anything of it.
+        # The notes state for each result that was begun whether any of it was written.
         fail(
             "; ".join([interrupted, *getattr(error, "__notes__", ())]),
             code=interrupts.exit_code() or EXIT_INTERRUPTED,
@@ -76,18 +76,18 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
 
 
 def say(*lines: str) -> None:
-    """Print on stderr what a person is told besides the result: each text is one line, whatever names are in it."""
+    """Print messages besides the result on stderr, each text on one line even if a name in it has line breaks."""
     typer.echo("telenano: " + "\n".join(map(one_line, lines)), err=True)
 
 
 def fail(*lines: str, code: int = EXIT_FAILED, as_json: bool, **facts: Any) -> NoReturn:
-    """Print an error on stderr, with `facts` as JSON on stdout if asked, and exit; each text is one line of it."""
+    """Print an error on stderr, a line for each text, with `facts` as JSON on stdout if asked, and exit."""
     print_error(*lines, as_json=as_json, **facts)
     raise typer.Exit(code)
 
 
 def print_error(*lines: str, as_json: bool, **facts: Any) -> None:
-    """Print an error on stderr, with `facts` as JSON on stdout if asked; each text is one line of it."""
+    """Print an error on stderr, a line for each text, with `facts` as JSON on stdout if asked."""
     with contextlib.suppress(OSError):
         say(*lines)
     try:
@@ -95,23 +95,23 @@ def print_error(*lines: str, as_json: bool, **facts: Any) -> None:
             print_json({"error": "\n".join(lines), **facts})
         sys.stdout.flush()
     except OSError:
-        # Output that was printed before could not be written either, nor could Python when it ends: it goes nowhere.
+        # Earlier output could not be written either, and Python would fail to write it when it ends: discard it.
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def system_error_text(error: OSError) -> str:
-    """Return in words what the system refused."""
+    """Return an error of the system in words."""
     reason = error.strerror or str(error) or type(error).__name__
     if error.errno == errno.EMFILE and resource is not None:
         reason += f": this process may have {resource.getrlimit(resource.RLIMIT_NOFILE)[0]}; raise `ulimit -n`"
-    # Standard output and standard error have their names in their errors (`telenano.cli.terminal`).
+    # `telenano.cli.terminal` puts the names of standard output and standard error into their errors.
     if error.filename in STREAMS.values() or (error.filename is None and error.errno in WRITE_ERRORS):
         return f"{error.filename or 'a file'} cannot be written: {reason}"
     return reason if error.filename is None else f"{error.filename}: {reason}"
 
 
-# What people mean by options that a session has not.
+# Hints for options that people expect and that a session does not have.
 _CHECKS = "`telenano scenario check FILE` checks an experiment, and `telenano simulate` runs one without processes"
 _FILE = "an experiment is given by its name or its file, as in `telenano up my.yaml`"
 _MEANT = {
@@ -149,13 +149,13 @@ def usage_text(error: Any) -> str:
 
 
 def _long_options(command: Any) -> dict[str, str]:
-    """Return the long options of a command, by themselves and by the letter that others know them by."""
+    """Return the long options of a command, each by itself, and two of them by the letter known from other tools."""
     longs = [flag for one in command.params for flag in getattr(one, "opts", ()) if flag.startswith("--")]
     return {**{"-q": "--quiet", "-o": "--out"}, **{flag: flag for flag in longs}}
 
 
 def _meant_option(command: Any, option: str) -> str:
-    """Return which options of a session are meant by one that it has not, or the key of the scenario of this name."""
+    """Return a hint at the options of a session that an unknown option may stand for, or at a key of its name."""
     abouts = {
         flag: one.help or "" for one in command.params for flag in getattr(one, "opts", ()) if flag.startswith("--")
     }
@@ -180,13 +180,13 @@ def _meant_option(command: Any, option: str) -> str:
 
 
 def _suggested(message: str) -> str:
-    """Return a usage error with its suggestion in the words of all others, and with one where a choice has none."""
+    """Return a usage error with a suggestion in the usual words, also for a choice to which typer adds none."""
     if near := re.search(r"^(No such .+?)(?: \(Possible options?: (.+)\)|\.? Did you mean '?([^'?]+)'?\??)$", message):
-        # The library gives what is near in the order of the alphabet.
+        # typer lists similar names in alphabetical order; here the nearest comes first.
         return near[1] + probably_meant(near[1].split()[-1].strip("'"), (near[2] or near[3]).split(", "))
     if choice := re.search(r"'([^']*)' is not one of ('.*')", message):
         meant = probably_meant(choice[1], re.findall(r"'([^']*)'", choice[2]))
-        # What a package adds under this name may be what cannot be used.
+        # An extension of this name may be installed but unusable.
         unusable = (text for text in known_problems() if text.startswith(f"{choice[1]} of the package "))
         return "; ".join([message + meant, *dict.fromkeys(unusable)])
     return message
@@ -194,12 +194,12 @@ def _suggested(message: str) -> str:
 
 @contextlib.contextmanager
 def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
+    """Yield a temporary folder, and move its files into `out` when the block ends; if it fails, they are discarded.
 
     Args:
         out: The folder of the results, which is made.
-        at_once: Whether files are written to `out` itself, and stay if the block fails, as a journal does; the folder
-            is removed again where it is new and stays empty.
+        at_once: Whether files are written to `out` itself and stay if the block fails, as a journal does; a new folder
+            that stays empty is removed again.
 
     Raises:
         TelenanoError: The folder cannot be made.
@@ -218,35 +218,35 @@ def print_json(document: Any) -> None:
 
 
 def console() -> Console:
-    """Return the console of standard output: plain text with a row a line for a pipe, and where NO_COLOR is set."""
+    """Return the console of standard output; for a pipe, or if NO_COLOR is set, plain text with one line a row."""
     made = PrintableConsole()
     return made if made.is_terminal and not made.no_color else PlainConsole()
 
 
 class PrintableConsole(Console):
-    """A console whose tables and texts hold nothing that a terminal obeys, besides what draws them."""
+    """A console that makes tables and texts printable: they hold no control characters except its own."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Yield the parts of what is drawn; called for each cell of a table as well, before it is fitted."""
+        """Yield the segments of a renderable as printable text; called for each cell of a table before it is fitted."""
         for part in super().render(renderable, options):
             yield part if part.control else part._replace(text=printable(part.text))
 
 
 class PlainConsole(PrintableConsole):
-    """A console that draws tables without lines and without spaces at the end, for programs such as `grep`."""
+    """A console that draws tables without lines and trailing spaces, for programs such as `grep`."""
 
     def __init__(self) -> None:
         super().__init__(width=_PIPE_COLUMNS, force_terminal=False)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print, as `rich.console.Console.print`."""
+        """Print as `rich.console.Console.print` does, without trailing spaces."""
         with self.capture() as captured:
             super().print(*objects, **options)
         self.file.writelines(f"{line.rstrip()}\n" for line in captured.get().splitlines())
         self.file.flush()
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Yield the parts of what is drawn, of a table those of its cells."""
+        """Yield the segments of a renderable; a table is drawn without its box."""
         if isinstance(renderable, Table):
             renderable.box, renderable.title_justify = None, "left"
             renderable.padding, renderable.pad_edge = (0, 2, 0, 0), False
@@ -254,7 +254,7 @@ class PlainConsole(PrintableConsole):
 
 
 def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys."""
+    """Print a result as JSON, or as text for a person: a sentence, or rows that have the same keys."""
     if as_json:
         print_json(document)
     elif isinstance(shown, str):
@@ -272,9 +272,9 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
 
 
 def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json: bool) -> None:
-    """Print what happened in a session, whose folder is the title, and what to do next in three lines.
+    """Print the outcome of a session, whose folder is the title, and the next command, in three lines and warnings.
 
-    With `tables` the summary comes first. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
+    With `tables` the summary comes first. Exit with EXIT_INCOMPLETE and a sentence if the recording is incomplete.
     """
     from telenano.analysis.interruptions import Interruption, in_words
 
@@ -301,9 +301,9 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
 
 
 def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, str]:
-    """Return in three lines what happened in a session, where its picture is, and what to do next.
+    """Return three lines on a session: the outcome, the place of its picture, and the next command.
 
-    A verdict other than `stable` has its reason beside it. Paths inside the working folder are relative to it.
+    A verdict other than `stable` is followed by its reason. Paths inside the working folder are relative to it.
     """
     laws = " then ".join(summary["law"])
     delay_ms = summary["link_round_trip_ms"]
@@ -323,9 +323,10 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
 
 
 def _held(summary: Mapping[str, Any]) -> str:
-    """Return what the hand held in a session that is stable, and in which part of its hold, as the end of a sentence.
+    """Return the end of a sentence with the ratio of the forces at hand and tip in a stable session's hold.
 
-    A session that is not stable, or in which hand and tip were not both in the hold, has nothing of the kind to say.
+    It names the part of the hold in which both were in it. It is empty for a session that is not stable, or in which
+    hand and tip were not in the hold together.
     """
     ratio = summary["hold_ratio"]
     if ratio is None or summary["verdict"] != "stable":
@@ -344,7 +345,7 @@ def _as_typed(path: Path) -> str:
 
 
 def own_command() -> str:
-    """Return how this command was called, by its name alone where the shell finds it so."""
+    """Return the command as it was called, by its name alone where the shell would find it by that."""
     called = Path(sys.argv[0])
     path = shutil.which("telenano")
     if called.name != "telenano" or (path is not None and called.resolve() == Path(path).resolve()):
@@ -353,7 +354,7 @@ def own_command() -> str:
 
 
 def clock_warning(summary: Mapping[str, Any]) -> str:
-    """Return in words that the sites of a session have different clocks, or may have; empty where they agree."""
+    """Return a sentence if the clocks of a session's sites differ, or may differ; empty if they agree."""
     clocks = summary.get("clocks")
     if clocks is None:
         return ""
@@ -372,7 +373,7 @@ def clock_warning(summary: Mapping[str, Any]) -> str:
 
 
 def line_changes(summary: Mapping[str, Any]) -> list[str]:
-    """Return in words each change of the line between two sites that lasted, with what it took before and after."""
+    """Return a sentence for each lasting change of the line between two sites, with the round trip before and after."""
     states = summary.get("line_states", ())
     return [
         f"the way between the sites became {'longer' if now['round_trip_ms'] > before['round_trip_ms'] else 'shorter'}"
@@ -386,13 +387,13 @@ def _round_trip(state: Mapping[str, Any]) -> str:
 
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:
-    """Print on stderr what a recording lacks, and exit."""
+    """Print on stderr what is missing in a recording, and exit with EXIT_INCOMPLETE."""
     say(f"the recording is not whole: {'; '.join(missing)}")
     raise typer.Exit(EXIT_INCOMPLETE)
 
 
 def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoReturn:
-    """Print the summary of a report whose files cannot be written, the error, and exit."""
+    """Print the summary of a report whose files could not be written and the error, and exit."""
     if not as_json:
         console().print(summary_tables(error.summary, title))
     missing = error.summary["recording"]["missing"]

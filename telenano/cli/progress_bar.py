@@ -1,4 +1,4 @@
-"""How far a command is, on stderr: a bar on a terminal, and now and then a line in a pipe or a log."""
+"""Progress of a command on stderr: a bar on a terminal, and an occasional line in a pipe or a log."""
 
 import contextlib
 import sys
@@ -11,13 +11,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from telenano.cli.output import say
 
-# A log that is read later needs no more than this, and a shorter command needs none [s].
+# The time between lines [s]: a log needs no more of them, and a shorter command needs none.
 LINE_EVERY_S = 10.0
 _clock = time.monotonic
 
 
 class Show(Protocol):
-    """Show how much is done, of how much where that is known only now, and with another text where it has changed."""
+    """Update the progress: the amount done, the total if it is known only now, and the text if it has changed."""
 
     def __call__(self, done: float, total: float | None = None, text: str | None = None) -> None: ...
 
@@ -27,10 +27,10 @@ def progress(what: str, total: float | None = None, *, shown: bool = True, count
     """Show progress while a block runs.
 
     Args:
-        what: What is counted, in a word or two.
-        total: How much there is to do; None where that is not known yet.
-        shown: Whether anything is shown; nothing is beside JSON.
-        counted: Whether the numbers themselves say something, as those of lines and cells do.
+        what: A word or two for the task.
+        total: The amount of work; None if it is not known yet.
+        shown: Whether anything is shown; False with JSON output.
+        counted: Whether the numbers themselves mean something, such as lines or cells, and are shown.
     """
     if not shown:
         yield lambda done, total=None, text=None: None

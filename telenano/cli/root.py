@@ -1,4 +1,4 @@
-"""The root of all commands. Each one is a module of `telenano.cli.commands`, imported when it runs."""
+"""The root of all commands; each command is a module of `telenano.cli.commands`, imported when it runs."""
 
 from importlib.metadata import version
 from typing import Annotated
@@ -13,7 +13,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    # markup would swallow the units in brackets
+    # Markup would swallow the units in brackets.
     rich_markup_mode=None,
 )
 

@@ -1,4 +1,4 @@
-"""`--sweep` of `up` and `simulate`: a session after the other, each with another value, in a folder of its own."""
+"""`--sweep` of `up` and `simulate`: run sessions one after the other with other values, each in its own folder."""
 
 import itertools
 import sys
@@ -19,23 +19,23 @@ R = TypeVar("R", bound=BaseModel)
 _DELAY = "round_trip_ms"
 # The delay has an option of its own.
 _DELAY_OPTION = "--round-trip-ms"
-# A seed of the session is that of everything in it that is random.
+# The key of a sweep for the seed of the session, which is the seed of everything random in it.
 SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _SEED_OPTION = "--seed"
 _MOST_SESSIONS = 100
-# Options of the sweep, with a value each.
+# Options of the sweep itself, each with a value, which are not passed on to the sessions.
 _OWN = ("--sweep", "--seeds", "--table", "--out")
 
 
 class Point(NamedTuple):
-    """One session of a sweep: its name, which is that of its folder, and the options that make it."""
+    """One session of a sweep: its name, which its folder has as well, and its options."""
 
     name: str
     options: tuple[str, ...]
 
     def asked_of(self, request: R, folder: Path) -> R:
-        """Return what a request becomes with these options, in a folder of its own."""
+        """Return the request with these options added and a folder of its own in `folder`."""
         pairs = list(zip(self.options[::2], self.options[1::2], strict=True))
         delays = [_number(option, value) for option, value in pairs if option == _DELAY_OPTION]
         fields: dict[str, Any] = {_DELAY: delays[-1]} if delays else {}
@@ -47,11 +47,11 @@ class Point(NamedTuple):
 
 
 def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
-    """Return every combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong.
+    """Return a point for each combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong.
 
     Args:
-        sweeps: The texts, a key with its values each.
-        seed_option: The option of the command that seeds a session; without one the keys of all seeds are set.
+        sweeps: The texts, each a key with its values.
+        seed_option: The option by which the command seeds a session; if empty, the keys of all seeds are set.
     """
     axes = [[(key, value) for value in values] for key, values in map(_axis, sweeps)]
     points = [Point(", ".join(f"{key.rpartition('.')[2]}={value}" for key, value in chosen).replace("/", "-"),
@@ -65,7 +65,7 @@ def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
 
 
 def without_sweep(words: Sequence[str], command: str = "up") -> list[str]:
-    """Return the arguments of a command line that each session of its sweep has as well."""
+    """Return the arguments of a command line that belong to each session of its sweep."""
     kept, skip = [], False
     names = {command, *(alias for alias, meant in ALIASES.items() if meant == command)}
     begin = next(place for place, word in enumerate(words) if word in names)
@@ -116,17 +116,17 @@ def run_sweep(
     show: Callable[[str], None],
     name: str = "up",
 ) -> list[Path]:
-    """Run the sessions one after the other, each by a command of its own (`telenano up`); return their folders.
+    """Run the sessions one after the other, each by its own command (`telenano up`); return their folders.
 
     Raises:
-        RigError: A session failed; the message names it and what it reported.
+        RigError: A session failed; the message names the session and quotes its report.
     """
     folders = []
     for number, point in enumerate(points, start=1):
         show(f"{number}/{len(points)}: {point.name}")
         folder = out / point.name
         command = [sys.executable, "-m", "telenano", name, *arguments, *point.options, "--out", str(folder), "--json"]
-        # The summary says what is missing in a recording, and the table shows a hold without data.
+        # An incomplete recording is no failure: its summary says so, and the table shows a hold without data.
         try:
             run_session(command)
         except RigError as error:

@@ -1,4 +1,4 @@
-"""Results as tables of a terminal."""
+"""Tables of results on a terminal."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -9,24 +9,24 @@ from rich.text import Text
 
 from telenano.wire.printable import one_line
 
-# A value other than zero in these columns is a loss.
+# A value other than zero in these columns is a loss and is drawn red.
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")
 _SENTENCES = ("missing", "damage")
-# A list of a summary with more keys is drawn upright: its cells would be narrower than a number.
+# A list with more keys than this is drawn with a column for each row: its cells would be narrower than a number.
 _MOST_COLUMNS = 10
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 
 
 def counts_text(counts: Mapping[str, int]) -> str:
-    """Return counts with their names in one line; 0 when there are none."""
+    """Return counts with their names in one line; 0 if there are none."""
     return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
 
 
 def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
-    """Draw the health of a node, as `node_facts` gives it: a cell for each heading."""
+    """Draw the health of a node, given by `node_facts`, as a cell for each heading."""
     state = "replay" if facts["replay"] else facts["state"]
-    # Most tables do not wait for this import.
+    # Imported here, because most tables do not need it.
     from telenano.wire.messages import SUPERSEDED
 
     late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
@@ -70,7 +70,7 @@ def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
 
 
 def _upright(rows: Sequence[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
-    """Return rows of many keys with a column for each row, where that leaves wider cells."""
+    """Return rows with many keys transposed, with a column for each row, if that makes the cells wider."""
     keys = rows[0].keys()
     if len(keys) <= _MOST_COLUMNS or len(rows) >= len(keys):
         return rows
@@ -88,14 +88,14 @@ def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, S
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
-    """Draw rows that have the same keys; of none the title alone."""
+    """Draw rows that have the same keys; without rows, the title alone."""
     first = rows[0] if rows else {}
     # Cells are plain text, because the units in brackets would be taken for markup.
     table = Table(
         *(Column(Text(one_line(name))) for name in first), title=None if title is None else Text(one_line(title))
     )
     for column, name in zip(table.columns, first, strict=True):
-        # Numbers stand under one another; a column that has a text as well would have it far from its name.
+        # Numbers are aligned to the right; in a column with a text as well they would be far from the text's beginning.
         column.justify = (
             "left" if any(isinstance(row.get(name), str | list | tuple | Mapping) for row in rows) else "right"
         )
@@ -110,7 +110,7 @@ def _values_table(values: Mapping[str, Any], title: str) -> Table:
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
-        # Each sentence is on a line of its own.
+        # Each sentence has a line of its own.
         text = (
             Text("\n".join(map(one_line, map(str, value))))
             if value and key.rpartition(".")[2] in _SENTENCES
@@ -142,7 +142,7 @@ def _value_text(value: Any) -> Text:
 
 def _plain(value: Any) -> str:
     if isinstance(value, Mapping):
-        # A fact of a hold has a text for a person.
+        # Some rows, such as those of holds, have a text for people.
         return one_line(str(value.get("text") or counts_text(value)))
-    # 0.0 is added because it makes 0 of -0
+    # Adding 0.0 turns -0 into 0.
     return f"{value + 0.0:.6g}" if isinstance(value, float) else one_line(str(value))

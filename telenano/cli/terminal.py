@@ -1,4 +1,4 @@
-"""Standard output and errors of the command line: what is printed on them is text (`telenano.wire.printable`)."""
+"""Standard output and standard error of the command line, made printable (`telenano.wire.printable`)."""
 
 import codecs
 import sys
@@ -12,7 +12,7 @@ STREAMS = {"stdout": "standard output", "stderr": "standard error"}
 
 
 class NamedStream:
-    """A text stream whose errors have its name, as those of a file have; everything else is the stream behind it."""
+    """A text stream whose errors carry its name, like those of a file; all else passes to the stream behind it."""
 
     def __init__(self, stream: Any, name: str) -> None:
         self._stream, self._name = stream, name
@@ -30,10 +30,10 @@ class NamedStream:
 
 
 class PrintableStream(NamedStream):
-    """A text stream that writes out what a terminal would obey.
+    """A text stream that replaces characters which a terminal would obey.
 
-    Rich sends the orders that draw its tables, and takes the stream behind this one (`rich_proxied_file`): the text in
-    its tables is made printable by the console (`telenano.cli.output.console`).
+    Rich sends control sequences to draw its tables, and uses the stream behind this one (`rich_proxied_file`); the
+    console (`telenano.cli.output.console`) makes the text in its tables printable.
     """
 
     def __init__(self, stream: TextIO, name: str) -> None:
@@ -49,19 +49,19 @@ class PrintableStream(NamedStream):
             self.write(line)
 
     def __getattr__(self, name: str) -> Any:
-        # bytes would be written past this stream, as typer does where the stream is of ASCII only
+        # Bytes would bypass this stream, and typer writes bytes to a stream whose encoding is ASCII.
         if name == "buffer":
             raise AttributeError(name)
         return super().__getattr__(name)
 
 
 def install() -> None:
-    """Make what this process prints from now on printable."""
+    """Make the output of this process printable from now on."""
     for name, title in STREAMS.items():
         stream = getattr(sys, name)
         # A process without a terminal or a pipe has no such stream.
         if stream is not None and not isinstance(stream, PrintableStream):
-            # An encoding that has not every character writes the number of one that it has not.
+            # An encoding that lacks a character writes the number of the character.
             if codecs.lookup(stream.encoding or "utf-8").name != "utf-8" and hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="backslashreplace")
             setattr(sys, name, PrintableStream(stream, title))

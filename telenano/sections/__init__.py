@@ -1,6 +1,6 @@
-"""The sections of a scenario for AFM, hand and controller, and what a name in them leads to: files, code of packages.
+"""Settings of AFM, hand and controller: the sections of a scenario, with the files and packages that they name.
 
-The models beside which they stand are pure steps; a section makes the parameters of these steps.
+Each section builds the parameters of the pure steps in `telenano.afm`, `telenano.hand` and `telenano.laws`.
 """
 
 from typing import TYPE_CHECKING

@@ -29,7 +29,8 @@ class CantileverConfig(Settings):
     )
 
 
-# H and omega are measured in different ways, and Table 2 has 2.6 times the H that belongs to omega: 4 is a mistake
+# H and omega are measured separately, and the H of Table 2 is 2.6 times the one that follows from its omega. A factor
+# above 4 is taken for a mistake.
 MOST_CONTRADICTION = 4.0
 
 
@@ -187,6 +188,6 @@ class TorsionConfig(Settings):
         return self.factor_n_per_v * self.range_v
 
     def around(self, part: Any, stiffness_n_per_m: float) -> Any:
-        """Return the parameters of a part whose lateral force this channel measures; k of the cantilever [N/m]."""
+        """Wrap the parameters of a part in those of this channel, for a cantilever of stiffness_n_per_m [N/m]."""
         cross = stiffness_n_per_m * self.crosstalk_x, stiffness_n_per_m * self.crosstalk_y
         return TorsionParams(part, 1.0 + self.gain_error, *cross, self.most_n)

@@ -1,6 +1,6 @@
 """Configuration of the AFM: cantilever, tip and sample (Table 2 of the paper), limits.
 
-Every default is a value of Table 2 or, where the paper gives none, one that its Fig. 12 leaves untouched.
+Every default is a value of Table 2 or, where the paper gives none, a value that does not change its Fig. 12.
 """
 
 import math
@@ -49,15 +49,15 @@ from telenano.wire.extras import missing
 if TYPE_CHECKING:
     from telenano.afm.dynamic_plant import DynamicPlant
 
-# Until the tip is placed a signal and its answer cross the link this number of times.
+# Placing the tip takes this number of round trips over the link.
 _PLACING_ROUND_TRIPS = 4.0
-# Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
+# Both halves of the law and the hand have started after this time [s], even at the slowest rate of the rig.
 _BEGINNING_S = 0.05
-# The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
+# The table of contact forces extends to this multiple of the force limit, so that it still covers an overshoot.
 _TABLE_REACH = 2.0
 
 _PLANE_M = 150e-9
-# the node goes through whole periods of the cantilever, a thousand times a second
+# Each of the node's 1000 steps a second simulates whole periods of the cantilever, eight or more.
 _LEAST_RESONANCE_HZ = 8e3
 
 _DRIVER: Any = Field(
@@ -72,7 +72,7 @@ _ENVIRONMENT: Any = Field(
 
 
 class _OwnSections(Settings):
-    """What the section `afm_node` has without packages; these keys are not free for one."""
+    """The keys of section `afm_node` that need no package; no driver or sample of a package may be named like one."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -118,7 +118,7 @@ class _OwnSections(Settings):
 
     @property
     def simulated(self) -> bool:
-        """Whether the readings of the instrument follow from what it was sent alone."""
+        """Whether the readings depend on the commands alone, so that the node can be run again from a recording."""
         return self.driver == "simulated" or DRIVERS.is_simulated(self.driver)
 
     @field_validator("environment", mode="before")
@@ -129,9 +129,9 @@ class _OwnSections(Settings):
 
     @property
     def stiffest_n_per_m(self) -> float | None:
-        """The greatest stiffness that the base can meet [N/m]; None where the settings do not say.
+        """The greatest stiffness that the base can meet [N/m]; None where the settings do not determine it.
 
-        A sample is never felt stiffer than the cantilever that it is felt through.
+        A sample is felt through the cantilever, and so never feels stiffer than the cantilever.
         """
         if not self.simulated:
             return None
@@ -141,17 +141,17 @@ class _OwnSections(Settings):
 
     @property
     def felt_through_n_per_m(self) -> float:
-        """Stiffness of the cantilever [N/m]; under a recorded map, that of the one that measured it."""
+        """Stiffness of the cantilever [N/m]; over a recorded map, of the one that measured it, if the map states it."""
         span = self.map_span
         return (0.0 if span is None else span.stiffness_n_per_m) or self.cantilever.stiffness_n_per_m
 
     @property
     def map_span(self) -> Span | None:
-        """What the recorded map says without its values; None where there is none, or not on this machine."""
+        """Extent, stiffness and quantity of the recorded map; None without one, or if it cannot be read here."""
         return None if self.sample is None else self.sample.map_span
 
     def doubts(self) -> str:
-        """Return what contradicts itself in the material, though it can be simulated; empty where nothing does."""
+        """Return a warning if H and the work of adhesion contradict each other, which can be simulated; else ''."""
         t = self.tip_sample
         ratio = t.hamaker_j / hamaker_of(t.work_of_adhesion_j_per_m2)
         if 1.0 / MOST_CONTRADICTION <= ratio <= MOST_CONTRADICTION:
@@ -165,7 +165,10 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _begins_at_rest(self) -> Self:
-        """Begin at the rest position of a spring that also pulls: 100 nm away it pulls a hand with tens of newtons."""
+        """Move the retracted position to the rest position of a spring that also pulls.
+
+        At the default position, 100 nm away, such a spring would pull the hand with tens of newtons.
+        """
         safety, spring = self.safety, self.spring
         if self.environment != "spring" or not spring.bilateral or "retract_position_m" in safety.model_fields_set:
             return self
@@ -189,7 +192,8 @@ class _OwnSections(Settings):
             self._check_map(self.sample.map)
         if self.torsion != TorsionConfig():
             self._check_torsion()
-        # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
+        # Some combinations have no model (E7): build the parameters here, so that reading the file fails and not the
+        # first step.
         self.to_params()
         return self
 
@@ -228,7 +232,7 @@ class _OwnSections(Settings):
             )
 
     def _check_map(self, path: str) -> None:
-        """Raise ValueError where the settings and the map of an instrument contradict each other."""
+        """Raise ValueError where the settings and the recorded map contradict each other."""
         if self.driver != "simulated" or self.environment != "tip_sample" or self.model != "quasi_static":
             raise ValueError("sample.map is for driver simulated, environment tip_sample and model quasi_static")
         if self.friction.coefficient > 0.0:
@@ -249,10 +253,10 @@ class _OwnSections(Settings):
             )
 
     def to_guard(self) -> SafetyParams:
-        """Return the limits of the guard; over a recorded map the base has the range of the map and no more.
+        """Return the limits of the guard; over a recorded map, the range of the base is at most that of the map.
 
         Raises:
-            ValueError: The base cannot be on the map; the message names the keys.
+            ValueError: The retracted base does not lie within the map; the message names the keys.
         """
         s, span, rest_m = self.safety, self.map_span, self.rest_distance_m
         limits = SafetyParams(**s.model_dump())
@@ -271,7 +275,7 @@ class _OwnSections(Settings):
         return limits._replace(base_min_m=low, base_max_m=high, retract_position_m=retracted)
 
     def to_over_map(self) -> OverMap:
-        """Return what the instrument steps over where a recorded map lies under its tip.
+        """Return the recorded map under the tip as the parameters of a step; its text states the range of the tip.
 
         Raises:
             ConfigError: The map cannot be used, or its package is missing.
@@ -291,7 +295,7 @@ class _OwnSections(Settings):
 
     @property
     def places_m(self) -> tuple[float, float]:
-        """How far from the middle the tip may go in x and in y [m]: as far as the stage and the map reach."""
+        """Greatest distance of the tip from the middle in x and in y [m], as limited by the stage and by the map."""
         reach_m, span = self.lateral.reach_m, self.map_span
         return (reach_m, reach_m) if span is None else (min(reach_m, span.half_x_m), min(reach_m, span.half_y_m))
 
@@ -302,7 +306,11 @@ class _OwnSections(Settings):
         return FrictionParams(f.coefficient, pull_n, f.lateral_stiffness_n_per_m, f.tip_height_m)
 
     def to_surface(self) -> Surface | None:
-        """Return the sample as the sphere of the tip sees it, None for a plane; ConfigError names what is wrong."""
+        """Return the sample dilated by the sphere of the tip; None for a plane or a recorded map.
+
+        Raises:
+            ConfigError: The surface cannot be made; the message says what is wrong with it.
+        """
         if self.sample is None or self.sample.map is not None:
             return None
         try:
@@ -311,7 +319,7 @@ class _OwnSections(Settings):
             raise ConfigError(f"afm_node.sample: {error}") from error
 
     def sample_sides_m(self) -> tuple[float, float]:
-        """Return width and depth of the sample [m]; of a plane, what one image of it takes by default."""
+        """Return width and depth of the sample [m]; for a plane, those of a default image."""
         if self.sample is None:
             return _PLANE_M, _PLANE_M
         if (span := self.map_span) is not None:
@@ -320,11 +328,11 @@ class _OwnSections(Settings):
         return surface.width_m, surface.depth_m
 
     def measured_by_torsion(self, part: Any) -> Any:
-        """Return the parameters of a part whose lateral force the torsion channel measures, if that has errors."""
+        """Wrap the parameters of a part in those of the torsion channel; unchanged if that has its defaults."""
         return part if self.torsion == TorsionConfig() else self.torsion.around(part, self.cantilever.stiffness_n_per_m)
 
     def with_layers(self, part: Any, surface: Surface | None) -> Any:
-        """Return the parameters of what lies on the sample around a part over a surface, the part where nothing does.
+        """Wrap the parameters of a part over a surface in those of each layer on the sample; unchanged without layers.
 
         Raises:
             ConfigError: A layer cannot lie there, or something that it needs is not installed.
@@ -374,12 +382,13 @@ class _OwnSections(Settings):
             steps_per_period: The steps in a period of the drive; None takes the configured number.
             temperature_k: The temperature of thermal noise [K]; 0 switches it off.
             like: A dynamic cantilever of this configuration, whose grid of the force is reused.
-            finest: The most steps of a period where a step is divided because the tip meets the sample.
+            finest: The most steps in a period where steps are divided because the tip meets the sample; None takes
+                FINEST.
 
         Raises:
-            ValueError: The values admit no model; the message names value and unit.
+            ValueError: No model exists for these values; the message names value and unit.
         """
-        # a node that asks for no dynamics does not import them
+        # Imported here, so that a node without dynamics does not load it.
         from telenano.afm.dynamic_plant import FINEST, Damping, build_dynamic
 
         c, t = self.cantilever, self.tip_sample
@@ -391,10 +400,10 @@ class _OwnSections(Settings):
         )
 
     def to_params(self) -> AfmParams:
-        """Build the parameters of the pure step; built once per set of its parameters.
+        """Return the parameters of the pure step; `_plant` caches the cantilever by its values.
 
         Raises:
-            ValueError: The values admit no model; the message names value and unit.
+            ValueError: No model exists for these values; the message names value and unit.
         """
         t, c, s = self.tip_sample, self.cantilever, self.safety
         properties = filled(
@@ -413,17 +422,17 @@ class _OwnSections(Settings):
         return AfmParams(self.to_guard(), plant)
 
     def to_lockstep_params(self, origin: str, duration_s: float) -> AfmParams:
-        """Return what a node would simulate, for a run of that length [s].
+        """Return the parameters of the instrument that a node would simulate, for a run of duration_s [s].
 
         Raises:
-            ConfigError: A lockstep has no such instrument; the message names `origin` and the key.
+            ConfigError: A lockstep cannot run this instrument; the message names `origin` and the key.
         """
         from telenano.afm.over_surface import over_surface
 
         if self.feel is not None:
             raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
         params = self.to_params()
-        # the disturbances are those of the cantilever that reads what the tip meets
+        # The disturbances act on the cantilever through which the force on the tip is read.
         cantilever, is_gauged = params.plant, self.environment in SAMPLES.found or self.environment == "spring"
         if is_gauged:
             params = self.to_spring_params() if self.environment == "spring" else self.to_sample_params()
@@ -439,13 +448,13 @@ class _OwnSections(Settings):
         return params._replace(plant=noisy)
 
     def with_noise(self, part: Any, cantilever: Plant, duration_s: float, *, is_gauged: bool = False) -> Any:
-        """Return the parameters of a part with the disturbances of a run, drawn in advance; the part without any.
+        """Wrap the parameters of a part in disturbances drawn in advance for a run; unchanged if none is enabled.
 
         Args:
-            part: The part that the cantilever reads.
-            cantilever: The cantilever that is disturbed.
+            part: The parameters of the part whose force the cantilever reads.
+            cantilever: The cantilever on which the disturbances act.
             duration_s: The length of the run [s].
-            is_gauged: Whether the part says a force alone, as a spring does.
+            is_gauged: Whether the part gives a force without a deflection, as a spring does.
         """
         from telenano.afm.disturbed import noisy_params
 
@@ -454,13 +463,13 @@ class _OwnSections(Settings):
         return noisy_params(self.disturbances, cantilever, duration_s, part, is_gauged=is_gauged)
 
     def time_to_place_s(self, round_trip_s: float, reference_m: float = 0.0) -> float:
-        """Return the time before a session in which the tip comes to its reference [m], over a link [s].
+        """Return the time before a session [s] in which the tip is moved to reference_m [m], over a link [s].
 
         >>> round(AfmConfig().time_to_place_s(0.060), 3)
         0.34
         """
         limits = self.to_guard()
-        # A hand beyond the rest point is let in from there, which is no part of placing.
+        # Placing ends at the rest point; a hand beyond it is let in from there afterwards.
         placing_s = way_s(limits, limits.retract_position_m, min(reference_m, 0.0))
         return placing_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
 
@@ -503,7 +512,7 @@ class AfmConfig(_PackageSections):
     environment: EnvironmentName = _ENVIRONMENT
 
 
-# A configuration is built when it is read, and again by the process that runs it.
+# Cached, because a configuration is built when it is read and again by the process that runs it.
 @lru_cache(maxsize=16)
 def _plant(
     properties: TipSampleProperties, reach_n: float, stiffness_n_per_m: float, rest_m: float, volts: float

@@ -37,7 +37,7 @@ _KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.val
 def _with_own_parameters(name: str, value: Any) -> Law:
     law = checked_law(name, value)
     kind = type(law.config().to_params(1e-3))  # type: ignore[attr-defined]
-    # a study chooses the compiled step by the class of the parameters
+    # A study selects the compiled step by the class of the parameters, so no two laws may share a class.
     if _KINDS.setdefault(kind, name) != name:
         raise TypeError(f"has the same class of parameters, {kind.__name__}, as {_KINDS[kind]}: make one of its own")
     return law
@@ -47,7 +47,7 @@ _LAW: Any = Field(default="virtual_impedance", description="Law in force")
 
 
 class _OwnSections(Settings):
-    """What the section `controller` has without packages; these keys are not free for one."""
+    """The keys of section `controller` that need no package; no law of a package may be named like one."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -88,14 +88,14 @@ class _OwnSections(Settings):
     @model_validator(mode="before")
     @classmethod
     def _of_installed_laws(cls, given: Any) -> Any:
-        """Refuse the settings of a law of this project's packages that is not installed, by the package's name."""
+        """Refuse the section of a law whose package, one of this project's, is not installed, and name the package."""
         for key in given if isinstance(given, dict) else ():
             if key not in keys_of(cls) and (where := where_it_is(f"law {key}")):
                 raise ValueError(where)
         return given
 
     def law_config(self) -> Any:
-        """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
+        """Return the section of the law in force; each has position_scale, force_scale and silence_limit_s."""
         return section_of(self, self.law)
 
     def params(self) -> Any:
@@ -115,14 +115,15 @@ class _OwnSections(Settings):
         """Return the stiffest sample [N/m] that the slave half tolerates; None where it closes no loop of its own.
 
         Args:
-            late: The periods by which the instrument answers late: the loop is an integrator with that dead time,
-                stable up to sin(pi / (4 late + 2)) of what one without is.
-            even: Whether the line brings every signal after the same time. Else a step in a gap and the one of the next
-                signal may both go against one force, so that forces are 0 to n = late + 1 steps old in any order: an
-                integrator tolerates (3/2 + 1/(2 (n + 1))) / (2 (n + 1)) then (L. Berezansky, E. Braverman, Advances in
-                Difference Equations 2009, 104310).
+            late: The periods by which the instrument answers late. The loop is an integrator with this dead time: its
+                limit is sin(pi / (4 late + 2)) of the one without.
+            even: Whether every signal takes the same time over the line. If not, the step that bridges a gap and the
+                step of the next signal may both respond to one force, so that forces are 0 to n = late + 1 steps old in
+                any order; an integrator then tolerates (3/2 + 1/(2 (n + 1))) / (2 (n + 1)) (L. Berezansky, E.
+                Braverman, Advances in Difference Equations 2009, 104310).
 
-        Laws of packages state theirs as this project's do: `stiffness_limit_n_per_m(period_s)` of their settings.
+        A law of a package states its limit as this project's laws do: `stiffness_limit_n_per_m(period_s)` of its
+        settings.
         """
         section, clamp = self.law_config(), self.clamp_params()
         limits = [section.stiffness_limit_n_per_m(self.period_s)] if hasattr(section, "stiffness_limit_n_per_m") else []
@@ -133,12 +134,12 @@ class _OwnSections(Settings):
         return float(min(limits)) * share if limits else None
 
     def stiffness_doubts(self, stiffness_n_per_m: float, latency_s: float = 0.0, *, even: bool = True) -> str:
-        """Return why a sample [N/m] is too stiff for the law in force; empty where it is not.
+        """Return a sentence on why a sample is too stiff for the law in force; empty where it is not.
 
         Args:
             stiffness_n_per_m: The stiffness that the base meets [N/m].
-            latency_s: By how much the instrument answers late [s]; a part of a period counts as a whole one.
-            even: Whether the line brings every signal after the same time.
+            latency_s: The time by which the instrument answers late [s], rounded up to whole periods.
+            even: Whether every signal takes the same time over the line.
         """
         prompt, late = self.stiffness_limit_n_per_m(), late_periods(latency_s, self.period_s)
         limit = self.stiffness_limit_n_per_m(late, even=even)
@@ -157,7 +158,7 @@ class _OwnSections(Settings):
 
     @property
     def local_loop(self) -> bool:
-        """Whether the slave half continues between signals, on the instrument's clock."""
+        """Whether the slave half also steps between signals, on the instrument's clock."""
         return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
 
     def master_timing(self) -> TimingParams:
@@ -165,14 +166,14 @@ class _OwnSections(Settings):
         return TimingParams(round(1e9 * self.period_s), LONGEST_BRIDGED_PERIODS, 0)
 
     def slave_timing(self) -> TimingParams:
-        """Return the constants of the timing of the slave half: while a signal counts, it may continue by itself."""
+        """Return the timing constants of the slave half; a local loop goes on by itself up to the silence limit."""
         silence_s = self.law_config().silence_limit_s
         longest, local_ns = longest_pause_periods(silence_s, self.period_s), round(1e9 * silence_s)
         return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)
 
 
 class _Laws(dict[str, Law]):
-    """Laws by their names; ConfigError for another name states which there are, or where that one is."""
+    """The laws by name; an unknown name raises a ConfigError that lists the known ones, or names its package."""
 
     def __missing__(self, name: str) -> Law:
         refused = PACKAGE_LAWS.problems.get(name) or where_it_is(f"law {name}")
@@ -180,7 +181,7 @@ class _Laws(dict[str, Law]):
 
 
 def late_periods(latency_s: float, period_s: float) -> int:
-    """Return the periods that an instrument answers late, where a part of one counts as a whole one."""
+    """Return the latency of an instrument in periods, rounded up to whole ones."""
     return math.ceil(latency_s / period_s - 1e-9)
 
 
@@ -218,7 +219,7 @@ class ControllerConfig(_LawSections):
 
 
 def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -> ControllerConfig:
-    """Return a configuration with parameters by dotted key in it; RefusedError says what is wrong with them."""
+    """Return a configuration with some parameters, given by dotted key, changed; RefusedError says which is wrong."""
     if not parameters:
         raise RefusedError("set needs parameters, such as virtual_impedance.force_gain=10")
     if "period_s" in parameters:

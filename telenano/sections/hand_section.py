@@ -153,7 +153,7 @@ _DRIVER: Any = Field(
 
 
 class _OwnSections(Settings):
-    """What the section `haptic_node` has without packages; these keys are not free for one."""
+    """The keys of section `haptic_node` that need no package; no driver of a package may be named like one."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -175,7 +175,7 @@ class _OwnSections(Settings):
 
     @property
     def simulated(self) -> bool:
-        """Whether the readings of the device follow from what it was sent alone."""
+        """Whether the readings depend on the commands alone, so that the node can be run again from a recording."""
         return self.driver == "simulated" or DRIVERS.is_simulated(self.driver)
 
     @property
@@ -209,7 +209,8 @@ class _OwnSections(Settings):
     @model_validator(mode="after")
     def _limits_inside_travel(self) -> Self:
         if self.driver != "simulated":
-            # The travel of a real device is in its calibration, and the constants of a simulated one have to fit.
+            # A real device has its travel in its calibration. The constants of a package's simulated device are checked
+            # here.
             if self.in_lockstep:
                 try:
                     self.to_simulated_hand()
@@ -235,7 +236,7 @@ class _OwnSections(Settings):
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
     def to_simulated_hand(self) -> SimulatedHand:
-        """Return the simulated device that the driver names, or that of the paper, and the hand on it.
+        """Return the simulated device of the driver's package, else that of the paper, with the hand on it.
 
         Raises:
             ConfigError: The settings of the device do not fit together; the message names the key.
@@ -248,20 +249,20 @@ class _OwnSections(Settings):
         return SimulatedHand(params, sim.capabilities(params))
 
     def to_simulated_device(self) -> DisturbedHaptic:
-        """Return that device and hand as a `HapticDevice`, with the disturbances of the section."""
+        """Return the simulated device and its hand as a `HapticDevice`, with the disturbances of the section."""
         hand = self.to_simulated_hand()
         start_m = self.device.start_position_m
         return DisturbedHaptic(hand.params, start_m, self.disturbances, hand.capabilities, hand.about)
 
     def to_simulated_params(self) -> Any:
-        """Return the constants of that device and hand."""
+        """Return the constants of the simulated device and its hand."""
         return self.to_simulated_hand().params
 
     def to_params(self, samples: int = 0, period_s: float = 0.0) -> step.HapticParams:
-        """Return the constants of the whole compiled chain; no simulated device has a force mode.
+        """Return the constants of guard, device and hand for the compiled step; no simulated device has a force mode.
 
         Args:
-            samples: The length of the run, for which the disturbances are drawn; 0 leaves them out.
+            samples: The length of the run in samples, for which disturbances are drawn; 0 leaves them out.
             period_s: The time from one sample to the next [s], above 0 where there are samples.
         """
         guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
@@ -301,9 +302,9 @@ class HapticConfig(_DriverSections):
 
 
 def recorded_hand(section: Mapping[str, Any], origin: str) -> tuple[OperatorConfig, bool]:
-    """Return the simulated hand of a section, and whether it was at a simulated device.
+    """Return the simulated hand of a recorded section, and whether its device was simulated.
 
-    The package that has the driver of a recorded section is not needed.
+    The package that has the driver of the section need not be installed.
 
     Raises:
         ConfigError: The hand cannot be read; the message names the key.

@@ -28,7 +28,7 @@ def _increasing(corners: tuple[C, ...]) -> tuple[C, ...]:
     return corners
 
 
-# Corners of which each is later than the one before.
+# A sequence of corners, each later than the one before.
 Course = Annotated[tuple[C, ...], AfterValidator(_increasing)]
 
 
@@ -39,7 +39,7 @@ class LateralPoint(Corner):
     y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]")
 
 
-# The intended path of a hand across: `path: LateralPath = ()` in settings.
+# The intended path of a hand across the sample; in settings: `path: LateralPath = ()`.
 LateralPath = Course[LateralPoint]
 
 
@@ -75,7 +75,7 @@ class LateralHandConfig(Settings):
     )
 
     def to_params(self) -> LateralHandParams:
-        """Return the constants of the step."""
+        """Return the constants of the step, with the path as arrays of times [s] and places [m]."""
         columns = np.array([(point.time_s, point.x_m, point.y_m) for point in self.path], np.float64).reshape(-1, 3)
         times, x, y = (np.ascontiguousarray(column) for column in columns.T)
         return filled(LateralHandParams, self, times_s=times, path_x_m=x, path_y_m=y)

@@ -22,7 +22,7 @@ def _checked(name: str, value: Any) -> OperatorModel:
 
 
 def unusable_config(name: str, problem: str) -> type[BaseModel]:
-    """Return settings of a kind that nothing satisfies: choosing it is refused with the problem."""
+    """Return a model for a kind of hand that cannot be used: its validation always fails, and says why."""
 
     class Unusable(BaseModel):
         kind: Literal[name]  # type: ignore[valid-type]

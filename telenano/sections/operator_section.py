@@ -1,4 +1,4 @@
-"""Settings of the simulated hand: what it does in a session, and the arm that it does it with."""
+"""Settings of the simulated hand: its force or path over a session, and the constants of its arm."""
 
 from functools import reduce
 from operator import or_
@@ -33,7 +33,7 @@ FIG12_POINTS = tuple(
 )
 
 
-# Moves whose scatter is drawn before they repeat.
+# The number of moves with a scatter of their own; after these the draws repeat.
 _DRAWS = 64
 
 
@@ -111,7 +111,7 @@ class ImpedanceConfig(Settings):
 
     @property
     def constants(self) -> ArmConstants:
-        """The constants of the arm: those of its name, and what is given here instead."""
+        """The constants of the arm: those of the named arm, except for values that this section gives itself."""
         arm, k, b, m = ARMS[self.arm], self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
         return ArmConstants(
             arm.stiffness_n_per_m if k is None else k,
@@ -140,7 +140,7 @@ class InteractiveConfig(Settings):
     max_force_n: MaxForce = 10.0
 
     def to_params(self) -> OperatorParams:
-        # a profile of one corner, which the device holds until it is given another force
+        # A profile of one corner: the device holds this force until it receives another one.
         none = np.zeros(1)
         return OperatorParams(kind=FORCE_PROFILE, times_s=none, values=none, max_force_n=self.max_force_n)
 

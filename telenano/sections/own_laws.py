@@ -1,6 +1,6 @@
 """The laws of this project with the models of their sections: `telenano.laws` has their steps.
 
-The law of the paper, which those of packages are built from, is in `telenano.extend.virtual_impedance`.
+The law of the paper, on which laws of packages are built, is in `telenano.extend.virtual_impedance`.
 """
 
 from typing import Literal
@@ -19,8 +19,8 @@ from telenano.laws.wave import WaveParams
 from telenano.numerics.discretisation import approach, decay
 from telenano.settings.config import filled
 
-# The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
-# moments.
+# The clamp's time constant once the hand no longer presses [s]. It is not 0, because an arm that swings on a soft
+# sample pulls for moments.
 _LET_GO_S = 0.2
 # A store that begins empty has this level [J].
 _LEAST_LEVEL_J = 1e-9
@@ -63,7 +63,7 @@ class WaveConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the slave half tolerates, which makes long steps after late signals."""
+        """Return the stiffest sample [N/m] that the slave half tolerates, given its long steps after late signals."""
         return self.limit_of_damper(self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
@@ -117,8 +117,8 @@ class PassivityConfig(MassConfig):
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
         """Return the stiffest sample K that the loop of coupling and base tolerates [N/m].
 
-        A period takes the base to relaxed (1 + K_e / K_c) of the way to its rest, K_e = alpha_f alpha_p K: at 2 the
-        sample gets all the energy that the coupling gives, and beyond it more.
+        In a period the base covers relaxed (1 + K_e / K_c) of the way to its rest position, with K_e = alpha_f alpha_p
+        K. At 2 the sample receives all the energy that the coupling releases, and above 2 more.
         """
         relaxed = approach(self.coupling_stiffness_n_per_m / self.coupling_damping_n_s_per_m * period_s)
         return (2.0 / relaxed - 1.0) * self.coupling_stiffness_n_per_m / (self.force_scale * self.position_scale)

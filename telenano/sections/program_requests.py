@@ -1,4 +1,4 @@
-"""What `set` takes at the instrument: a program to begin or to change, and where the tip is over the sample."""
+"""The keys of `set` at the instrument: a program to begin or change, the place of the tip, the simulation."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -23,10 +23,10 @@ from telenano.wire.errors import ConfigError, RefusedError
 from telenano.wire.messages import Scalar
 
 _STIFFEST_N_PER_M = 1e9
-# Experiments set these of a simulation from one trial to the next.
+# Keys of a simulated instrument that experiments set from trial to trial.
 # The stiffness of environment spring.
 STIFFNESS = "spring.stiffness_n_per_m"
-# True lets the sample become as it was in the beginning.
+# True restores the sample's initial state.
 RESTORE = "sample.restore"
 _DISTURBANCES = "disturbances."
 
@@ -100,7 +100,7 @@ class InstrumentRequest(_Programs):
 
 
 def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | None = None) -> InstrumentRequest:
-    """Return what parameters by dotted key ask for; RefusedError says what is wrong with them, or that there are none.
+    """Return the request that parameters by dotted key make; RefusedError says which are wrong, or that there are none.
 
     Args:
         parameters: The parameters by dotted key.
@@ -119,15 +119,17 @@ def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | N
 
 
 def is_of_simulation(key: str) -> bool:
-    """Return whether a key of `set` is for what is simulated."""
+    """Return whether a key of `set` changes a simulated instrument itself."""
     return key in (STIFFNESS, RESTORE) or key.startswith(_DISTURBANCES)
 
 
 def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[tuple[str, Callable[[], None]]]:
-    """Return what `set` changes of a simulated instrument (`is_of_simulation`): sentences, and what carries them out.
+    """Return the changes of a simulated instrument that `set` asks for, each as a sentence and a function.
+
+    The sentence says what the function does. The keys are those for which `is_of_simulation` holds.
 
     Raises:
-        RefusedError: The instrument is real, or has no such thing, or a value is wrong.
+        RefusedError: The instrument is real, it lacks the part that a key is for, or a value is wrong.
     """
     simulation = driver.simulation
     if simulation is None:
@@ -156,7 +158,7 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
 
 
 def _stiffness(value: Scalar) -> float:
-    """Return a stiffness of the environment [N/m]; RefusedError where it is none."""
+    """Return a value as a stiffness [N/m]; RefusedError unless it is a number above 0 and up to 1e9."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= _STIFFEST_N_PER_M:
         raise RefusedError(f"{STIFFNESS}: {value} must be a number of N/m, above 0, up to 1e9")
     return float(value)

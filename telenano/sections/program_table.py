@@ -10,9 +10,9 @@ from telenano.settings.config import Settings
 from telenano.settings.plugins import load
 
 OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
-# With one of these `program=...` changes the program that runs.
+# These values of `program` change the running program instead of beginning another one.
 CHANGES = ("pause", "resume", "abort")
-# `set` takes these other keys at the instrument.
+# Other keys of `set` at the instrument, which cannot be names of programs.
 OTHER_KEYS = ("program", "lateral", "disturbances")
 
 

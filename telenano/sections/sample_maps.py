@@ -1,7 +1,7 @@
-"""Recorded maps under the tip, which packages read (entry points `telenano.maps`), by the end of the files' names.
+"""Recorded maps under the tip, read by packages (entry points `telenano.maps`) that are chosen by the file's suffix.
 
-The entry `npz` is for files `*.npz`. A map is felt in place of a model of the force: the package brings the step, and
-says where the map is without reading its values, so that the guard keeps the base on it.
+The entry `npz` reads files `*.npz`. A recorded map replaces the model of the force: the package provides the step, and
+it gives the extent of the map without reading its values, so that the guard can keep the base within it.
 """
 
 from functools import cache
@@ -25,7 +25,7 @@ def _checked(name: str, value: Any) -> MapFormat:
 
 @cache
 def _format_of(suffix: str) -> tuple[MapFormat | None, str]:
-    """Return the format of files with that end, and why there is none."""
+    """Return the format of files with a suffix (without its dot), and the reason to give where there is none."""
     loaded = plugins.load("maps", _checked, only=suffix)
     names = ", ".join(f".{name}" for name in plugins.installed("maps")) or "none"
     absent = where_it_is(f"map {suffix}") or f"is of no format that is felt here; known are {names}"
@@ -37,13 +37,13 @@ def _suffix(path: Path) -> str:
 
 
 def span_of(path: Path) -> Span | None:
-    """Return where a map is; None where its file or its package is not on this machine."""
+    """Return extent, stiffness and quantity of a map; None where its file or its package is not on this machine."""
     reader, _ = _format_of(_suffix(path))
     return None if reader is None else reader.span(standing(path))
 
 
 def over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, volts_per_m: float) -> OverMap:
-    """Return what an instrument steps over; see `MapFormat` for the arguments.
+    """Read a map as the parameters that an instrument steps over; `MapFormat` describes the arguments.
 
     Raises:
         ConfigError: The map cannot be used, or its package is missing; the message names it.

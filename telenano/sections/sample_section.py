@@ -1,4 +1,4 @@
-"""Which sample lies under the tip: a shape that is computed, a file, or a function of your own."""
+"""The sample under the tip (section `afm_node.sample`): a computed shape, a file, or a function of the user's."""
 
 import importlib
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 
 
 class _OwnSample(Settings):
-    """What the section `sample` has without packages; these keys are not free for a layer."""
+    """The keys of section `sample` that need no package; no layer may be named like one."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -95,7 +95,7 @@ class _OwnSample(Settings):
 
     @property
     def map_span(self) -> Span | None:
-        """What the recorded map says without its values; None where there is none, or not on this machine."""
+        """Extent, stiffness and quantity of the recorded map; None without one, or if it cannot be read here."""
         return None if self.map is None else span_of(Path(self.map))
 
     def build(self) -> Surface:
@@ -121,7 +121,7 @@ class _OwnSample(Settings):
             raise ConfigError(f"sample {self.name}: {error}") from error
 
     def _computed(self, size_m: float) -> Any:
-        """Return the heights of a function of your own, called once with all x (a row) and all y (a column)."""
+        """Return the heights [m] from one call of the user's function with all x (a row) and all y (a column) [m]."""
         if text := refused_code("sample.name", self.name):
             raise ConfigError(text)
         module, _, name = self.name.partition(":")
@@ -133,7 +133,7 @@ class _OwnSample(Settings):
         try:
             heights = np.asarray(function(middles[None, :], middles[:, None]), dtype=np.float64)
             return np.broadcast_to(heights, (self.pixels, self.pixels))
-        # The function of a package may raise anything.
+        # The user's function may raise anything.
         except Exception as error:
             raise ValueError(f"failed for arrays of x and y in m: {described(error)}") from error
 
@@ -164,7 +164,7 @@ class SampleConfig(_LayerSections):
 
 
 def layers_on(sample: SampleConfig | None) -> list[tuple[Layer, Any]]:
-    """Return what lies on a sample, with the settings of each, from below upwards."""
+    """Return the layers that lie on a sample, from below upwards, with the settings of each."""
     sections = [(name, None if sample is None else sample.layer(name)) for name in LAYERS.names]
     layers = [(LAYERS.find(name), settings) for name, settings in sections if settings is not None]
     return [(layer, settings) for layer, settings in layers if layer is not None]

@@ -1,7 +1,8 @@
-"""Height maps from files: .gsf and .npy here, and those of other instruments by the readers of packages.
+"""Read height maps from files: .gsf, .npy and text here, formats of other instruments by the readers of packages.
 
-Rows in a file run from the top of the picture down; here y rises with the row. No memory is taken for what a header
-says before it was compared with the length of the file; the readers of packages run in a child process with limits.
+In .gsf and text files the first row is the top of the picture; in a surface y rises with the row. The size that a
+header states is compared with the length of the file before memory is allocated. Readers of packages run in a child
+process with limits.
 """
 
 import math
@@ -25,21 +26,21 @@ from telenano.wire.errors import ConfigError, described, probably_meant
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# metres in a unit of length, as files write it
+# Metres in a unit of length, as files write it.
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 _LENGTH = (("m", 1.0),)
 _TEXTS = (".txt", ".csv", ".tsv", ".asc")
-# what the head of a matrix says: a side with its unit, and the unit of the values
+# Patterns for the head of a text matrix: a side with its unit, and the unit of the values.
 _HEAD_PATTERNS = {
     "width": r"(?i)\bwidth\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "height": r"(?i)\bheight\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
     "values": r"(?i)\b(?:value|z)[ -]*units?\s*[:=]\s*(\S+)",
 }
-# Two columns of more rows are a curve or a spectrum.
+# A table of two columns with more rows than this is a curve or a spectrum, not a matrix of heights.
 _LONGEST_OF_TWO = 8
-# Heights in metres are below it; greater values are of another unit.
+# Heights in metres are below this limit [m]; greater values must be in another unit.
 _HIGHEST_M = 1e-4
-# samples that are made, and no files
+# Names of samples that are computed, not read from files.
 SHAPES = ("flat", "dots", "grating")
 _HEIGHT_NAMES = re.compile(r"height|topo|\bz\b|z_?sensor", re.IGNORECASE)
 
@@ -85,7 +86,7 @@ def read_surface(
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}{near}") from error
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
-    # damage may lead a reader anywhere
+    # A damaged file may make a reader raise anything.
     except Exception as error:
         raise ConfigError(f"{path}: is no whole height map: {described(error)}") from error
 
@@ -138,7 +139,7 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
     try:
         table = TextTable.read(path)
     except ConfigError:
-        # a format of its own, which a package may know
+        # Not a plain table: a package may know the format.
         return _read_by_package(path, size_m)
     if len(table.columns) == 2 and len(table.lines) > _LONGEST_OF_TWO:
         raise ValueError(f"is a table of two columns and {len(table.lines)} rows, and no matrix of heights")
@@ -160,7 +161,7 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         raise ValueError(
             "is a matrix of heights without a size: give its width (--size), or write `# Width: 1 µm` above"
         )
-    # without a side of its own the pixels are square
+    # Without a depth in the head, pixels are square.
     depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
     if "values" not in stated and not np.nanmax(np.abs(values)) < _HIGHEST_M:
         raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")

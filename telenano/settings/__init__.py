@@ -1,4 +1,4 @@
-"""Settings: their models, scenarios, sites and instruments, and the code of packages that a name in them leads to."""
+"""Settings: models, scenarios, sites and instruments, and the loaders of the packages that settings name."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,7 @@
-"""Section `afm_node.disturbances`: what disturbs a simulated AFM; `telenano.afm.disturbances` says how."""
+"""Section `afm_node.disturbances`: noise, drift and other disturbances of a simulated AFM.
+
+`telenano.afm.disturbances` has their models.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -114,15 +117,16 @@ class DisturbanceConfig(Settings):
 
 
 def instrument_name(name: str, section: Mapping[str, Any]) -> str:
-    """Return what a session states of its instrument.
+    """Return the name under which a session records its instrument.
 
     Args:
         name: The instrument that the scenario names.
-        section: Section `afm_node` of the scenario, over the keys of its instrument.
+        section: Section `afm_node` of the scenario, merged over the keys of its instrument.
 
     Returns:
-        The name; with "changed" where the disturbances are others than its own, whatever their seed; "disturbed" for
-        others than those of the ideal one; the driver's name for an instrument that is not simulated.
+        The name, followed by ", changed" where the disturbances differ from the instrument's own in more than their
+        seed; "disturbed" where they differ from those of the ideal instrument; the driver's name for an instrument that
+        is not simulated.
 
     Raises:
         ConfigError: The section cannot be read; the message names the key.
@@ -133,7 +137,7 @@ def instrument_name(name: str, section: Mapping[str, Any]) -> str:
     try:
         own = instrument_named(name).scenario.get("afm_node", {}).get("disturbances", {})
     except ConfigError:
-        # A recording from elsewhere names what is not known here.
+        # A recording from elsewhere may name an instrument that is unknown here.
         return name
     there, here = (
         validate(DisturbanceConfig, {**section_of_part, "seed": 0}, "scenario", "afm_node.disturbances")

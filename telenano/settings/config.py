@@ -18,13 +18,13 @@ M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T", bound=tuple[Any, ...])
 
 ENVIRONMENT_PREFIX = "TELENANO__"
-# Set to anything, it lets a scenario name code: a function of a sample, a library of a device.
+# If this variable is not empty, a scenario may name code: a function of a sample, a library of a device.
 ALLOW_CODE_VARIABLE = "TELENANO_ALLOW_CODE"
-# Sections are nested far less deeply than this, and programs that walk through them can go this deep.
+# The deepest nesting that is accepted: real sections are far shallower, and recursive code can still walk this far.
 _DEEPEST = 16
 # At most this many faults of one document are reported, so that a thousand wrong keys cost no more than that.
 _MOST_FAULTS = 20
-# the unit of a key by the end of its name, the longer ends first
+# The unit of a key by the end of its name, the longer ends first.
 _UNITS = {
     "_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_n_per_v": "N/V", "_m_per_s": "m/s", "_m_per_v": "m/V",
     "_hz": "Hz", "_kg": "kg", "_pa": "Pa", "_k": "K", "_v": "V", "_s": "s", "_n": "N", "_m": "m",
@@ -42,14 +42,16 @@ class Settings(BaseModel):
         return validate(cls, read_yaml(path), str(path))
 
 
-# The attribute of a package's section begins so, and no method of a model does: a key is free unless a key has it.
+# The prefix of the attributes for packages' sections. No method of a model begins with it, so the key of a package
+# collides with nothing but other keys.
 _OF_PACKAGE = "package_"
 
 
 def package_fields(sections: Mapping[str, tuple[Any, Any, str]], titles: Mapping[str, str] | None = None) -> Any:
     """Return fields of a model for the sections of packages.
 
-    `section_of` returns such a section. A model with them is written as it is read, so it has `serialize_by_alias`.
+    `section_of` reads such a section. The model needs `serialize_by_alias`, so that it is written with the keys with
+    which it is read.
 
     Args:
         sections: For each key the type, the default and the description of its section.
@@ -65,7 +67,7 @@ def package_fields(sections: Mapping[str, tuple[Any, Any, str]], titles: Mapping
 
 
 def section_of(settings: BaseModel, key: str) -> Any:
-    """Return the section of a key, of the node's own or of a package."""
+    """Return the section under a key, one of the node's own or one of a package."""
     return getattr(settings, key if key in type(settings).model_fields else f"{_OF_PACKAGE}{key}")
 
 
@@ -75,19 +77,19 @@ def keys_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def filled(kind: type[T], settings: BaseModel, /, **others: Any) -> T:
-    """Return constants of a NamedTuple: `others`, and of the settings what they have by the same name."""
+    """Return a NamedTuple of constants: `others`, and the settings with the names of its other fields."""
     fields: tuple[str, ...] = cast(Any, kind)._fields
     own = {name: getattr(settings, name) for name in fields if name in type(settings).model_fields}
     return kind(**{**own, **others})
 
 
 def permit_code() -> None:
-    """Let this process and those that it starts run code that settings name: the person who started it has named it."""
+    """Allow this process and its children to run code that settings name; the user who started it has named it."""
     os.environ[ALLOW_CODE_VARIABLE] = "1"
 
 
 def refused_code(setting: str, named: str) -> str:
-    """Return why code that a setting names is not run; empty where the person who started this process allows it."""
+    """Return why the code that a setting names is not run; empty where the user who started this process allows it."""
     if os.environ.get(ALLOW_CODE_VARIABLE):
         return ""
     return (
@@ -160,8 +162,8 @@ def flatten(tree: Mapping[str, Any]) -> dict[str, Any]:
 def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
     """Merge mappings key by key; the last one wins.
 
-    A mapping with another `kind` takes the place of the one before: the keys of the two have nothing to do with each
-    other, as those of an operator that follows a path and of one that trembles.
+    A mapping with another `kind` replaces the one before as a whole, because their keys are unrelated, such as those of
+    an operator that follows a path and of one that trembles.
     """
     merged: dict[str, Any] = {}
     for layer in layers:
@@ -190,7 +192,7 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
         return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
     except (TypeError, ValueError) as error:
         if isinstance(error, ValidationError):
-            # Values that JSON does not know are refused without the name of their key, and with the whole document.
+            # pydantic refuses text that JSON cannot express without naming its key, and quotes the whole document.
             if error.errors()[0]["type"] == "json_invalid" and (undecodable := _undecodable(data)):
                 raise ConfigError(f"{origin}: {undecodable}") from error
             raise ConfigError(*_described(error, origin, model, section)) from error
@@ -274,7 +276,7 @@ def _described(error: ValidationError, origin: str, model: type[BaseModel], sect
 
 
 def _unit(fault: Mapping[str, Any]) -> str:
-    """Name the unit of a key that takes a bare number, where a text was given, such as `40ms`."""
+    """Return the unit of a key that takes a bare number as text, if a text such as `40ms` was given; else ''."""
     if fault["type"] != "float_type" or not isinstance(fault["input"], str):
         return ""
     name = str(fault["loc"][-1])
@@ -282,14 +284,14 @@ def _unit(fault: Mapping[str, Any]) -> str:
 
 
 def _near(fault: Mapping[str, Any]) -> str:
-    """Name the choice that was probably meant."""
+    """Return a hint with the choice that was probably meant."""
     if fault["type"] != "literal_error":
         return ""
     return probably_meant(str(fault["input"]), re.findall(r"'([^']*)'", fault["msg"]))
 
 
 def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
-    """Name both bounds of a value that is beyond one of them, where the path leads to its field."""
+    """Return the two bounds of a value beyond one of them as text; empty if the path does not lead to its field."""
     if fault["type"] not in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
         return ""
     *path, name = fault["loc"]
@@ -305,7 +307,7 @@ def bounds_of(part: Any) -> dict[str, float]:
     """Return ge, gt, le and lt of a field, or of a type within its annotation."""
     bounds: dict[str, float] = {}
     for rule in getattr(part, "metadata", getattr(part, "__metadata__", ())):
-        # a rule is a bound itself, or the field of an annotation
+        # A rule is a bound itself, or the field of an annotation.
         bounds |= bounds_of(rule) if isinstance(rule, FieldInfo) else {}
         bounds |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
     for inner in get_args(part.annotation if isinstance(part, FieldInfo) else part):
@@ -314,7 +316,7 @@ def bounds_of(part: Any) -> dict[str, float]:
 
 
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Name the keys that would be right."""
+    """Return a hint with the keys that would be right."""
     owner = _model_at(model, path[:-1])
     return f", {known_names(str(path[-1]), keys_of(owner))}" if owner is not None else ""
 

@@ -1,4 +1,4 @@
-"""Drivers of real and simulated devices that installed packages bring (entry points `telenano.devices`).
+"""Drivers of real and simulated devices from installed packages (entry points `telenano.devices`).
 
 Their names come from the metadata of the packages; a package is imported when a scenario names its driver.
 """
@@ -20,22 +20,27 @@ from telenano.settings.plugins import LoadedEntries, installed
 class DeviceDriver:
     """A driver for one of the two nodes that have a device.
 
-    `name` is the value of the node's key `driver`, and the name of the section with the settings of `config`.
-    `build(settings, limits)` returns a `HapticDevice` (`telenano.extend.hands`) or an `AfmDriver`
-    (`telenano.extend.instruments`), not yet open: limits are those of the guard, of the AFM node `SafetyParams`.
-    The guard stays in front of it. `simulated`: its readings follow from what it was sent alone, so that its node
-    can be run again from a recording. `in_lockstep`: it is simulated by a model that needs no rig, and `build` returns
-    a `SimulatedHand` (`telenano.extend.hands`), of which the haptic node makes its device and which `telenano.simulate`
-    runs.
-
-    `keywords` names what build takes by keyword besides: `period_s`, the period of the loop [s], and keys of the node's
-    section, such as `operator` of `haptic_node`, or `attended` of `afm_node`, whether a person stands by who retracts
-    the tip. `capabilities` says what an instrument can do (`AfmCapabilities` of `telenano.devices`), and so
-    with which laws and programs it is used; one without them is not judged. `what` names the
-    devices in a list. `own` is what the package needs of it in a process of its own, which finds the driver by its name
-    (`DeviceDriver.haptic`). `calibration` is the model of a file whose key
-    `controller` names this driver; the settings then have a key `calibration` with its path. `experimental`: it has
-    driven an emulator and never a real device, which its node reports when it starts.
+    Attributes:
+        node: The node that uses it.
+        name: The value of the node's key `driver`, and the name of the driver's section.
+        config: The model of that section.
+        build: `build(settings, limits)` returns a `HapticDevice` (`telenano.extend.hands`) or an `AfmDriver`
+            (`telenano.extend.instruments`), not yet open. The limits are those of the guard, which stays in front of
+            it; for the AFM node they are `SafetyParams`.
+        simulated: Whether its readings depend on the commands alone, so that its node can be run again from a
+            recording.
+        in_lockstep: Whether it is simulated by a model that needs no rig. `build` then returns a `SimulatedHand`
+            (`telenano.extend.hands`), of which the haptic node makes its device and which `telenano.simulate` runs.
+        keywords: Further arguments of `build`, by keyword: `period_s`, the period of the loop [s], and keys of the
+            node's section, such as `operator` of `haptic_node`, or `attended` of `afm_node`: whether a person stands by
+            who retracts the tip.
+        capabilities: The abilities of an instrument (`AfmCapabilities` of `telenano.devices`), which decide with which
+            laws and programs it is used; an instrument without them is not judged.
+        calibration: The model of a file whose key `controller` names this driver; the settings then have a key
+            `calibration` with the path of the file.
+        own: An object for the package's own processes, which find the driver by its name (`DeviceDriver.haptic`).
+        what: The devices, as a list names them.
+        experimental: Whether it has driven an emulator and never a real device, which its node reports when it starts.
     """
 
     node: Literal["haptic_node", "afm_node"]
@@ -60,10 +65,10 @@ class DeviceDriver:
         """Return the device of a node.
 
         Args:
-            node: The section of the node, with that of the driver and the keys that `keywords` names.
+            node: The section of the node, with the driver's section and the keys in `keywords`.
             limits: The limits of the guard.
             period_s: The period of the loop [s].
-            settings: The settings of the driver, where they are not those of the section.
+            settings: The settings of the driver; None takes those of its section.
         """
         named = {name: period_s if name == "period_s" else section_of(node, name) for name in self.keywords}
         return self.build(settings or self.section(node), limits, **named)
@@ -78,14 +83,14 @@ class DeviceDriver:
 
     @staticmethod
     def all() -> "LoadedEntries[DeviceDriver]":
-        """Return the drivers of installed packages for both nodes, imported now, as in `DeviceDriver.all().found`."""
+        """Return the drivers of installed packages for both nodes, all imported now: `DeviceDriver.all().found`."""
         loaded = Drivers("haptic_node", (), ()).all()
         instruments = Drivers("afm_node", (), ()).all()
         return LoadedEntries({**loaded.found, **instruments.found}, {**loaded.problems, **instruments.problems})
 
     @staticmethod
     def why_missing(name: str) -> str:
-        """Return why no package gives a driver: what is wrong with it, or which package to install; else empty.
+        """Return why a driver is missing: the fault of its package, or which package to install; empty if unknown.
 
         DeviceDriver.why_missing(config.driver)    # "the driver … is in the package …: pip install …"
         """
@@ -93,22 +98,22 @@ class DeviceDriver:
 
     @staticmethod
     def haptic(name: str) -> "DeviceDriver | None":
-        """Return the driver of an installed package for the haptic node, imported now; None where no package has it.
+        """Return the driver of an installed package for the haptic node, importing it now; None if there is none.
 
         Raises:
-            ValueError: It cannot be used; the message says why.
+            ValueError: The driver cannot be used; the message says why.
         """
         return Drivers("haptic_node", (), ()).find(name)
 
 
 class Drivers(Entries[DeviceDriver]):
-    """The drivers of packages for a node, each imported when it is asked for.
+    """The drivers of packages for a node, each imported when it is first asked for.
 
     Args:
-        node: The node that drives them.
+        node: The node that uses them.
         own: The names of the node's own drivers.
-        taken: Those, and what else in the section of the node has a name.
-        experimental: Those of the node's own drivers that have driven an emulator and never a real device.
+        taken: The names that no package may use: those of `own` and the other keys of the node's section.
+        experimental: The node's own drivers that have driven an emulator and never a real device.
     """
 
     def __init__(
@@ -162,7 +167,7 @@ class Drivers(Entries[DeviceDriver]):
 
 @dataclass(frozen=True)
 class _Name:
-    """The rule of the key `driver`."""
+    """The validator of the key `driver`."""
 
     drivers: Drivers
     own: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Entries of packages that have a section of their own in a node's settings, each imported when it is asked for.
+"""Entries of packages that have a section of their own in a node's settings, each imported when it is first asked for.
 
 The names of the sections come from the metadata of the packages; a package is imported when a scenario has its section.
 """
@@ -24,11 +24,11 @@ class Entries(Generic[T]):
 
     Args:
         kind: The kind of entries, such as `layers`.
-        what: What one of them is, such as `layer`.
-        check: Returns what is used of an entry, as for `plugins.load`.
-        taken: What else in the section has a name.
-        own: Names that are no entries of packages.
-        absent: What `known_packages` calls one, where a package of this project that is not installed has some.
+        what: The noun for one entry in descriptions, such as `layer`.
+        check: Returns the usable part of an entry, as for `plugins.load`.
+        taken: The other keys of the section, which no entry may use.
+        own: The names of the node itself, for which `find` returns None.
+        absent: The word for such an entry in `known_packages`, where one of this project's packages has some.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class Entries(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names that could be entries of this kind, of which only an import tells."""
+        """The names of the installed entries that may be of this kind; only an import shows whether they are."""
         return tuple(name for name in plugins.installed(self._kind) if name not in self._taken)
 
     def find(self, name: str) -> T | None:
-        """Return the entry of that name, imported now; None where no package has one.
+        """Return the entry of a name, importing it now; None where no package has one.
 
         Raises:
-            ValueError: It cannot be used; the message says why.
+            ValueError: The entry cannot be used; the message says why.
         """
         if name in self._own:
             return None
@@ -65,7 +65,7 @@ class Entries(Generic[T]):
         return self._asked[name]
 
     def all(self) -> LoadedEntries[T]:
-        """Return every entry, all of them imported now."""
+        """Return every entry, importing all of them now."""
         return load(self._kind, self._check, self._taken)
 
     def sections(self) -> Any:
@@ -75,18 +75,18 @@ class Entries(Generic[T]):
         return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in names})
 
     def where_it_is(self, name: str) -> str:
-        """Return which package of this project has an entry that is not installed; empty where none has."""
+        """Return a hint at the package of this project that has an entry but is not installed; empty where none has."""
         return where_it_is(f"{self._absent} {name}")
 
 
 class SharedSection(NamedTuple):
-    """A section that is no setting of one entry alone, such as one that several drivers of a package share."""
+    """A section that does not belong to one entry alone, such as one that several drivers of a package share."""
 
     config: type[BaseModel]
 
 
 def checked_model(name: str, value: Any) -> SharedSection:
-    """Return the section whose entry is its model; TypeError for another entry."""
+    """Return an entry that is a model of settings as a shared section; TypeError for another entry."""
     if not (isinstance(value, type) and issubclass(value, BaseModel)):
         raise TypeError(f"is a {type(value).__name__}, must be a model of settings")
     return SharedSection(value)
@@ -94,7 +94,7 @@ def checked_model(name: str, value: Any) -> SharedSection:
 
 @dataclass(frozen=True)
 class _Section:
-    """The rule of an entry's section; what is written out of one node has those of another's entries, as None."""
+    """The validator of an entry's section; None passes, because dumped settings hold None for another node's entry."""
 
     entries: Entries[Any]
     name: str
@@ -109,7 +109,7 @@ class _Section:
             raise PydanticKnownError("extra_forbidden")
         config: type[BaseModel] = entry.config
         if info.mode == "json":
-            # A strict model takes a list for a tuple from JSON alone.
+            # A strict model accepts a list as a tuple only when it reads JSON.
             return config.model_validate_json(json.dumps(value))
         return config.model_validate(value)
 

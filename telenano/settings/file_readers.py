@@ -1,6 +1,6 @@
-"""Files that packages read: an entry of `telenano.readers` is a `FileReader`, with the end of the files' names as name.
+"""Readers of file formats from packages: entries of `telenano.readers`, each a `FileReader` named after a suffix.
 
-The entry `jpk_force` is for files `*.jpk-force`, and `other` for those that have none of their own.
+The entry `jpk_force` reads files `*.jpk-force`, and `other` those whose suffix has no entry of its own.
 """
 
 from collections.abc import Callable
@@ -19,18 +19,23 @@ _OTHER = "other"
 
 
 class FileReader(NamedTuple):
-    """How a package reads files: functions as `module:name`, empty for what these files do not have.
+    """Functions of a package that read files, as `module:name`; empty for data that these files do not have.
 
-    Each is called with a path in a child process, and returns plain values by name and a list of arrays.
+    Each function is called with a path in a child process, and returns plain values by name and a list of arrays.
 
-    heights: `channels` has for each array its `name`, `sides` (width and depth), `unit` (of the sides) and `z` (of the
-    values); the arrays are of shape (rows, columns) with y rising, NaN where nothing was measured. curve: called with
-    the number of the curve, a spring constant [N/m] and a sensitivity [m/V] as texts too, which are empty where the
-    file's own hold; `stiffness_n_per_m`, `speed_m_per_s`, and `turn`, the points of the approach; the arrays are the
-    base, rising towards the sample, and the deflection [m]. deflections: of approaches; the arrays are the points of
-    each one, and of all after each other the height, rising away from the sample [m], and the deflection [V]. spectrum:
-    thermal; the `unit` of the density and its `averages`; the arrays are the lines [Hz] and the density. limits: of the
-    child, by the size of the file [bytes].
+    Attributes:
+        heights: Reads height maps. The value `channels` has for each array its `name`, `sides` (width and depth),
+            `unit` (of the sides) and `z` (unit of the heights). The arrays have the shape (rows, columns) with y
+            rising, and NaN where nothing was measured.
+        curve: Reads a force curve. Further arguments, as texts: the number of the curve, a spring constant [N/m] and a
+            sensitivity [m/V], the last two empty to use those of the file. Values: `stiffness_n_per_m`,
+            `speed_m_per_s`, and `turn`, the number of points of the approach. Arrays: the position of the base, rising
+            towards the sample [m], and the deflection [m].
+        deflections: Reads approaches. Arrays: the number of points of each approach and, for all approaches one after
+            the other, the height, rising away from the sample [m], and the deflection [V].
+        spectrum: Reads a thermal spectrum. Values: the `unit` of the density and its `averages`. Arrays: the
+            frequencies [Hz] and the density.
+        limits: Returns the limits of the child process for the size of the file [bytes].
     """
 
     heights: str = ""
@@ -47,15 +52,15 @@ def _checked(_: str, value: Any) -> FileReader:
 
 
 def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
-    """Return what the reader of an installed package finds in a file.
+    """Return the data that the reader of an installed package finds in a file.
 
     Args:
         path: The file.
-        what: Which function: `heights`, `curve`, `deflections` or `spectrum`.
-        *arguments: What it is called with besides.
+        what: The function to call: `heights`, `curve`, `deflections` or `spectrum`.
+        *arguments: Its arguments after the path.
 
     Raises:
-        ConfigError: It is empty, no package that is installed reads it, or what its reader needs is missing.
+        ConfigError: The file is empty, no installed package reads it, or its reader lacks a dependency.
         OSError, ValueError: As `read_in_child`.
     """
     path = standing(path)

@@ -1,4 +1,7 @@
-"""Section `haptic_node.disturbances`: what disturbs a simulated master; `telenano.hand.disturbances` says how."""
+"""Section `haptic_node.disturbances`: noise, tremor and other disturbances of a simulated master.
+
+`telenano.hand.disturbances` has their models.
+"""
 
 from pydantic import Field
 

@@ -1,4 +1,4 @@
-"""The sites, scenarios and networks that come with the project, and the way from a name to their files.
+"""Sites, scenarios and networks that come with the project, and the search for their files by name.
 
 find_scenario("fig12")                     # .../telenano/settings/scenarios/fig12.yaml
 site_file_named(Path("two_sites"))         # .../telenano/settings/sites/two_sites.yaml
@@ -17,7 +17,7 @@ NETWORK_DIRECTORY = _FOLDER / "networks"
 SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
 TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
-# a session of Fig. 12, for who wants to see one before anything runs
+# A recorded session of Fig. 12, to look at before anything runs.
 DEMO_RECORDING = _FOLDER / "demo.mcap"
 
 
@@ -52,7 +52,7 @@ def find_scenario(name: str | os.PathLike[str]) -> Path:
             f"{name}: is the {'folder' if is_session else 'name'} of a recording, not of a scenario: `telenano view`"
             " shows it, `telenano report` makes its figure, `telenano replay` sends it into a rig"
         )
-    # A name is not a file only because it ends as one.
+    # A suffix alone does not make the name that of a file.
     if path.suffix in (".yaml", ".yml") and "/" not in name and not os.path.exists(path):  # noqa: PTH110
         names = known_scenarios()
         if meant := f"; did you mean {path.stem}?" if path.stem in names else probably_meant(path.stem, names):

@@ -1,4 +1,4 @@
-"""The packages that this project keeps beside its core: the one table that suggests them where they are missing."""
+"""Packages of this project beside its core: the one table by which messages suggest a package that is missing."""
 
 from telenano.wire.extras import OWN_PACKAGES as OWN_PACKAGES
 
@@ -93,23 +93,23 @@ KNOWN_PACKAGES = {
 }
 # Drivers of these packages that are simulated, for recordings where the package is not installed.
 SIMULATED_DRIVERS = ("simulated_impedance",)
-# what `link.transport: auto` of a site file takes where it is installed
+# The transport that `link.transport: auto` of a site file selects where it is installed.
 KNOWN_TRANSPORT = "datagram"
-# the laws of this table that close no loop through the instrument, of which a slow one needs one
+# Laws of this table that close no loop through the instrument; a slow instrument needs one of them.
 KNOWN_MODEL_LAWS = ("model_mediated", "bounded_model")
 
 
 def known_of(kind: str) -> dict[str, str]:
-    """Return the packages of a kind of things, such as `driver` or `law`, by the names of the things."""
+    """Return the packages of the entries of a kind, such as `driver` or `law`, by the names of the entries."""
     rows = ((words.partition(" "), package) for words, package in KNOWN_PACKAGES.items())
     return {name: package for (first, _, name), package in rows if first == kind}
 
 
 def where_it_is(words: str) -> str:
-    """Return which package of this project has a thing and how it is installed; empty where none has.
+    """Return a sentence with the package of this project that has an entry and how to install it; empty where none has.
 
     Args:
-        words: The kind of the thing and its name as in `KNOWN_PACKAGES`, such as `command scan`, `driver nanonis` or
+        words: The kind of the entry and its name as in `KNOWN_PACKAGES`, such as `command scan`, `driver nanonis` or
             `law smith`.
     """
     from telenano.wire.extras import how_to_add_package

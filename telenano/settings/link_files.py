@@ -1,4 +1,4 @@
-"""What the files hold that the settings of the link name: traces, delivery opportunities, tables of jitter."""
+"""Read the files that the settings of the link name: traces, delivery opportunities, tables of jitter."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from telenano.wire.errors import ConfigError
 
 
 class Files(NamedTuple):
-    """What the files of one block of settings hold."""
+    """The contents of the files of one block of settings; None or empty where the block names no file."""
 
     course: DelayCourse | None
     delivery_ns: tuple[int, ...] | None
@@ -26,7 +26,7 @@ class Files(NamedTuple):
 
 
 def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:
-    """Read the files that the settings of a direction name, by topic pattern (empty: its own).
+    """Read the files that the settings of a direction name, by topic pattern; '' is the pattern of its own block.
 
     Raises:
         ConfigError: A file cannot be used; the message names the key, which begins with `prefix`, the file and the

@@ -18,23 +18,23 @@ from telenano.wire.messages import MAX_KEYS
 from telenano.wire.patterns import fault_of_pattern, matches
 
 Setting = float | int | str | bool
-# a dotted key, and what is wrong with its value
+# A dotted key, and the fault of its value.
 Problem = tuple[str, str]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 # A correlation of 1 would freeze the first draw for ever.
 Correlation = Annotated[float, Field(ge=0.0, lt=1.0)]
 LONGEST_S = 3600.0
 Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
-# Below a microsecond a time-driven model would have to be walked through thousands of steps per message.
+# Below a microsecond, a time-driven model would need thousands of steps per message.
 Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
-# An integer that goes into link/status.
+# The largest integer that link/status can carry.
 _MOST = 2**63 - 1
-# link/status has room for so much in each direction: keys that are set, and the bytes of these and of texts.
+# The room in link/status for each direction [bytes]: the keys that are set and their values, as text.
 _MOST_BYTES = MAX_MESSAGE_BYTES // 4
 
-# the name of a network that does nothing but delay every message alike
+# The name of a network that delays every message by the same time and does nothing else.
 CONSTANT_DELAY = "constant delay"
-EVEN = ("clean", CONSTANT_DELAY)  # the networks that bring every message after the same time
+EVEN = ("clean", CONSTANT_DELAY)  # the networks over which every message takes the same time
 
 
 def _pairs(value: object) -> object:
@@ -53,9 +53,9 @@ def _pairs(value: object) -> object:
 class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
 
-    # What lasts in time is drawn this number of times in its correlation time.
+    # Jitter that is correlated over time is drawn this number of times per correlation time.
     DRAWS_IN_CORRELATION_TIME: ClassVar[int] = 8
-    # A pause of more draws than these is jumped over.
+    # A pause of more draws than this is skipped, not walked through.
     LONGEST_WALK: ClassVar[int] = 10_000
 
     scale_s: Seconds = Field(
@@ -270,7 +270,7 @@ class Impairment(Settings):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what contradicts itself between keys."""
+        """Yield each contradiction between keys, with the key at fault."""
         yield from self._shape_problems()
         yield from self._chain_problems()
         yield from _outage_problems(self.outage)
@@ -371,7 +371,7 @@ class DirectionSettings(Impairment):
                     yield ("topics", pattern, *problem[0].split(".")), problem[1]
 
     def pattern_of(self, topic: str) -> str:
-        """Return the key in `topics` that rules this topic, or the empty string for the direction's own settings."""
+        """Return the key in `topics` that applies to a topic, or the empty string for the direction's own settings."""
         if topic in self.topics:
             return topic
         return next((pattern for pattern in self.topics if matches(topic, pattern)), "")
@@ -380,7 +380,7 @@ class DirectionSettings(Impairment):
         return any(matches(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:
-        """Return the complete settings of one key in `topics` (empty: of the direction)."""
+        """Return the complete settings for one key in `topics`; '' returns those of the direction."""
         own = self.model_dump(exclude={"topics", "reliable"}, exclude_unset=True)
         if pattern:
             own = merge(own, self.topics[pattern].model_dump(exclude_unset=True))
@@ -457,10 +457,10 @@ class LinkSettings(Settings):
 
     @property
     def network_name(self) -> str:
-        """Return the name of the network in force: that of the profile, or what given keys made of it.
+        """The name of the network in force: that of the profile, or one that says that keys differ from the profile.
 
-        `clean` with a constant delay and nothing else is `constant delay`, with other keys `custom`; of another profile
-        the name says that it is changed, as in `lte, changed`. The seed changes no network.
+        `clean` with a constant delay and nothing else is `constant delay`, with other keys `custom`. Another profile
+        with changed keys has a name such as `lte, changed`. The seed does not count as a change.
         """
         named = LinkSettings(profile=self.profile, seed=self.seed).flattened()
         differing = {key for key, value in self.flattened().items() if named.get(key) != value}
@@ -473,22 +473,20 @@ class LinkSettings(Settings):
         """Validate a nested mapping, such as the section `delay_node` of a scenario.
 
         Raises:
-            ConfigError: Keys are wrong; the message has a line for each, with origin, dotted key, what is wrong, and
-            the
-                value given.
+            ConfigError: Keys are wrong; the message has a line for each, with origin, dotted key, fault and value.
         """
         return validate(cls, tree, origin)
 
 
 def profile_changes(settings: LinkSettings) -> dict[str, tuple[Setting, Setting]]:
-    """Return what given keys replace in the profile: dotted key -> value of the profile, value in force."""
+    """Return the values of the profile that the settings replace: dotted key -> (value of the profile, value now)."""
     of_profile = {key: _as_setting(value) for key, value in flatten(PROFILES[settings.profile].settings).items()}
     in_force = settings.flattened()
     return {key: (value, in_force[key]) for key, value in of_profile.items() if in_force[key] != value}
 
 
 def changes_text(settings: LinkSettings) -> str:
-    """Return in words what given keys replace in the profile, empty where they replace nothing."""
+    """Return a sentence on the values of the profile that the settings replace; empty where they replace none."""
     changed_keys = [f"{key} is {actual}, not {named}" for key, (named, actual) in profile_changes(settings).items()]
     return f"the profile {settings.profile} is changed: {', '.join(changed_keys)}" if changed_keys else ""
 

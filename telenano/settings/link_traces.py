@@ -1,7 +1,7 @@
-"""Files that drive the link: delay over time, delivery opportunities, jitter samples.
+"""Parse the files that drive the link: delay and loss over time, delivery opportunities, jitter samples.
 
-Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line, and shows
-nothing of what is there: a client that may set the link could otherwise read any file that the node can.
+The files are text with one record a line; `#` begins a comment, empty lines are skipped. Every error names file and
+line but quotes no content: a client that may set the link could otherwise read any file that the node can read.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,11 +14,11 @@ from telenano.wire.errors import ConfigError
 T = TypeVar("T")
 
 LARGEST_FILE_BYTES = 32_000_000
-# The bound of a delay.
+# The longest delay in a trace [s].
 _LONGEST_DELAY_S = 3600.0
-# The bound of a sample of a jitter, in its own unit.
+# The largest sample of a jitter table, in its own unit.
 _LARGEST_SAMPLE = 1e6
-# The bound of a time of a trace.
+# The latest time in a trace [s].
 _LONGEST_TRACE_S = 1e9
 
 
@@ -30,7 +30,7 @@ class DelayCourse(NamedTuple):
 
 
 class LossCourse(NamedTuple):
-    """Whether what arrives is lost, over time: strictly increasing times_ns from the origin, each until the next."""
+    """Loss over time: whether messages are lost from each of times_ns to the next; increasing, from the origin."""
 
     times_ns: tuple[int, ...]
     lost: tuple[bool, ...]
@@ -48,7 +48,7 @@ def read_text(path: Path) -> str:
         if not path.is_file():
             raise ConfigError(f"{path}: is not a file")
         size = path.stat().st_size
-        # A file that the kernel makes up while it is read has no size, and may have no end.
+        # A file that the kernel generates while it is read has no size, and may have no end.
         if size == 0:
             raise ConfigError(f"{path}: is empty")
         if size > LARGEST_FILE_BYTES:
@@ -66,7 +66,7 @@ def read_text(path: Path) -> str:
 def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> DelayCourse:
     """Return the course of a delay trace: lines `time_s delay_s`, times from 0 on, strictly increasing.
 
-    A number of messages in the place of the time counts a second for each.
+    With by_number the first column is the number of messages instead of the time; each counts as a second.
 
     Raises:
         ConfigError: A line is wrong; the message names file and line.
@@ -83,7 +83,7 @@ def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> Delay
 def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCourse:
     """Return the course of a loss trace: lines `time_s lost`, times from 0 on, strictly increasing, lost 0 or 1.
 
-    A number of messages in the place of the time counts a second for each.
+    With by_number the first column is the number of messages instead of the time; each counts as a second.
 
     Raises:
         ConfigError: A line is wrong; the message names file and line.
@@ -139,7 +139,7 @@ def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
 def _rows(
     text: str, name: str, value_of: Callable[[Sequence[str], str], T], *, by_number: bool
 ) -> Iterator[tuple[int, int, T]]:
-    """Yield line, time [ns] and value of each record of two words; value_of takes the words after the first."""
+    """Yield line number, time [ns] and value of each record; value_of converts the words after the first."""
     for number, words in _lines(text):
         place = f"{name}, line {number}"
         value = value_of(words[1:], place)

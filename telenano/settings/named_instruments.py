@@ -1,11 +1,11 @@
-"""Named instruments: keys of a scenario that say what disturbs an AFM, each with its source.
+"""Named instruments: the disturbances of an AFM as keys of a scenario, each with its source.
 
     scenario: fig12             telenano up fig12 --instrument real
     instrument: real            telenano.simulate("fig12", instrument="real")
 
-An instrument is a file of `telenano/settings/instruments`, and its name is that of the file. The keys of a scenario
-that names it, and those of `--set`, stand over its own, as the keys of a link stand over those of its profile. The
-environment variable TELENANO_INSTRUMENTS names a folder of further ones.
+An instrument is a file of `telenano/settings/instruments` and is named after it. Keys of the scenario and of `--set`
+override the keys of its instrument, as keys of a link override those of its profile. The environment variable
+TELENANO_INSTRUMENTS names a folder with further instruments.
 """
 
 import os
@@ -22,7 +22,7 @@ from telenano.wire.errors import ConfigError, known_names
 
 IDEAL = "ideal"
 _FOLDER = Path(__file__).resolve().parent / "instruments"
-# What an instrument may set, so that it cannot change what is measured with it.
+# An instrument may set these sections only, so that it cannot change what is measured with it.
 _SECTIONS = ("afm_node.disturbances.", "haptic_node.disturbances.")
 
 
@@ -70,17 +70,17 @@ def instrument_named(name: str) -> Instrument:
 
 
 def on_instrument(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scenario over the keys of the instrument that it names; doing so again changes nothing.
+    """Return a scenario merged over the keys of the instrument that it names; merging again changes nothing.
 
     Raises:
         ConfigError: There is no such instrument, or its file is wrong.
     """
     name = document.get("instrument", IDEAL)
-    # What is no text is refused with the rest of the scenario.
+    # A name that is not text is refused when the whole scenario is validated.
     return merge(instrument_named(name).scenario, document) if isinstance(name, str) else dict(document)
 
 
 def _files() -> dict[str, Path]:
-    """Return the files by name, those of the project first."""
+    """Return the files by name; a file of the project overrides one of the same name in the environment's folder."""
     folders = [Path(folder) for folder in (os.environ.get("TELENANO_INSTRUMENTS"), _FOLDER) if folder]
     return {path.stem: path for folder in folders for path in listed(folder, ".yaml")}

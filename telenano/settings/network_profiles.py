@@ -1,10 +1,10 @@
-"""Named networks: partial settings of the link, each with its source and the statistics that it is held to.
+"""Named networks: partial settings of the link, each with its source and the statistics that a test checks.
 
-A network is a file of `telenano/settings/networks`, and its name is that of the file. What is in one is `Profile`:
-`source` says which figures were published where, `assumed` what the source leaves open, and `statistics` what the
-messages of a direction have, which `tests/unit/link/test_network_presets.py` measures. The environment variable
-TELENANO_NETWORKS names a folder of further ones, such as what `telenano link fit` writes. Forward is the operator's
-uplink: the operator sits at the end of an access line, the instrument near the core of the network.
+A network is a file of `telenano/settings/networks` and is named after it. Its content is a `Profile`: `source` says
+which figures were published where, `assumed` what the source leaves open, and `statistics` the delays and losses of
+each direction, which `tests/unit/link/test_network_presets.py` measures. The environment variable TELENANO_NETWORKS
+names a folder with further networks, such as those that `telenano link fit` writes. Forward is the operator's uplink:
+the operator sits at the end of an access line, the instrument near the core of the network.
 """
 
 import os
@@ -62,7 +62,7 @@ class Profile(Settings):
 
 
 class _Profiles(Mapping[str, Profile]):
-    """The files of the folder by name; one is read when it is asked for."""
+    """The profiles in the folders by name; each file is read when it is first asked for."""
 
     def __getitem__(self, name: str) -> Profile:
         if name not in self:
@@ -86,7 +86,7 @@ def _names() -> tuple[str, ...]:
 
 
 def _folders() -> list[Path]:
-    """Return the folder of the package, whose names come first, and that of the environment."""
+    """Return the folder of the package, which takes precedence, and that of the environment."""
     return [Path(folder) for folder in (NETWORK_DIRECTORY, os.environ.get("TELENANO_NETWORKS")) if folder]
 
 
@@ -107,7 +107,7 @@ def profile_named(name: str) -> Profile:
 
 
 def refusal_of(name: str) -> str:
-    """Return why a name is that of no profile; of a file, how a network is made of it, or how its folder is named."""
+    """Return why a name is no profile; for a file, how to make a network of it or how to name its folder."""
     path = Path(name)
     if not path.exists():
         return f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}"

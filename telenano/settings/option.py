@@ -1,4 +1,4 @@
-"""How a field of a settings model is asked for on a command line, where its name, type and unit do not say it."""
+"""The form of a settings field as a command-line option, where its name, type and unit do not determine it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ class Option:
 
     Attributes:
         flags: Names of the option, the first of which is used in messages.
-        metavar: What represents its value in the help.
-        read: What makes the value of the text that was given. Raises ConfigError naming the option.
-        many: Whether the option may be repeated; `read` is given all texts then.
+        metavar: The placeholder of its value in the help.
+        read: Converts the text of the command line to the value; raises ConfigError naming the option.
+        many: Whether the option may be repeated; `read` then receives all texts.
         written: The default as a person would write it.
     """
 

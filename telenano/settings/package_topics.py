@@ -1,10 +1,10 @@
-"""The topics of installed packages: each is an entry point of `telenano.topics`, its name that of the topic with `_`.
+"""The topics of installed packages: entry points of `telenano.topics`, named like the topic with `_` instead of `/`.
 
     [project.entry-points."telenano.topics"]
     wind_speed = "my_package.messages:WIND_SPEED"
 
-The entry is a `Topic`, as the rows of the core are. Its package is imported in a process that a command, a recording or
-a message names the topic to, and in no other.
+The entry is a `Topic`, like the rows of the core. A process imports the package only if a command, a recording or a
+message names the topic to it.
 """
 
 from functools import cache
@@ -12,7 +12,7 @@ from typing import Any
 
 from telenano.wire.topics import NAME, TOPICS, Topic, find_with, register_topic
 
-# Import it from here, so that it finds the topics of packages too.
+# Import `row_of` from here, so that it finds the topics of packages too.
 from telenano.wire.topics import row_of as row_of
 
 
@@ -29,7 +29,7 @@ def topics_by_name() -> list[str]:
 
 
 def problem_with(name: str) -> str:
-    """Return in a sentence why the topic of an installed package cannot be used; empty for any other."""
+    """Return a sentence on why the topic of an installed package cannot be used; empty for any other name."""
     return _loaded(name)[1] if name in installed_topics() else ""
 
 

@@ -1,15 +1,15 @@
-"""What installed packages add: laws, devices, samples, programs, commands and more, by entry points.
+"""Extensions in installed packages: laws, devices, samples, programs, commands and more, found by entry points.
 
-A package names them in its `pyproject.toml`, and is found as soon as pip has installed it:
+A package names them in its `pyproject.toml`, and they are found as soon as pip has installed it:
 
     [project.entry-points."telenano.laws"]
     my_law = "my_package.law:MY_LAW"
 
-One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
-whoever asks for it. With `TELENANO_WITHOUT_PACKAGES` set there is none. An installed package is code that runs as who
-started the program: one that ends the process or never returns when it is imported does so. An entry is identified by
-its kind, its name and a digest of the files that it is made of, so that an edit of one driver leaves the others what
-they were; which distribution it came in, and in which version, is recorded as information.
+An entry that cannot be used is left out of the table and does no further harm: whoever asks for it gets a report of its
+problem. With `TELENANO_WITHOUT_PACKAGES` set, no entry is found. An installed package is code with the rights of the
+user who started the program, so an import that kills the process or never returns cannot be prevented. An entry is
+identified by its kind, its name and a digest of the files that it is made of, so that an edit of one driver does not
+change the identity of the others; its distribution and version are recorded as information.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, overload
 from telenano.signals import interrupts
 from telenano.wire.errors import PackageError, TelenanoError, described
 
-# What scenarios and experiments name, and so what a run depends on.
+# The kinds that scenarios and experiments can name, on which a run therefore depends.
 SCENARIO_KINDS = (
     *("laws", "devices", "hand_sections", "operators", "samples", "layers", "maps"),
     *("programs", "tasks", "scenarios"),
@@ -52,7 +52,7 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")
 
-# The problems of what this process has loaded so far, by kind and name.
+# The problems of the entries that this process has loaded so far, by kind and name.
 _problems: dict[tuple[str, str], str] = {}
 
 
@@ -68,17 +68,17 @@ class Plugin(NamedTuple):
 
     @property
     def digest(self) -> str:
-        """Return the digest of its own folder and of what that imports of the same package."""
+        """The digest of the entry's own folder and of the other parts of its package that it mentions."""
         digests = [_digest(part) for part in _parts(self.target)]
         return digests[0] if len(digests) == 1 else "sha256:" + _sha256("\n".join(digests).encode())
 
     def facts(self) -> dict[str, str]:
-        """Return what a recording keeps of it."""
+        """Return the package, its version and the digest, as a recording keeps them."""
         return {"package": self.package, "version": self.version, "digest": self.digest}
 
 
 class LoadedEntries(NamedTuple, Generic[T]):
-    """The entries of a kind that can be used, by name, and for the others what is wrong with them."""
+    """The usable entries of a kind by name, and the problem of each of the others."""
 
     found: dict[str, T]
     problems: dict[str, str]
@@ -87,14 +87,14 @@ class LoadedEntries(NamedTuple, Generic[T]):
 def installed(kind: str) -> dict[str, Plugin]:
     """Return the entries of a kind by name, without importing them.
 
-    A name is that of a key in a scenario; one that two packages use belongs to neither.
+    Scenarios use the name as a key; an entry whose name two packages use is refused.
     """
     return _installed()[kind]
 
 
 @cache
 def _installed() -> dict[str, dict[str, Plugin]]:
-    # Both are read once, since their files are dear: the entries of all that is installed, and who each package is.
+    # Entry points and the metadata of packages are read once, because reading their files is slow.
     entries = EntryPoints() if os.environ.get("TELENANO_WITHOUT_PACKAGES") else entry_points()
     packages, own = dict[int, tuple[str, str, str]](), version("telenano")
     plugins_of: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
@@ -102,7 +102,7 @@ def _installed() -> dict[str, dict[str, Plugin]]:
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
             dist = entry.dist
             if dist and id(dist) not in packages:
-                read = dist.metadata  # parsed again at every look
+                read = dist.metadata  # parsed again at each access
                 other = _other_version(read.get_all("Requires-Dist") or (), own)
                 packages[id(dist)] = read["Name"], read["Version"], other
             package, its_version, problem = packages.get(id(dist), ("unknown", "unknown", ""))
@@ -118,9 +118,10 @@ def _installed() -> dict[str, dict[str, Plugin]]:
 
 
 def _other_version(required: Iterable[str], own: str) -> str:
-    """Return that what a package requires is another version of telenano than this one; empty if not."""
+    """Return a sentence if a package requires another version of telenano than this one; empty if not."""
     for text in required:
-        # What `telenano new` writes is read without the library, whose import takes longer than all the other work.
+        # The form that `telenano new` writes is read without the library, whose import takes longer than all the other
+        # work.
         usual = re.fullmatch(r"telenano(?:\[.*\])?==([\d.]+\.)\*", text)
         if re.match(r"telenano[^-\w.]", text) and not (usual and own.startswith(usual[1])):
             from packaging.requirements import Requirement
@@ -155,10 +156,10 @@ def load(
 
     Args:
         kind: The kind of entries.
-        check: Returns what is used of an entry, None if it is for something else, and raises TypeError or ValueError
-            that says what is wrong with it; without it every entry must be a function.
+        check: Returns the part of an entry to use, or None to leave the entry out; raises TypeError or ValueError with
+            the fault of the entry. The default accepts functions only.
         taken: The names that the project uses itself.
-        only: The name of the one entry that is wanted; None for all of them.
+        only: The name of the one entry to import; None for all of them.
     """
     loaded = LoadedEntries[Any]({}, {})
     for name, row in installed(kind).items():
@@ -190,13 +191,13 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], loaded: dict[str,
 
 
 class _Shield:
-    """A text stream that others may close: it stays open."""
+    """A text stream whose `close` does nothing."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
 
     def close(self) -> None:
-        """Close nothing: what a command prints afterwards is not the package's to end."""
+        """Do nothing, so that a package cannot end the output of the command."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -204,13 +205,13 @@ class _Shield:
 
 @contextlib.contextmanager
 def shielded() -> Iterator[None]:
-    """Run code of a package whose output is none of what a command prints.
+    """Run code of a package, and keep its output apart from that of the command.
 
-    What it prints goes to standard error, and both streams are as they were afterwards, whatever it closes or replaces.
+    Its output goes to standard error, and both streams are restored afterwards, whatever it closes or replaces.
     """
     copies = {}
     for number in (1, 2):
-        # A process may have been started without it.
+        # The process may have been started without this descriptor.
         with contextlib.suppress(OSError):
             copies[number] = os.dup(number)
     stream: Any = None if sys.stderr is None else _Shield(sys.stderr)
@@ -228,14 +229,14 @@ def shielded() -> Iterator[None]:
 
 @contextlib.contextmanager
 def code_of(package: str, *passed: type[BaseException]) -> Iterator[None]:
-    """Call code of an installed package; whatever that raises is a sentence with its name.
+    """Call code of an installed package, and turn its exceptions into a sentence with the name of the package.
 
     Args:
         package: The name of the package.
-        passed: What it may raise as it is, besides a TelenanoError.
+        passed: Exceptions that pass unchanged, as a TelenanoError does.
 
     Raises:
-        PackageError: It has raised something else, or would end the program.
+        PackageError: The code has raised another exception, or would end the program.
     """
     with shielded():
         try:
@@ -249,19 +250,19 @@ def code_of(package: str, *passed: type[BaseException]) -> Iterator[None]:
 
 
 def _is_of_person(error: BaseException) -> bool:
-    """Return whether an error is a signal at this process, and none that a package has raised itself."""
+    """Return whether an exception is a signal to this process, not raised by the package itself."""
     if isinstance(error, interrupts.Interrupted | interrupts.Ended):
         return True
     return isinstance(error, KeyboardInterrupt) and not interrupts.is_handled()
 
 
 def fault_of_import(error: BaseException) -> str:
-    """Return in words what the import of a package raised; raise a signal at a command, which is not one of it."""
+    """Describe the exception that the import of a package raised; a signal to the command is raised again."""
     if isinstance(error, SystemExit):
         return f"its import ends the whole program ({described(error)})"
     if not isinstance(error, KeyboardInterrupt):
         return described(error)
-    # A signal at a command has a class of its own; this one the package may have raised itself.
+    # A signal to the command has a class of its own; a plain KeyboardInterrupt may be the package's.
     if type(error) is not KeyboardInterrupt:
         raise error
     return "its import raises KeyboardInterrupt"
@@ -278,24 +279,24 @@ def in_scenarios() -> list[Plugin]:
 
 
 def in_lockstep() -> list[Plugin]:
-    """Return those that a session without a rig can run: what is computed there depends on no real device."""
+    """Return the entries that a session without a rig can run: its results depend on no real device."""
     return [row for row in in_scenarios() if row.kind != "devices"]
 
 
 def with_steps() -> list[Plugin]:
-    """Return those whose compiled steps no scenario can name: what is computed with them depends on them alone."""
+    """Return the entries with compiled steps that no scenario names; results computed with these depend on them."""
     return list(installed("steps").values())
 
 
 def modules(rows: Iterable[Plugin]) -> tuple[str, ...]:
-    """Return what entries are made of, as the beginnings of module names."""
+    """Return the parts of the entries as prefixes of module names, each with a dot at its end."""
     return tuple(sorted({part + "." for row in rows for part in _parts(row.target)}))
 
 
 def fault_of_package(error: BaseException) -> str:
-    """Return in a sentence which package an error came from, empty where none had a part in it.
+    """Return a sentence that names the package in which an error arose; empty where no package took part.
 
-    Of several it is the one whose code was called last.
+    Of several packages it names the one whose code was called last.
     """
     owners = {_top_level(row.target): row for row in all_installed()}
     fault = ""
@@ -308,13 +309,13 @@ def fault_of_package(error: BaseException) -> str:
 
 
 def digest_of_all(rows: Iterable[Plugin]) -> str:
-    """Return a digest of the files of the packages of entries; empty without any."""
+    """Return one digest of all entries and their files; empty without entries."""
     digests = [f"{row.kind}.{row.name} {row.digest}" for row in rows]
     return _sha256("\n".join(digests).encode()) if digests else ""
 
 
 def package_files(rows: Iterable[Plugin]) -> list[Path]:
-    """Return the files of the packages of entries."""
+    """Return the files of which the entries are made."""
     return [path for name in modules(rows) for _, path in _files(name.removesuffix("."))]
 
 
@@ -328,15 +329,15 @@ def _digest(part: str) -> str:
 def _parts(target: str) -> tuple[str, ...]:
     """Return the parts of a package that an entry is made of, as names of modules.
 
-    A part is a folder or a module directly in the package. An entry is made of the part in which it is defined and of
-    all that it mentions, strings included, because wires and steps are named by strings. Of an entry that is defined in
-    a module directly in the package the whole package is one part.
+    A part is a folder or a module directly in the package. An entry is made of the part that defines it and of all
+    parts that this one mentions, also in strings, because wires and steps are named by strings. For an entry that is
+    defined in a module directly in the package, the whole package is one part.
     """
     top, *inner = target.partition(":")[0].strip().split(".")
     roots = _roots(top)
     if not inner or not any((root / inner[0]).is_dir() for root in roots):
         return (top,)
-    # What the package runs whenever something of it is imported counts for each.
+    # The package runs `__init__` whenever something of it is imported, so it counts for each entry.
     found, waiting = set[str](), {inner[0], "__init__"}
     while waiting := {name for name in waiting - found if any(_place(root, name) for root in roots)}:
         found |= waiting
@@ -345,7 +346,7 @@ def _parts(target: str) -> tuple[str, ...]:
 
 
 def _sha256(content: bytes) -> str:
-    # The list of commands has no time for this import.
+    # Imported here, because it would slow down the list of commands.
     from hashlib import sha256
 
     return sha256(content).hexdigest()
@@ -357,7 +358,7 @@ def _top_level(target: str) -> str:
 
 @cache
 def _mentioned(top: str, part: str) -> frozenset[str]:
-    """Return what the modules of a part may name of their package: behind its name and a dot, or imported from it."""
+    """Return the names that the modules of a part may use from their package: after its name and a dot, or imported."""
     named = re.compile(rf"\b{re.escape(top)}\.(\w+)")
     imported = re.compile(rf"^\s*from {re.escape(top)} import \(?([\w, \n]+)", re.MULTILINE)
     texts = [path.read_text("utf-8", "replace") for name, path in _files(f"{top}.{part}") if name.endswith(".py")]
@@ -367,7 +368,7 @@ def _mentioned(top: str, part: str) -> frozenset[str]:
 
 @cache
 def _roots(top_level: str) -> tuple[Path, ...]:
-    """Return the folders of a package; none of a module or of what is not installed."""
+    """Return the folders of a package; none for a single module or for a package that is not installed."""
     spec = importlib.util.find_spec(top_level)
     return tuple(Path(location) for location in (spec and spec.submodule_search_locations) or ())
 

@@ -1,4 +1,4 @@
-"""Settings of programs of the instrument: what they share, and those of the programs of this project."""
+"""Settings of the programs of the instrument: their common base, and those of the programs of this project."""
 
 from typing import Annotated, Literal
 
@@ -40,7 +40,7 @@ class ScanSettings(ProgramSettings):
 
     @property
     def free_amplitude_m(self) -> float:
-        """Return the amplitude without a sample [m]; 0 in contact mode."""
+        """The amplitude without a sample [m]; 0 in contact mode."""
         return self.amplitude_m if self.mode == "tapping" else 0.0
 
 

@@ -84,21 +84,21 @@ class Scenario(Settings):
         return {**self.controller, "period_s": self.controller.get("period_s", self.period_s)}
 
     def realtime_in_force(self) -> RealtimeConfig:
-        """Return what nodes ask of the machine, with the processors that `auto` means.
+        """Return the real-time settings that the nodes ask for, with the processors that `auto` means.
 
-        The dynamic cantilever takes a seventh of the slave's processor. With link, controller and instrument on it the
-        loop was half a millisecond older, which it is not with the link on the other one.
+        The dynamic cantilever takes a seventh of the slave's processor. With link, controller and instrument on that
+        processor the loop was half a millisecond slower; with the link on the other processor it was not.
         """
         busy = self.afm_node.get("model") == "dynamic" and self.realtime.cpus == "auto"
         return self.realtime.model_copy(update={"cpus": "link_at_master"}) if busy else self.realtime
 
 
 def _is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value that its own section has not checked yet is a period."""
+    """Return whether a value that its section has not validated yet can be a period: a finite number above 0."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0.0
 
 
-# A scenario may name what a package brings at these places; each place has a kind of plug-in
+# The keys by which a scenario may name an entry of a package, each with the kind of the entry
 # (`telenano.settings.plugins`).
 _NAMED = (
     ("laws", ("controller", "law")),
@@ -115,7 +115,7 @@ _LAYERS = ("afm_node", "sample")
 def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return kind and name of each law, device, operator, sample, layer, map and program that a scenario names."""
     named = ((kind, _at(document, path)) for kind, path in _NAMED)
-    # A map is named by its file, and the package by the end of its name.
+    # A scenario names the file of a map; the entry is named after the file's suffix.
     found = [
         (kind, Path(value).suffix.lower().removeprefix(".") if kind == "maps" else value)
         for kind, value in named
@@ -148,13 +148,13 @@ class LoadedScenario:
 
     @classmethod
     def of(cls, document: Mapping[str, Any], origin: str, *, is_whole: bool = False) -> "LoadedScenario":
-        """Return a document that was read already as a scenario, over the keys of its instrument.
+        """Validate a document that was read already as a scenario, merged over the keys of its instrument.
 
         Args:
             document: The scenario.
-            origin: What an error names.
-            is_whole: Whether the keys of its instrument are in it, as in a recording, whatever is known by its name
-                here.
+            origin: The source that an error names.
+            is_whole: Whether the document already has the keys of its instrument, as in a recording; the instrument of
+                the same name on this machine is then ignored.
 
         Raises:
             ConfigError: A key is wrong; the message names `origin` and the key.
@@ -168,7 +168,7 @@ class LoadedScenario:
 
         Args:
             path: The recording, which an error names.
-            attachments: What is attached to it, by the names of the files.
+            attachments: The attachments of the recording by file name.
 
         Raises:
             RecordingError: No scenario is attached.

@@ -1,4 +1,4 @@
-"""The commands of this package, which telenano lists without importing what they need."""
+"""The commands of this package; telenano lists them without importing their modules."""
 
 COMMANDS = {
     "bag fetch": (

@@ -1,4 +1,4 @@
-"""The recording of the other site: fetched piece by piece after a session, and merged with the own one (ADR 0075)."""
+"""Fetch the recording of the other site piece by piece after a session, and merge it with this site's (ADR 0075)."""
 
 import hashlib
 import shutil
@@ -18,27 +18,27 @@ from telenano_wide_area.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RAT
 from telenano_wide_area.relay.site_end import at_relay
 
 SENDER = "launcher@slave"
-# The files that the other site recorded are put in this folder of the folder of a session.
+# The folder within that of a session for the files of the other site.
 FOLDER_NAME = "far"
-# Beside a running rig no more than this is fetched, a fifth of what the loop takes [kbit/s].
+# The rate of a fetch beside a running rig: a fifth of the rate of the loop [kbit/s].
 BESIDE_KBIT_PER_S = 1000.0
 _WINDOW_BYTES = 1 << 20
 _POLL_MS = 50
-# The other end is asked again after a silence of this length.
+# The other end is asked again after a silence of this length [ns].
 _ASK_AGAIN_NS = 2_000_000_000
-# The fetch is given up after a silence of this length.
+# The fetch is given up after a silence of this length [ns].
 PATIENCE_NS = 15_000_000_000
-# This much of a disk stays free.
+# This part of a disk stays free [bytes].
 _SPARE_BYTES = 64 << 20
 
 Progress = Callable[[str, int, int], None]
 
 
 class PartialFile:
-    """A file that is being fetched: what it has is right, and what comes is checked before it is added."""
+    """A file that is being fetched: its content so far is correct, and a piece is checked before it is added."""
 
     def __init__(self, folder: Path, name: str) -> None:
-        """Continue with what an earlier attempt left; OSError where the folder cannot be written."""
+        """Continue the file that an earlier attempt left, if any; OSError if the folder cannot be written."""
         self.name = name
         self.target = folder / name
         self._part = folder / f"{name}.part"
@@ -49,14 +49,14 @@ class PartialFile:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all that the file had when it was asked for first is here."""
+        """Whether all bytes that the file had at the first request are here."""
         return self.size is not None and self.offset >= self.size
 
     def add(self, piece: RecordingPiece) -> bool:
         """Add a piece; return whether it is the next one.
 
         Raises:
-            RecordingError: The other site sends what it was not asked for, or what contradicts itself.
+            RecordingError: The other site sends a piece that was not requested, or that contradicts itself.
         """
         data = piece.data.to_numpy().tobytes()
         who = f"{piece.src} sends {piece.file!r}"
@@ -78,7 +78,7 @@ class PartialFile:
         return True
 
     def finish(self) -> None:
-        """Give the file its name; RecordingError where what was fetched is no recording."""
+        """Give the file its name; RecordingError if the fetched bytes are no recording."""
         self.close()
         try:
             Recording(self._part)
@@ -88,7 +88,7 @@ class PartialFile:
         self._part.replace(self.target)
 
     def close(self) -> None:
-        """Close the file, and keep what it has."""
+        """Close the file, and keep its content."""
         self._file.close()
 
     def _begin(self, piece: RecordingPiece, who: str) -> None:
@@ -112,17 +112,17 @@ def fetch(
     kbit_per_s: float | None = None,
     progress: Progress = lambda name, done, size: None,
 ) -> list[Path]:
-    """Fetch parts of the other site's recording into a folder, and return them; what is there already stays.
+    """Fetch parts of the other site's recording into a folder, and return them; files that are there already stay.
 
     Args:
         book: The addresses of the rig.
         names: The names of the parts.
-        folder: The folder for them. A part that is not whole yet ends in `.part`, and a later call continues with it.
-        kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
-        progress: Called with the name, the bytes that are here and those of the whole file.
+        folder: The folder for them. A part that is not complete ends in `.part`, and a later call continues it.
+        kbit_per_s: The greatest rate of the fetch [kbit/s]; None for 1000 beside a running rig, else 50 000.
+        progress: Called with the name, the number of bytes that are here, and that of the whole file.
 
     Raises:
-        RecordingError: The other site contradicts itself, has no such file, or what it sent is no recording.
+        RecordingError: The other site contradicts itself, has no such file, or sent no recording.
         RigError: The other site does not answer.
         ConfigError: This machine lacks a key that the rig demands.
     """
@@ -146,7 +146,7 @@ def fetch(
 
 
 class _Asking(NamedTuple):
-    """Sockets by which the other site is asked."""
+    """The sockets by which the other site is asked."""
 
     participant: Participant
     publish: Callable[..., Any]
@@ -155,9 +155,10 @@ class _Asking(NamedTuple):
 
 @contextmanager
 def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
-    """Open the sockets, and tell whether a rig runs here: its link then carries the commands, and else this process.
+    """Open the sockets, and yield them with whether a rig runs here.
 
-    Likewise its end at the relay, if there is one, has ended with it, and this process is that end until it has asked.
+    The link of a running rig carries the commands; else this process takes the link's place. The same holds for this
+    site's end at the relay, if there is one: it has ended with the rig, so this process is that end during the fetch.
     """
     for beside in (False, True):
         opened = Participant.at_console(book, "master") if beside else Participant.open(f"{LINK}@slave", book)
@@ -168,7 +169,7 @@ def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
                 if beside:
                     raise
                 continue
-            # At the endpoint of the link a command has the name of the console that would send it through the link.
+            # At the endpoint of the link, a command has the name of the console whose command the link would carry.
             publish = publisher.publish if beside else partial(publisher.publish, src="console@master")
             readers = participant.subscribers({SENDER: ["session/event", TOPIC]})
             with nullcontext() if beside else at_relay(book):
@@ -197,7 +198,7 @@ def _fetch_file(asking: _Asking, part: PartialFile, rate: float, progress: Progr
                 client.on_event(message)
                 if isinstance(message, RecordingPiece) and message.src == SENDER:
                     if message.file != part.name and SENDER not in client.answers:
-                        # What comes before the answer to this command belongs to the one before it.
+                        # Pieces before the answer to this command belong to the previous one.
                         continue
                     if part.add(message):
                         heard_ns = newest_ns = now
@@ -220,7 +221,7 @@ def _received(asking: _Asking) -> Iterator[Any]:
 
 
 class FetchProgress:
-    """Shows the progress of a fetch in lines, one a second."""
+    """Shows the progress of a fetch, one line a second."""
 
     def __init__(self, show: Callable[[str], None]) -> None:
         self._show = show
@@ -239,12 +240,12 @@ def fetch_and_merge(
     show: Callable[[str], None],
     names: Sequence[str] | None = None,
 ) -> Path:
-    """Fetch what the other site recorded of a session, merge it with the own recording, and return the whole.
+    """Fetch the other site's recording of a session, merge it with this site's, and return the merged recording.
 
     Args:
         book: The addresses of the rig.
         session: The folder of the session.
-        kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
+        kbit_per_s: The greatest rate of the fetch [kbit/s]; None for the rate that does no harm.
         show: Called with each line for the user.
         names: The names of the other site's parts; None for those that the folder has noted.
 

@@ -1,4 +1,4 @@
-"""`telenano bag fetch`: the recording of the slave's site, fetched later or further."""
+"""`telenano bag fetch`: fetch the recording of the slave's site after the session, or continue the fetch."""
 
 from pathlib import Path
 from typing import Annotated

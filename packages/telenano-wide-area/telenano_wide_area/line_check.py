@@ -1,48 +1,49 @@
-"""Whether the line between two sites carries a session, by what the ends of its datagrams measured at the start."""
+"""Check whether the line between two sites can carry a session, by the capacities measured at the start."""
 
 from collections.abc import Callable
 
 from telenano.wire import LinkNetwork, Message
 
-# What the loop sends each way at 1 kHz, with room for commands and reports [bit/s].
+# The rate of the loop in each direction at 1 kHz, with room for commands and reports [bit/s].
 FULL_BIT_PER_S = 2_000_000
-# A node's report of 3 kB, sent over TCP, takes 50 ms of such a line, and a sample behind it is past its deadline.
+# The least capacity for a session: a node's report of 3 kB over TCP takes 50 ms of such a line, and a sample behind it
+# misses its deadline [bit/s].
 LEAST_BIT_PER_S = 500_000
-# This long after all else is ready no more trains are waited for.
+# Trains are waited for until this time after everything else is ready [ns].
 _PATIENCE_NS = 3_000_000_000
-# A line that is narrow is looked at for this time, because what else crosses it at the start makes it seem so.
+# A narrow line is observed for this time, because other traffic at the start makes it seem narrow [ns].
 _DOUBT_NS = 10_000_000_000
-# So much of what the line carries has to be in use again.
+# A direction has recovered when its rate is this share of the capacity.
 _RECOVERED = 0.7
 _WAYS = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
 
 
 class LineCheck:
-    """The capacity of each way [bit/s], as far as it is known."""
+    """The capacity of each direction [bit/s], as far as it is known, and the check of it."""
 
     def __init__(self, monotonic_ns: Callable[[], int]) -> None:
         self._monotonic_ns = monotonic_ns
         self._capacity: dict[str, int] = {}
         self._limit: dict[str, int | None] = {}
-        # Since when all else is ready, and since when the line seems too narrow.
+        # The times since which everything else is ready, and since which the line seems too narrow.
         self._since_ns: int | None = None
         self._narrow_ns: int | None = None
-        # Without a report the link has no datagrams, and nothing is measured.
+        # Without a report the link has no datagrams and measures nothing.
         self._reported = False
 
     def record(self, message: Message) -> None:
-        """Take note of a report of the network."""
+        """Record the capacity and the limit in a report of the network; other messages are ignored."""
         if isinstance(message, LinkNetwork):
             self._reported = True
             if message.capacity_bit_per_s is not None:
                 self._capacity[message.direction] = message.capacity_bit_per_s
-            # An end reports what it receives, and how much it sends the other way.
+            # An end reports the direction that it receives, and the limit of the other direction, in which it sends.
             self._limit["backward" if message.direction == "forward" else "forward"] = (
                 None if message.line == "free" else message.limit_bit_per_s
             )
 
     def settled(self) -> bool:
-        """Return whether both ways are known, or nothing more is to be expected; begins to wait at the first call."""
+        """Return whether both directions are known, or nothing more will be; the first call begins the wait."""
         now = self._monotonic_ns()
         if self._since_ns is None:
             self._since_ns = now
@@ -55,14 +56,14 @@ class LineCheck:
         return not self._reported or is_measured or waited_ns >= _PATIENCE_NS
 
     def _recovers(self) -> bool:
-        """Return whether less is sent some way than the line carries, since the connections of the start filled it."""
+        """Return whether a direction sends less than the line carries, because the start's connections filled it."""
         return any(
             limit is not None and limit < _RECOVERED * min(self._capacity.get(way, 0), FULL_BIT_PER_S)
             for way, limit in self._limit.items()
         )
 
     def refusal(self) -> str:
-        """Return why there can be no session, with the numbers; empty where there can, or where that is in doubt."""
+        """Return why no session is possible, with the numbers; empty if one is, or while that is in doubt."""
         now, text = self._monotonic_ns(), self._refusal()
         if not text:
             self._narrow_ns = None
@@ -83,7 +84,7 @@ class LineCheck:
         )
 
     def advice(self) -> list[str]:
-        """Return what becomes of a session on a line that is narrow, in sentences."""
+        """Return sentences on how a narrow line affects a session; none if the line is wide enough."""
         narrow = self._narrower_than(FULL_BIT_PER_S)
         if not narrow:
             return []

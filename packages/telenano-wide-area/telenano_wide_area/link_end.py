@@ -1,4 +1,4 @@
-"""How a process opens its end of the link's datagrams."""
+"""Open a process's end of the link's datagrams."""
 
 import ipaddress
 import socket
@@ -13,7 +13,7 @@ from telenano_wide_area.settings import DatagramSettings
 
 
 def open_end(side: LinkSide) -> None:
-    """Open the end of a side, attached to what it sends and receives with, and a connection beside it.
+    """Open the end of a side, attach it to the side's sending and receiving, and open a second TCP connection.
 
     Raises:
         OSError: Another process has the port, or the name of the relay has no address.
@@ -40,11 +40,13 @@ def open_end(side: LinkSide) -> None:
 
 
 def place_of(endpoint: str, port: int | None, *, is_master: bool) -> Place:
-    """Return where an end binds and sends to, by the endpoint of the link, and a UDP port or else that of the endpoint.
+    """Return the addresses of an end, from the endpoint of the link and a UDP port (None: that of the endpoint).
 
-    ValueError for a name of the master that cannot be resolved here.
+    The master's end has a fixed port. The slave's end takes any port and sends first, so that it may be behind a
+    router.
 
-    The master's end has a port; the slave's takes any, so that it may stand behind a router: it is the first to send.
+    Raises:
+        ValueError: The name of the master cannot be resolved here.
     """
     host, tcp_port = split_host_port(endpoint.removeprefix("tcp://"))
     port = port or tcp_port
@@ -55,7 +57,7 @@ def place_of(endpoint: str, port: int | None, *, is_master: bool) -> Place:
 
 
 def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bool = True) -> Place:
-    """Return where an end binds that reaches the one at `machine` through a relay, given as host:port.
+    """Return the addresses of an end that reaches the one at `machine` through a relay, given as host:port.
 
     Raises:
         ConfigError: A key that is needed is not listed here.

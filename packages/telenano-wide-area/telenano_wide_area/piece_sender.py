@@ -1,4 +1,4 @@
-"""The recording of this site, sent to the other one on request, in pieces and no faster than asked for (ADR 0075)."""
+"""Send the recording of this site to the other one on request, in pieces and at the requested rate (ADR 0075)."""
 
 import contextlib
 import hashlib
@@ -17,21 +17,21 @@ FILE = "recording.file"
 OFFSET = "recording.offset"
 BYTES = "recording.bytes"
 RATE = "recording.kbit_per_s"
-# A message carries this number of bytes of a file at most.
+# The most bytes of a file in a message.
 PIECE_BYTES = 1 << 16
-# A file is recognized by the digest of this number of its first bytes.
+# A file is identified by the digest of this number of its first bytes.
 HEAD_BYTES = 1024
-# A request is for this number of bytes at most.
+# The most bytes in a request.
 MOST_BYTES = 1 << 24
-# A request is for a rate between these [kbit/s].
+# The least and greatest rate in a request [kbit/s].
 _RATES = (64.0, 1e6)
 
 
 class PieceSender:
-    """Sends one stretch of one file after the other; a new request takes the place of the one before."""
+    """Sends one part of one file at a time; a new request replaces the previous one."""
 
     def __init__(self, folder: Path, publish: Callable[..., Any]) -> None:
-        """Send files of a folder by `publish`."""
+        """Prepare to send files of a folder by `publish`."""
         self._folder = folder
         self._publish = publish
         self._file: BinaryIO | None = None
@@ -41,7 +41,7 @@ class PieceSender:
         self._ns = 0
 
     def request(self, parameters: Mapping[str, Scalar], now_ns: int) -> str:
-        """Begin to send what a command asks for, and return a sentence about it; RefusedError names what is wrong."""
+        """Begin to send the requested part of a file; return a sentence about it. RefusedError says what is wrong."""
         name, offset, count = parameters.get(FILE), parameters.get(OFFSET), parameters.get(BYTES)
         rate = parameters.get(RATE)
         unknown = sorted(set(parameters) - {FILE, OFFSET, BYTES, RATE})
@@ -59,7 +59,7 @@ class PieceSender:
                 half_open.pop_all()
         except OSError as error:
             raise RefusedError(f"{name} cannot be read: {error.strerror}") from error
-        # What is being sent continues where a command is refused.
+        # A command that was refused has left the present transfer as it was.
         self.close()
         self._file, self._head = file, head
         self._name, self._next, self._end = name, offset, offset + count
@@ -67,7 +67,7 @@ class PieceSender:
         return f"sending {name} from {offset} on"
 
     def send_due(self, now_ns: int) -> None:
-        """Send what the rate allows by now [ns]."""
+        """Send the pieces that the rate allows by now [ns]."""
         if self._file is None:
             return
         self._allowance += (now_ns - self._ns) * self._bytes_per_ns
@@ -76,7 +76,7 @@ class PieceSender:
             self._send(self._file)
 
     def close(self) -> None:
-        """End what is being sent."""
+        """End the present transfer."""
         file, self._file = self._file, None
         if file is not None:
             file.close()
@@ -87,7 +87,7 @@ class PieceSender:
             file.seek(self._next)
             data = file.read(min(PIECE_BYTES, self._end - self._next))
         except OSError:
-            # The other site asks again, and gets the reason.
+            # The other site asks again, and is then refused with the reason.
             self.close()
             return
         self._publish(

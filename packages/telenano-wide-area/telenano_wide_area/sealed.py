@@ -1,8 +1,8 @@
-"""What came sealed from another machine, and is refused."""
+"""The exception for sealed data from another machine that is refused."""
 
 
 class RejectedError(Exception):
-    """A datagram was refused; `cause` is the word that it is counted by."""
+    """A datagram or frame was refused; `cause` is the word under which refusals are counted."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)

@@ -1,4 +1,4 @@
-"""What the section `link` of a site file says about the datagrams."""
+"""Settings of the datagrams in section `link` of a site file."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""What this package declares of its transport; it loads nothing that an end needs."""
+"""The declaration of this package's transport; the modules of an end are loaded only when it is opened."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,25 +21,25 @@ class DatagramTransport(LinkTransport):
     fetches = True
 
     def open_end(self, side: LinkSide) -> None:
-        """Open the end of a side, and a connection beside it."""
+        """Open the end of a side, and a second TCP connection for it."""
         from telenano_wide_area.link_end import open_end
 
         open_end(side)
 
     def run_beside(self, book: AddressBook, site: str, log: StructuredLog) -> None:
-        """Be the end of a site at the relay until SIGTERM or SIGINT."""
+        """Run the end of a site at the relay until SIGTERM or SIGINT."""
         from telenano_wide_area.relay.site_end import site_end, until_stopped
 
         until_stopped(site_end(book, site, log).run())
 
     def line_check(self, monotonic_ns: Callable[[], int]) -> "LineCheck":
-        """Return what judges the line by the reports of both ends."""
+        """Return the check of the line by the reports of both ends."""
         from telenano_wide_area.line_check import LineCheck
 
         return LineCheck(monotonic_ns)
 
     def sender(self, folder: Path, publish: Callable[..., Any]) -> "PieceSender":
-        """Return what sends the files of a folder in pieces."""
+        """Return the sender of a folder's files, in pieces."""
         from telenano_wide_area.piece_sender import PieceSender
 
         return PieceSender(folder, publish)
@@ -47,7 +47,7 @@ class DatagramTransport(LinkTransport):
     def fetch(
         self, book: AddressBook, session: SessionFolder, kbit_per_s: float | None, show: Callable[[str], None]
     ) -> Path:
-        """Fetch the files that the slave's site recorded, merge them with the own ones, and return the result."""
+        """Fetch the slave's site's recording, merge it with the master's, and return the merged recording."""
         from telenano_wide_area.far_recording import fetch_and_merge
 
         return fetch_and_merge(book, session, kbit_per_s, show)

@@ -1,6 +1,6 @@
 """`telenano bag`: the commands on recordings.
 
-Each imports what it needs when it runs: the summary of an hour is there before all of that would be imported.
+Each command imports its dependencies when it runs: the summary of an hour takes less time than all the imports.
 """
 
 from itertools import islice
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     pass
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
-# a shorter recording is read as a whole in a second or two
+# Recordings shorter than this are read as a whole, in a second or two.
 _LONG_BYTES = 16 << 20
 
 app = command_group()
@@ -69,12 +69,12 @@ def _is_long(file: Path) -> bool:
     try:
         return file.stat().st_size >= _LONG_BYTES
     except OSError:
-        # the process that reads it reports it
+        # The function that reads the file reports the error.
         return False
 
 
 def _read(file: Path, *, full: bool) -> dict[str, Any]:
-    """Return the summary of a recording, of a long one by its index where that tells it."""
+    """Return the summary of a recording; of a long one from its index, where the index suffices."""
     from telenano.recording.summary_section import quick_info_with_people
 
     quick = quick_info_with_people(file) if _is_long(file) and not full else None

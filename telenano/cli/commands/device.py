@@ -1,4 +1,4 @@
-"""`telenano device`: the devices that are there."""
+"""`telenano device`: the devices and drivers on this machine."""
 
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ def list_devices(as_json: JsonOption = False) -> None:
 
 
 def serial_ports() -> list[dict[str, Any]]:
-    """Return the serial ports of this machine: name that stays, device file, what it is, who holds it."""
+    """Return the serial ports of this machine: permanent name, device file, description, and process that holds it."""
     try:
         from serial.tools.list_ports import comports
     except ImportError as error:
@@ -63,10 +63,10 @@ def _state(driver: DeviceDriver) -> str:
 
 
 def package_rows() -> list[dict[str, Any]]:
-    """Return the drivers of packages, and whether what each needs is here.
+    """Return the drivers of packages, each with the state of its requirements on this machine.
 
-    Of an installed one that is what a check of `telenano doctor` with the name of the driver found; the project's own
-    that are not installed have the command that adds them.
+    For an installed driver this is the result of the check of `telenano doctor` with the driver's name; a driver of
+    this project that is not installed has the command that adds its package.
     """
     from telenano.cli.commands.doctor import checks_of_packages
     from telenano.sections.afm_section import DRIVERS as INSTRUMENTS

@@ -1,4 +1,4 @@
-"""What the commands of `telenano device` share: sections of scenarios, and the scheduling of a device."""
+"""Helpers shared by the commands of `telenano device`: sections of scenarios, and the scheduling of a device."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -11,7 +11,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def run_ahead() -> None:
-    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
+    """Request the scheduling of the nodes for this process, because a real device must be served in time."""
     from telenano.runtime.loop.log import StructuredLog, configure_logging
     from telenano.runtime.loop.realtime import apply_realtime, freeze_garbage
     from telenano.settings.scenario import RealtimeConfig
@@ -22,7 +22,7 @@ def run_ahead() -> None:
 
 
 def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:
-    """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong."""
+    """Return a section of a scenario (a name or a file), or its defaults; ConfigError says what is wrong."""
     from telenano.settings.scenario import LoadedScenario
 
     return model() if scenario is None else LoadedScenario.load(find_scenario(str(scenario))).section(name, model)

@@ -66,7 +66,7 @@ def doctor(
 
 
 def compile_models(*, as_json: bool) -> None:
-    """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
+    """Simulate two ticks of each law, so that the code of later sessions is compiled in the user's cache."""
     from telenano.lockstep.simulation import compile_scenario
     from telenano.sections.controller_section import KNOWN_LAWS
 
@@ -86,7 +86,7 @@ def compile_models(*, as_json: bool) -> None:
 def examine(site_file: Path) -> list[Finding]:
     """Run every check that this machine allows."""
     findings = [checks.check_python(sys.version_info[:3]), *packages()]
-    # those of packages come first, so that what cannot be loaded of them is known to the next one
+    # The checks of packages run first, so that `extensions` knows of packages that cannot be loaded.
     findings += [*checks_of_packages(), *extensions(), checks.check_advisers(installed("advisers"))]
     findings += machine(container=checks.in_container())
     try:
@@ -97,7 +97,7 @@ def examine(site_file: Path) -> list[Finding]:
 
 
 def machine(*, container: bool) -> list[Finding]:
-    """Check what the machine permits to a process of this user."""
+    """Check what this machine permits a process of this user to do."""
     permitted = os.sched_getaffinity(0)
     quota = checks.cpu_quota(Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"))
     runtime = Path("/proc/sys/kernel/sched_rt_runtime_us")
@@ -148,7 +148,7 @@ def packages() -> list[Finding]:
 
 
 def extensions() -> list[Finding]:
-    """Load what installed packages add, where there are any, and report what cannot be used."""
+    """Load the extensions of installed packages, if there are any, and report those that cannot be used."""
     rows = all_installed()
     if not rows:
         return []
@@ -174,7 +174,7 @@ def extensions() -> list[Finding]:
 
 
 def checks_of_packages() -> list[Finding]:
-    """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
+    """Run the checks of installed packages; a check that fails is itself a finding and does not stop the others."""
     findings: list[Finding] = []
     for name, check in load("checks").found.items():
         package = installed("checks")[name].package
@@ -187,7 +187,7 @@ def checks_of_packages() -> list[Finding]:
 
 
 def _checked(name: str, status: str, found: str, advice: str = "") -> Finding:
-    """Return a finding that a package has made; ValueError for a status that there is not."""
+    """Return a finding of a package; ValueError for an unknown status."""
     if status not in _STYLES:
         raise ValueError(f"a finding is {', '.join(_STYLES)}, and not {status!r}")
     return Finding(str(name), status, str(found), str(advice))  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ def _installed(name: str) -> str | None:
 
 
 def rig(site_file: Path) -> list[Finding]:
-    """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
+    """Check the rig of a site file; ImportError if a package that every process needs is missing."""
     from telenano.runtime.bus.address_book import AddressBook
 
     try:
@@ -233,7 +233,7 @@ def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
     """Return the endpoints that the nodes of a machine bind, each with its node; EndpointError for an unknown name."""
     endpoints = {}
     for node in book.nodes:
-        # a rig that no network carries is on one machine, whatever that is called
+        # Without a network, all nodes are on this machine, whatever it is called.
         if book.machine_of(node) == machine or not book.spans_machines:
             for endpoint in (book.local_endpoint(node), book.bind_endpoint(node)):
                 if endpoint is not None:

@@ -1,4 +1,4 @@
-"""`telenano estop`: stop the devices at once. What it does is in `telenano.cli.estop_command`, which needs no typer."""
+"""`telenano estop`: stop the devices at once. `telenano.cli.estop_command`, which needs no typer, does the work."""
 
 import typer
 

@@ -31,7 +31,7 @@ NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Machine of th
 
 
 class RoleName(StrEnum):
-    """What a key may do."""
+    """The roles of a key."""
 
     DATA = "data"
     CONTROL = "control"
@@ -135,7 +135,7 @@ def _ring(folder: Path | None) -> Keyring:
 
 
 def _last_day(text: str | None) -> date | None:
-    """Return the day that a date or a number of days from today names; None for none."""
+    """Return the day given as a date or as a number of days from today; None for None."""
     if text is None:
         return None
     try:
@@ -148,7 +148,7 @@ def _last_day(text: str | None) -> date | None:
 
 
 def _public_key(text: str) -> tuple[str, date | None]:
-    """Return the public key that is given or in a file, and the last day that the file gives it."""
+    """Return the public key, given itself or by its file, and the last day that the file states."""
     path = Path(text)
     if not path.name.endswith(".key"):
         return text, None

@@ -24,7 +24,7 @@ from telenano.wire.nodes import LINK
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
 _DIRECTIONS = ("forward", "backward")
-# the receiving end of each direction reports twice a second
+# The receiving end of each direction reports twice a second, so this wait [s] covers a report.
 _NETWORK_S = 1.5
 _NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "settled", "lost")
 _PER_DATAGRAM = ("number", "arrived_ns", "delay_ns", "lost_flag")
@@ -128,7 +128,7 @@ def current_network(observer: Observer) -> dict[str, dict[str, Any]]:
 
 
 def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return what the network did as rows of a table: what, forward, backward."""
+    """Return the figures of the network as rows of a table: what, forward, backward."""
     if not network:
         return []
     ways = [network.get(direction, {}) for direction in _DIRECTIONS]
@@ -138,7 +138,7 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
         rows.append(_row("network: UDP blocked since", *map(_blocked_since, ways)))
     rows.append(_row("network: queue [ms]", *map(_queue_ms, ways)))
     rows.append(_row("network: line carries [Mbit/s]", *map(_carries, ways)))
-    # An end says of the other direction, which it sends, how much that is.
+    # Each end reports these of the direction in which it sends, which is the other one.
     for what, text in (("line", str), ("limit_bit_per_s", _mbit), ("unsent", str)):
         name = "limit [Mbit/s]" if what == "limit_bit_per_s" else what
         rows.append(_row(f"network: {name}", *(text(way.get(what, "")) for way in reversed(ways))))
@@ -149,7 +149,7 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _lost_percent(way: dict[str, Any]) -> str:
-    """Return the share lost of what is settled: datagrams of the last second may still arrive."""
+    """Return the share of lost datagrams among the settled ones [%]; those of the last second may still arrive."""
     settled = way.get("settled")
     return f"{100.0 * way['lost'] / settled:.1f}" if settled else ""
 
@@ -160,7 +160,7 @@ def _blocked_since(way: dict[str, Any]) -> str:
 
 
 def _queue_ms(way: dict[str, Any]) -> str:
-    """Return the queue before a way with its interval [ms]; a report of before has none."""
+    """Return the queue of a direction with its interval [ms]; reports of earlier versions have none."""
     queue_s, *ends_s = (way.get(key) for key in ("queue_s", "queue_low_s", "queue_high_s"))
     interval = (
         "" if None in ends_s else " ({:.1f} to {:.1f})".format(*(1e3 * end_s for end_s in ends_s if end_s is not None))
@@ -169,7 +169,7 @@ def _queue_ms(way: dict[str, Any]) -> str:
 
 
 def _carries(way: dict[str, Any]) -> str:
-    """Return what a way carries with its interval [Mbit/s], of which the upper end may be open."""
+    """Return the capacity of a direction with its interval [Mbit/s], whose upper end may be open."""
     low, high = way.get("capacity_low_bit_per_s"), way.get("capacity_high_bit_per_s")
     interval = "" if low is None else f" ({_mbit(low)} {'or more' if high is None else f'to {_mbit(high)}'})"
     return _mbit(way.get("capacity_bit_per_s")) + interval

@@ -37,7 +37,7 @@ def new(
         return
     for path in written:
         typer.echo(path)
-    # Where the backend is installed already, as in a checkout, pip need not fetch it into an environment of its own.
+    # If the backend is installed already, as in a checkout, pip need not fetch it into an isolated environment.
     ready = all(find_spec(name) is not None for name in ("hatchling", "editables"))
     option = "--no-build-isolation " if ready else ""
     given = quoted(folder)

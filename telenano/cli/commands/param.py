@@ -1,4 +1,4 @@
-"""`telenano param`: every key of a scenario, and the values that it has in one."""
+"""`telenano param`: the keys of all scenarios, and their values in one scenario."""
 
 from typing import Annotated, Any
 

@@ -41,7 +41,7 @@ def report(
 
 
 def _own_folder(paths: list[Path]) -> Path:
-    """Return the folder of the session that is given, as itself or by its files; ConfigError where it is none."""
+    """Return the folder of the session that is given by its folder or its files; ConfigError if there is not one."""
     for path in paths:
         if not path.exists():
             raise NoRecordingError(f"{path}: cannot be read: No such file or directory")

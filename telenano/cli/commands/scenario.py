@@ -1,4 +1,4 @@
-"""`telenano scenario`: the experiments that are known, and files of your own."""
+"""`telenano scenario`: the known experiments, and the user's own files."""
 
 import json
 from pathlib import Path

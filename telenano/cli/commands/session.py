@@ -72,7 +72,7 @@ def session(
 
 
 def _return(parameters: Sequence[str], site_file: Path, site: Site, *, as_json: bool) -> None:
-    """Let the tip go back, with its numbers before it does; a key ends it."""
+    """Let the tip go back, after its place, speed and time are printed; a key ends the motion."""
     given = parse_parameters(parameters)
     if unknown := sorted(set(given) - {"place_m", "speed_m_per_s"}):
         raise ConfigError(f"arm --return takes place_m and speed_m_per_s, and not {', '.join(unknown)}")
@@ -131,14 +131,14 @@ def send_command(
         typer.echo(hint)
     refused = [event.text for event in answers.values() if event.kind == "refused"]
     if (command, target) == ("set", "*") and len(refused) < len(answers):
-        # Without a target each node is asked, and the key is that of one or a few of them.
+        # Without a target every node is asked, and refusals by nodes that do not have the key do not count.
         refused = [text for text in refused if not all(_OF_ANOTHER.search(line) for line in text.splitlines())]
     if refused:
         raise typer.Exit(EXIT_FAILED)
 
 
 def _way_back(answers: Iterable[SessionEvent]) -> str:
-    """Return how the tip goes back, where an instrument states a way; empty where none does."""
+    """Return a sentence on how the tip can go back, if an instrument states its way; else empty."""
     for event in answers:
         keys = ("return_place_m", "return_speed_m_per_s", "return_s")
         place, speed, time_s = (event.data.get(key) for key in keys)
@@ -148,7 +148,7 @@ def _way_back(answers: Iterable[SessionEvent]) -> str:
     return ""
 
 
-# What a node says of a key that it does not have.
+# The texts by which a node refuses a key that it does not have.
 _OF_ANOTHER = re.compile("unknown key|cannot be set: settable are")
 
 

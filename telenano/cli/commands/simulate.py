@@ -112,7 +112,7 @@ def _run(
 
 
 def _sweep(values: list[str], request: SimulateRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
-    """Run this very command once for each point of a sweep, and compare the sessions by the command of a package."""
+    """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
     table_formats(tables)
     compare = function_of_package("compare")
     folder = request.out or default_folder(request.scenario, datetime.now())
@@ -120,7 +120,7 @@ def _sweep(values: list[str], request: SimulateRequest, options: FigureOptions, 
     if len(points) < 2:
         raise ConfigError("--sweep: gives one session, and needs two or more to compare")
     for point in points:
-        # A wrong key or value is found before the first session runs.
+        # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
         plan_of(point.asked_of(request, folder), folder)
     words = without_sweep(sys.argv, "simulate")
     folders = run_sweep(points, words, folder, lambda text: typer.echo(text, err=True), "simulate")

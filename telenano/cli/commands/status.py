@@ -1,4 +1,4 @@
-"""`telenano status`: the state of a running rig, from the messages of a moment at every socket of it."""
+"""`telenano status`: the state of a running rig, from the messages that each of its sockets sends in a short time."""
 
 import contextlib
 import os
@@ -31,9 +31,9 @@ _COLUMNS = (
     "granted",
 )  # fmt: skip
 _LEFT = ("node", "state", "refused", "granted")
-# A node that takes less than this share of its steps is on a machine that has no room for them.
+# A node that makes less than this share of its steps runs on a machine that is too busy.
 _LEAST_SHARE = 0.95
-# What takes less of the age of the loop is not named [s].
+# Parts of the age of the loop that are shorter than this are not named [s].
 _LEAST_PART_S = 5e-6
 _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
 
@@ -57,7 +57,7 @@ def status(
 
 
 def print_rigs(rigs: Sequence[RigFacts], elsewhere: Sequence[RigFacts] = (), *, as_json: bool) -> None:
-    """Print a row for each rig, where others of this user are, and which processors are free for another one."""
+    """Print a row for each rig, the other folders with rigs of this user, and the processors that are free."""
     usable = permitted()
     taken = held(usable, shared_folder())
     free = sorted(usable - set(taken))
@@ -93,7 +93,7 @@ def _row(rig: RigFacts) -> dict[str, Any]:
 
 
 def processors_text(about: Mapping[str, Any]) -> str:
-    """Return in words which processors a rig has for itself."""
+    """Return a text with the processors that are reserved for a rig."""
     if about.get("behind"):
         return "none of its own: other rigs have them"
     return ", ".join(map(str, about.get("processors", ()))) or "any"
@@ -116,7 +116,7 @@ def status_tables(document: Mapping[str, Any]) -> Group:
     """Draw the state of a rig: the nodes, then a line for each of link, law, device, recorder and event."""
     table = Table()
     for name in _COLUMNS:
-        # headings may wrap in a narrow terminal, names may not
+        # Headings may wrap in a narrow terminal, names may not.
         table.add_column(name, justify="left" if name in _LEFT else "right", no_wrap=name == "node")
     for facts in document["nodes"]:
         cells = health_cells(facts) if facts["heard"] else {"state": Text("no report", "red")}

@@ -85,14 +85,14 @@ def echo(
 
 
 def _fields(received: Received) -> dict[str, Any]:
-    """Return the fields of a message, those as they came of one whose package is not installed."""
+    """Return the fields of a message; unchecked, if the package of its topic is not installed."""
     if type(received.message) is Message:
         return {key: json_value(value) for key, value in decode_header(received.topic, received.payload)[1].items()}
     return json_fields(received.message)
 
 
 def _chosen(fields: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
-    """Return the fields that are named, `position_m.2` for a component; ConfigError lists those that there are."""
+    """Return the named fields, `position_m.2` for a component; ConfigError lists the fields that exist."""
     if not names:
         return fields
     return {name: value_at(fields, name) for name in names}
@@ -144,7 +144,7 @@ def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observe
     """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
     wanted = (known_name(topic, unknown=True)[0],) if topic else None
     with contextlib.closing(Observer.of_rig(site_file, wanted)) as observer:
-        # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.
+        # The sockets of a killed rig, or a machine that is switched off, are noticed only by their silence.
         timer = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
         timer.daemon = True
         timer.start()

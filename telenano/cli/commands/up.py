@@ -94,7 +94,7 @@ def up(
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
     if allow_code:
-        # the nodes inherit it, and so do the sessions of a sweep
+        # The nodes inherit the permission, and so do the sessions of a sweep.
         permit_code()
     with report_errors(as_json):
         options = FigureOptions.of(formats, style)
@@ -111,7 +111,7 @@ def up(
 
 
 def _experiment(argument: str | None, option: str | None) -> str:
-    """Return the experiment that was named, as an argument or as an option."""
+    """Return the experiment that is named, by the argument or by the option; ConfigError for none or two."""
     if argument is None and option is None:
         raise ConfigError("no experiment is named, such as in `telenano up fig12` (`telenano up --help` explains)")
     if argument is not None and option not in (None, argument):
@@ -120,7 +120,7 @@ def _experiment(argument: str | None, option: str | None) -> str:
 
 
 def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
-    """Return the folder of a session while a block runs, a new one where none is asked for."""
+    """Return a context with the folder of a session: the one of the request, or else a newly reserved one."""
     if request.out is not None:
         return contextlib.nullcontext(request.out)
     return reserved_folder(request.scenario, datetime.now())
@@ -129,7 +129,7 @@ def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
 def _run(
     request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, quiet: bool, as_json: bool
 ) -> tuple[Outcome, dict[str, Any] | None, Plan]:
-    """Run the session, in a folder where none is asked for, and make its report."""
+    """Run the session in a folder and make its report."""
     plan = make_plan(request, folder)
     _warn(request, plan)
     check_room(plan)
@@ -151,7 +151,7 @@ def _run(
 
 
 def _warn(request: UpRequest, plan: Plan) -> None:
-    """Print what is easily overlooked in a session that is about to start."""
+    """Print warnings about a session that is about to start, such as packages that are left out or keys that expire."""
     for text in known_problems():
         _tell(f"{text}; it is left out")
     if text := _clock_text(plan):
@@ -171,10 +171,10 @@ def _tell(text: str) -> None:
 
 
 def _clock_text(plan: Plan) -> str:
-    """Return in words that this machine's clock is not synchronised, where the rig spans two; else nothing."""
+    """Return a sentence if the rig spans two machines and this machine's clock is not synchronised; else empty."""
     if not plan.book.spans_machines:
         return ""
-    # The import needs POSIX, and the other commands work without it.
+    # Imported here, because it needs POSIX, and the other commands work without it.
     from telenano.doctor import checks
 
     finding = checks.check_synchronised(checks.kernel_clock())
@@ -182,7 +182,7 @@ def _clock_text(plan: Plan) -> str:
 
 
 def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
-    """Run this very command once for each point of a sweep, and compare the sessions by the command of a package."""
+    """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
     compare = function_of_package("compare")
@@ -191,7 +191,7 @@ def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables
     if len(points) < 2:
         raise ConfigError("--sweep: gives one session, and needs two or more to compare")
     for point in points:
-        # A wrong key or value is found before the first session runs.
+        # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
         make_plan(point.asked_of(request, folder), folder)
     folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
     formats = ",".join(options.formats)
@@ -204,7 +204,7 @@ def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:
 
 
 def _restore_default_signals() -> None:
-    """Let Ctrl-C end what follows the session at once: no process has to be made safe any more."""
+    """Let Ctrl-C end the command at once from now on: after the session no process has to be made safe."""
     signal.set_wakeup_fd(-1)
     interrupts.handle()
 
@@ -221,7 +221,7 @@ def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan,
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
         fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)
     else:
-        # The recording is elsewhere, or there was no recorder.
+        # The recording is made elsewhere, or there was no recorder.
         document = {"scenario": plan.scenario.name, "recording": None, "note": outcome.note}
         print_answer(document, f"the session ran; {outcome.note}", as_json=as_json)
 
@@ -232,7 +232,7 @@ def _print_slave(outcome: Outcome, plan: Plan, *, as_json: bool) -> None:
         info = open_recordings(outcome.recordings, same_session=True).info()
         missing = [*info.missing, *outcome.missing]
         kept = {"file": info.path, "complete": not missing, "missing": missing, "messages": info.messages}
-    # The path stands alone, as in earlier versions.
+    # `recording` holds the path alone, as in earlier versions.
     document = {"site": "slave", "recording": kept["file"], "recorded": kept, "restarts": outcome.restarts}
     print_document(document, str(plan.out), as_json=as_json)
     if kept["missing"]:

@@ -1,1 +1,1 @@
-"""Networks between two sites: what they did to the datagrams of the link, as traces that the link replays."""
+"""Networks between two sites: their measured effect on the link's datagrams, as traces that the link replays."""

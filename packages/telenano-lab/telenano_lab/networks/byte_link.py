@@ -1,7 +1,7 @@
-"""The link for bytes of any program: the node of the link, with a carrier in the place of the sites.
+"""The link for the bytes of any program: the node of the link, with a carrier instead of the sites.
 
-It has the name, the reports and the commands of a rig's link, so that whatever shows, changes or records a link does so
-with this one. The truth of each message is `link/fates`, with the topic of the carrier.
+It has the name, the reports and the commands of a rig's link, so that every tool that shows, changes or records a link
+works with it. The fate of each message is in `link/fates`, with the topic of the carrier.
 """
 
 import contextlib
@@ -18,10 +18,10 @@ from telenano.wire import LINK, EndpointError, Scalar, read_header
 
 
 class Carrier(Protocol):
-    """What sends the bytes that the link has released, and learns what became of the others.
+    """Sends the bytes that the link has released, and is told of those that it dropped.
 
     Attributes:
-        topic: What `link/fates` names the messages of both directions by.
+        topic: The topic of the messages of both directions in `link/fates`.
     """
 
     topic: str
@@ -34,20 +34,20 @@ class Carrier(Protocol):
         Args:
             direction: The direction.
             payload: The bytes, of which some bits may be flipped.
-            client: Who has sent them, as `arrive` was called with.
-            delay_ns: How long the link has held them [ns].
-            late_ns: For how long they should have been sent before [ns].
+            client: The client that sent them, as passed to `arrive`.
+            delay_ns: The time for which the link has held them [ns].
+            late_ns: The time since they should have been sent [ns].
             is_copy: Whether they are a copy that the link made.
         """
 
     def dropped(self, direction: Direction, cause: str, size_bytes: int, *, is_copy: bool) -> None:
-        """Note that bytes will not be sent, and the impairment that is the cause."""
+        """Record that bytes will not be sent, with the impairment that dropped them."""
 
 
 class ByteLink(ImpairedLink):
     """Forwards the bytes of a carrier when the engine releases them, and reports on link/status.
 
-    It keeps no journal, because a re-run would need the bytes, which no recording holds.
+    It keeps no journal, because running it again would need the bytes, which no recording has.
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class ByteLink(ImpairedLink):
             context: The context of the node.
             settings: The settings of the link.
             outlets: The publishers at the slave and at the master.
-            carrier: What sends what is released.
-            folder: The folder in which the files of the settings are sought.
-            duration_s: After this time the link ends [s]; None: at a signal.
+            carrier: Sends the released bytes.
+            folder: The folder of the files that the settings name.
+            duration_s: The time after which the link ends [s]; None: it ends at a signal.
 
         Raises:
             ConfigError: A file of the settings cannot be used.
@@ -79,7 +79,7 @@ class ByteLink(ImpairedLink):
         self._end_ns = NEVER_NS if duration_s is None else now_ns + round(duration_s * 1e9)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
-        """Take bytes that have arrived from a client, and send what is due."""
+        """Accept bytes that have arrived from a client, and send the bytes that are due."""
         way = self.forward if direction == "forward" else self.backward
         number = self._numbers[direction]
         self._numbers[direction] += 1
@@ -95,7 +95,7 @@ class ByteLink(ImpairedLink):
             self.context.request_stop()
 
     def make_safe(self) -> None:
-        """Report the fates that are not reported yet; what is still in transit stays unsent."""
+        """Publish the fates that are not reported yet; bytes in transit stay unsent."""
         self.publish_status()
         for way in self.directions:
             self.publish_fates(way)
@@ -119,7 +119,8 @@ class ByteLink(ImpairedLink):
 class ByteLinkProcess:
     """A link in this process for the bytes of other programs.
 
-    The reader calls `link.arrive` with what it receives, and the link calls `carrier.send` with what it releases.
+    The reader calls `link.arrive` with bytes that it receives, and the link calls `carrier.send` with bytes that it
+    releases.
     """
 
     def __init__(self, process: NodeProcess) -> None:
@@ -132,7 +133,7 @@ class ByteLinkProcess:
     @classmethod
     @contextlib.contextmanager
     def open(cls, book: AddressBook) -> Iterator[Self]:
-        """Bind the endpoints of a rig's link while the block runs.
+        """Bind the endpoints of a rig's link during a block.
 
         Raises:
             EndpointError: A link runs already.
@@ -157,9 +158,9 @@ class ByteLinkProcess:
 
         Args:
             settings: The settings of the link.
-            carrier: What sends what is released.
-            reader: What the loop of the link reads.
-            duration_s: After this time the link ends [s]; None: at a signal.
+            carrier: Sends the released bytes.
+            reader: The reader in the loop of the link.
+            duration_s: The time after which the link ends [s]; None: it ends at a signal.
             keep: Called with topic, number, time [ns], source and bytes of each message that the link publishes at the
                 master; None for no call.
 
@@ -176,7 +177,7 @@ class ByteLinkProcess:
         self._run = partial(self._process.run, self._link, bus)
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
-        """Take bytes that have arrived from a client, and send what is due."""
+        """Accept bytes that have arrived from a client, and send the bytes that are due."""
         self._link.arrive(direction, payload, client)
 
     def event(self, kind: str, level: str, text: str, **data: Scalar) -> None:

@@ -1,4 +1,4 @@
-"""`telenano link fit`: a log of a line becomes settings of the link, with how far they agree with the log."""
+"""`telenano link fit`: fit settings of the link to a log of a line, and report how far they agree with the log."""
 
 import json
 import math
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from telenano_lab.networks.line_fit import Agreement
     from telenano_lab.networks.line_log import LineLog
 
-# A quantile that rests on fewer messages is a guess.
+# A quantile with fewer messages beyond it is a guess.
 _FEWEST_BEYOND = 10
-# A change is seen in halves of this number of correlation times.
+# A change of the line can be seen in halves with at least this number of correlation times.
 _FEWEST_TIMES = 30.0
 
 
@@ -137,7 +137,7 @@ def fit(
 def _of_histogram(
     logs: list[Path], unit: str | None, out: Path, seed: int, about: str, source: tuple[str, str]
 ) -> dict[str, Any]:
-    """Write settings and profile of a histogram, of which no memory is known."""
+    """Write settings and profile of a histogram, which has no memory."""
     from telenano_lab.networks.line_fit import SHARES, quantiles_text
     from telenano_lab.networks.line_log import UNITS_S
     from telenano_lab.networks.line_sources import read_histogram
@@ -236,7 +236,7 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
 
 
 def _grouped(cuts: Iterable[str]) -> list[str]:
-    """Return sentences about logs, with the number of logs in the place of the same sentence about each."""
+    """Return sentences about logs; a sentence about several logs comes once, with their number."""
     about: dict[str, list[str]] = {}
     for cut in cuts:
         name, text = cut.split(": ", 1)
@@ -250,7 +250,7 @@ def _grouped(cuts: Iterable[str]) -> list[str]:
 def _profile(
     ways: dict[str, dict[str, Any]], seed: int, about: str, source: tuple[str, str], remarks: list[str]
 ) -> dict[str, Any]:
-    """Return a network of telenano/settings/networks, with the statistics that its messages have."""
+    """Return a network of telenano/settings/networks, with the statistics of its messages."""
     statistics: dict[str, Any] = {}
     for direction, way in ways.items():
         same = next((other for other in statistics if ways[other] == way), None)
@@ -269,9 +269,9 @@ def _statistics_of(way: dict[str, Any], seed: int) -> dict[str, Any]:
 
     from telenano_lab.networks.line_fit import sent
 
-    # Stalls are seldom, and most of the mean may be theirs.
+    # Stalls are rare, and may make up most of the mean, so a long time is generated.
     _, delay_ns = sent(way, seed, minutes=200)
-    # At the rate of the loop a message is overtaken by one that is a millisecond younger.
+    # Overtaking is counted at the rate of the loop, where the next message is a millisecond younger.
     sent_ns, of_loop_ns = sent(way, seed, minutes=2)
     lost = np.isnan(delay_ns)
     delays_ms = 1e-6 * delay_ns[~lost]

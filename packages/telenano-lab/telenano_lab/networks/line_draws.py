@@ -1,8 +1,8 @@
-"""The delays that the link gives to the messages of a fitted line, without running its engine message by message.
+"""Draw the delays that the link gives to the messages of a fitted line, without its engine for each message.
 
 The models are those of the link (`services/delay_node`), drawn in the same order from the same streams, so that the
-delays are those of `DirectionEngine.fates`. What its engine has beside them (a heap of releases, the record of each
-message) is most of its time, and a fit asks for none of it.
+delays equal those of `DirectionEngine.fates`. The engine spends most of its time on a heap of releases and the record
+of each message, which a fit does not need.
 """
 
 import math
@@ -18,14 +18,14 @@ from telenano.settings import LinkSettings
 from telenano_lab.networks.line_sources import Column
 
 Times = npt.NDArray[np.int64]
-# What a fitted line, and its twin without memory, have of the settings of a direction.
+# The settings of a direction that a fitted line, or its twin without memory, has.
 _PARTS = {"delay_s", "jitter", "order", "queue", "outage", "gilbert_elliott", "loss"}
 
 
 def delays_ns(settings: LinkSettings, topic: str, times_ns: Sequence[int], size_bytes: int) -> Column:
-    """Return what the link adds forward to messages of a topic that arrive at these times [ns]; nan where it loses one.
+    """Return the forward delays of messages of a topic that arrive at these times [ns]; nan for a lost one.
 
-    A line with more than a fitted one has goes through the engine itself.
+    A line with further settings than a fitted one is run through the engine itself.
 
     Raises:
         ConfigError: A file of the settings cannot be used.
@@ -62,7 +62,7 @@ def _is_fitted(settings: LinkSettings) -> bool:
 
 
 def _held_ns(settings: LinkSettings, arrived_ns: Times, size_bytes: int) -> Times | None:
-    """Return when each message may continue [ns]; None where a stall holds more than the queue takes."""
+    """Return the time at which each message may continue [ns]; None if a stall holds more than the queue can."""
     ready_ns = arrived_ns.copy()
     outage, queue = settings.forward.outage, settings.forward.queue
     if outage.mean_up_s is None:
@@ -72,7 +72,7 @@ def _held_ns(settings: LinkSettings, arrived_ns: Times, size_bytes: int) -> Time
     at = 0
     while at < len(arrived_ns):
         end_ns = outages.end_ns(int(arrived_ns[at]))
-        # The newest stall that was drawn is the next one, if none is now.
+        # If there is no stall now, the newest one that was drawn is the next.
         after = int(np.searchsorted(arrived_ns, outages.state.random[-1][0] if end_ns is None else end_ns))
         if end_ns is not None:
             ready_ns[at:after] = end_ns
@@ -97,7 +97,7 @@ def _jitter_ns(settings: LinkSettings, topic: str, arrived_ns: Times) -> Column:
 
 
 def _lasting(settings: LinkSettings, arrived_ns: Times) -> Column:
-    """Return the uniform number of each message where the correlation is over time: as `JitterSource` draws them."""
+    """Return the uniform number of each message for a correlation over time, as `JitterSource` draws it."""
     jitter = settings.forward.jitter
     share = jitter.second_correlation_share
     scores = _scores(settings, "jitter", jitter.correlation_time_s, arrived_ns)
@@ -119,7 +119,7 @@ def _scores(settings: LinkSettings, name: str, time_s: float, arrived_ns: Times)
     rho = math.exp(-1.0 / jitter.DRAWS_IN_CORRELATION_TIME)
     gain = math.sqrt(1.0 - rho * rho)
     scores: list[float] = []
-    # Nothing is left of a score after a long pause.
+    # After a long pause nothing of the previous score is left.
     for first, end in pairwise([0, *place[jumped].tolist(), len(fresh)]):
         scores += accumulate(fresh[first:end], lambda score, new: rho * score + gain * new)
     chosen: Column = np.asarray(scores)[place]

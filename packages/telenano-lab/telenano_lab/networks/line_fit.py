@@ -1,9 +1,9 @@
-"""A model of the link fitted to a log of a line, and how far what it generates agrees with what was measured.
+"""Fit a model of the link to a log of a line, and measure how far generated messages agree with the log.
 
-The model consists of settings that the link has: quantiles of the delay whose normal scores lose their correlation
-over time, stalls that come at random, last for log-normal times and hold what arrives (so that it comes in one go),
-and losses in runs. A stall is seen in a log as a message that is much later than usual, with those that are late after
-it because they waited for it.
+The model consists of settings that the link has: quantiles of the delay whose normal scores lose their correlation over
+time; stalls that begin at random, last for log-normal times and hold arriving messages (so that these come together);
+and losses in runs. In a log, a stall appears as a message that is much later than usual, with the messages after it
+that are late because they waited for it.
 """
 
 import math
@@ -22,61 +22,63 @@ from telenano_lab.networks.line_log import LineLog, Segment
 from telenano_lab.networks.line_sources import Column
 from telenano_lab.networks.line_tally import Numbers, Scale, Tally, correlation_of, scale_of, statistics_of, tally_of
 
-# Between two shares the quantiles are linear, and the tail needs them close.
+# Quantiles are linear between two shares, so the tail needs close shares.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
 # A correlation of neighbours below this counts as none.
 _LEAST_CORRELATION = 0.05
-# A correlation of neighbours is taken to be no higher than this.
+# The greatest correlation of neighbours that is used.
 _MOST_CORRELATION = 0.9999
-# Below this share there is no second time.
+# With a smaller share there is no second correlation time.
 _LEAST_SHARE = 0.03
-# Nor is there where the time that neighbours give misses the correlations by less (root mean square).
+# Nor is there one if the time from neighbours alone misses the correlations by less than this (root mean square).
 _LITTLE = 0.03
 # The shortest time in which a correlation may fall to 1/e, in periods.
 _SHORTEST_TIME = 0.3
 # The longest such time, in multiples of the longest lag.
 _LONGEST_TIME = 10.0
-# The second time is shorter than the first by this factor at least.
+# The least factor by which the second time is shorter than the first.
 _APART = 4.0
-# The fit tries this number of second times.
+# The number of second times that the fit tries.
 _SECOND_TIMES = 12
-# With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
+# With fewer stalls than this their spread is hardly known, and is at least the assumed one.
 _FEWEST_STALLS = 5
-# The spread of the lengths of stalls, as a standard deviation of their logarithm, is taken to be no less than this.
+# The least spread of the lengths of stalls, as a standard deviation of their logarithm.
 _LEAST_SPREAD = 0.02
-# With fewer stalls than _FEWEST_STALLS the spread is taken to be no less than this.
+# The least spread with fewer stalls than _FEWEST_STALLS.
 _ASSUMED_SPREAD = 0.1
-# Overtaking by less than this share is that of the clock.
+# A smaller share of overtaking is due to the clock.
 _MOST_OVERTAKEN = 1e-3
-# A line holds this number of messages while it stands still. No log of a few messages a second shows the number.
+# The messages that a line holds while it stands still. No log of a few messages a second shows the number.
 MOST_HELD = 20_000
-# The line holds this number of bytes at the same time.
+# The bytes that a line holds while it stands still.
 MOST_HELD_BYTES = 4 << 20
-# The statistics of the model are those of this number of logs that it generates.
+# The statistics of the model are taken from this number of generated logs.
 _DRAWS = 25
-# Messages of this size are sent through the model of the line.
+# The size of messages in generated logs [bytes].
 _SIZE_BYTES = 200
-# Of the messages that the statistics of a written way are of.
+# The size of messages for the statistics of written settings [bytes].
 _SENT_BYTES = 300
 SPREAD = "spread of its logarithm"
-# At these lags the correlation of the delay is compared, where the log has this many of them.
+# The lags at which the correlation of the delay is compared, if the log has this multiple of them.
 _LAGS_S = (1.0, 10.0, 60.0)
 _FEWEST_LAGS = 5.0
-# Losses are compared over windows of this length, of this number of messages and this number of windows at least.
+# Losses are compared over windows of this length, with at least this number of messages each, and this number of
+# windows.
 _WINDOW_S = 10.0
 _FEWEST_IN_WINDOW = 5
 _FEWEST_WINDOWS = 5
-# Generated and measured are alike within this number of deviations of what is generated, or within these differences.
+# Generated and measured values agree within this number of deviations of the generated ones, or within these
+# differences.
 _DEVIATIONS = 4.0
 _NEARLY = {"correlation": 0.1, "10-s": 0.01, "deviation": 0.01}
-# Of few windows as many as these are chance.
+# Among few windows, as many as this are chance.
 _FEW_WINDOWS = 2.0
 _VAGUE = 0.6
 
 
 def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
-    """Return Hermite's polynomials from 1 to a degree, orthonormal for normal scores, of shape (degree, scores)."""
+    """Return Hermite's polynomials of degrees 1 to `degree`, orthonormal for normal scores, shape (degree, scores)."""
     polynomials = [np.ones(len(scores)), scores]
     for n in range(1, degree):
         polynomials.append((scores * polynomials[n] - math.sqrt(n) * polynomials[n - 1]) / math.sqrt(n + 1))
@@ -88,7 +90,7 @@ _DEGREES = 96
 _GRID_SHARES = special.ndtr(_SCORES)
 _HERMITE = _hermite(_SCORES, _DEGREES)
 _GRID_WEIGHTS = np.exp(-0.5 * _SCORES**2) / np.exp(-0.5 * _SCORES**2).sum()
-# Correlations of scores, close where their time is long, and their powers from 1 to one above the degrees.
+# Correlations of scores, denser towards long times, and their powers from 1 to one above the degrees.
 _CORRELATIONS = 1.0 - np.geomspace(1.0, 1.0 - _MOST_CORRELATION, 500)
 _CORRELATION_POWERS = _CORRELATIONS[:, None] ** np.arange(1, _DEGREES + 2)
 
@@ -97,10 +99,10 @@ _CORRELATION_POWERS = _CORRELATIONS[:, None] ** np.arange(1, _DEGREES + 2)
 class LineModel:
     """A fitted line.
 
-    quantiles: of the delay outside of stalls, (share, delay [s]); correlation_time_s: 0 without correlation;
-    second_time_s and second_share: another such time, and the share of the variance of the scores that has it;
-    stalls_per_s, stall_s and spread: rate, mean length [s] and standard deviation of its logarithm;
-    lost: share; run: mean number lost in a row; ordered: whether no message overtakes another.
+    quantiles: of the delay outside of stalls, (share, delay [s]). correlation_time_s: 0 without correlation.
+    second_time_s and second_share: a second correlation time, and the share of the variance of the scores that has it.
+    stalls_per_s, stall_s and spread: rate, mean length [s], and standard deviation of the logarithm of the length.
+    lost: share. run: mean number of messages lost in a row. ordered: whether no message overtakes another.
     """
 
     quantiles: tuple[tuple[float, float], ...]
@@ -115,7 +117,7 @@ class LineModel:
     ordered: bool
 
     def settings(self) -> dict[str, Any]:
-        """Return one direction of the link with this line."""
+        """Return the settings of one direction of the link for this line."""
         jitter: dict[str, Any] = {
             "distribution": "table",
             "scale_s": 1.0,
@@ -141,11 +143,11 @@ class LineModel:
         return section
 
     def ways(self, *, round_trip: bool, with_memory: bool = True, seed: int = 0) -> dict[str, dict[str, Any]]:
-        """Return the settings of both directions of the link, which are what is written and what is judged.
+        """Return the settings of both directions of the link, which are written and judged.
 
-        A line that was measured one way is the same in both. Of a round trip all that varies goes forward, and half of
-        its least delay backward: then what goes there and back has the delays of the log, which two halves that are
-        drawn independently have not. Without memory each message has the delays and the losses of the line by itself.
+        A line that was measured one way has the same settings in both. For round trips, all variation goes forward and
+        half of the least delay backward: the sum then has the delays of the log, which two halves drawn independently
+        would not have. Without memory, each message has a delay and a loss of the line drawn by itself.
         """
         sections = {"forward": self.settings(), "backward": self.settings()}
         if round_trip:
@@ -159,14 +161,14 @@ class LineModel:
 
 
 def sent(way: dict[str, Any], seed: int, minutes: int = 10) -> tuple[Column, Column]:
-    """Return when each of 120 000 messages was sent, at even distances in these minutes, and its delay [ns]."""
+    """Return the times at which 120 000 messages were sent, evenly within these minutes, and their delays [ns]."""
     times_ns = range(0, minutes * 60 * 10**9, minutes * 500_000)
     settings = LinkSettings.of({"seed": seed, "forward": way})
     return np.array(times_ns, dtype=np.float64), delays_ns(settings, "teleop/forward", times_ns, _SENT_BYTES)
 
 
 def without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
-    """Return settings whose messages have the delays and the losses of a line, each by itself."""
+    """Return settings with the delays and losses of a line, but drawn for each message by itself."""
     _, delay_ns = sent(way, seed)
     delays_s = 1e-9 * delay_ns[~np.isnan(delay_ns)]
     jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(quantiles_of(delays_s))}
@@ -174,7 +176,7 @@ def without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
 
 
 class Agreement(NamedTuple):
-    """A statistic of the half that the fit has not seen: measured with its interval, generated, of the other half.
+    """A statistic of the half that the fit has not seen: measured with its interval, generated, and of the other half.
 
     halves_differ: the halves differ by more than chance, and the model agrees if it is between them.
     """
@@ -190,24 +192,24 @@ class Agreement(NamedTuple):
 
 
 def quantiles_of(delays_s: Column) -> tuple[tuple[float, float], ...]:
-    """Return the quantiles of delays that a model keeps, (share, delay [s])."""
+    """Return the quantiles of delays that a model stores, (share, delay [s])."""
     values = np.quantile(delays_s, SHARES).tolist()
     return tuple((share, _rounded(value)) for share, value in zip(SHARES, values, strict=True))
 
 
 def quantiles_text(quantiles: Iterable[tuple[float, float]]) -> str:
-    """Return quantiles, (share, delay [s]), as jitter.quantiles of the link takes them."""
+    """Return quantiles, (share, delay [s]), as the text of the link's jitter.quantiles."""
     return ",".join(f"{share}:{_rounded(value)}" for share, value in quantiles)
 
 
 def fit(log: LineLog, scale: Scale | None = None) -> LineModel:
-    """Return the model of a line."""
+    """Return the model fitted to a log; `scale` is that of the log by default."""
     tally = tally_of(log, scale_of(log) if scale is None else scale)
     return _model(tally, tally.once())
 
 
 def _model(tally: Tally, weights: Numbers) -> LineModel:
-    """Return the model of a tally, each block as often as its weight says."""
+    """Return the model of a tally, with each block counted by its weight."""
     quantiles_s = tally.usual.quantiles_s(weights, SHARES)
     each = weights[tally.stall_block]
     lengths_s = np.repeat(tally.length_s, each)
@@ -231,9 +233,9 @@ def _model(tally: Tally, weights: Numbers) -> LineModel:
 def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
     """Return mean [s] and spread of the lengths of the stalls that are long enough to be seen.
 
-    The first message that a stall held was sent up to a period after its begin, so that it is late by half a period
-    less on average, and by the standard deviation of that time more or less. What is too short to be seen is in the
-    quantiles of the usual delay, and is not made up for here.
+    The first message of a stall was sent up to a period after the stall began, so its delay is shorter than the stall
+    by half a period on average, with the standard deviation of that time. Stalls that are too short to be seen are part
+    of the quantiles of the usual delay, and are not added here.
     """
     if not len(late_s):
         return 0.0, 0.0
@@ -251,15 +253,15 @@ def memory_of(
 ) -> tuple[float, float, float]:
     """Return the time in which the correlation of normal scores falls to 1/e, a second such time [s], and its share.
 
-    The times t1 and t2 and the share b are those with which (1 - b) exp(-t/t1) + b exp(-t/t2) is nearest to the
-    correlations of the scores at all lags, that of neighbours counting as much as the others together. Where the one
-    time that neighbours give is as near, there is no second one. Without any correlation the time is 0. What lasts for
-    less than a period is taken to last for 0.3 of it, because nothing in the log tells.
+    The times t1 and t2 and the share b minimise the distance of (1 - b) exp(-t/t1) + b exp(-t/t2) from the correlations
+    of the scores at all lags, in which neighbours count as much as all others together. If the time from neighbours
+    alone fits as well, there is no second one. Without any correlation the time is 0. A correlation of less than a
+    period is given 0.3 of it, because the log does not show it.
 
     Args:
         lags: Distances in messages, the first of which is 1, shape (n,).
-        wanted: Correlations of the delays at them, nan where none is known.
-        quantiles_s: Those of the delay [s].
+        wanted: Correlations of the delays at these lags, nan if unknown.
+        quantiles_s: Quantiles of the delay [s].
         period_s: Time between two messages [s].
     """
     is_measured = ~np.isnan(wanted)
@@ -290,7 +292,7 @@ def memory_of(
 
 
 def correlation_of_scores(wanted: Column, quantiles_s: Column) -> Column:
-    """Return the correlations of normal scores with which delays of these quantiles have the wanted ones.
+    """Return the correlations of normal scores with which delays of these quantiles have the wanted correlations.
 
     With c_n the coefficients of the delay over Hermite's polynomials, which are orthonormal for normal scores, a
     correlation r of the scores becomes sum c_n^2 r^n / sum c_n^2 of the delays, both sums from n = 1 (Mehler).
@@ -299,14 +301,14 @@ def correlation_of_scores(wanted: Column, quantiles_s: Column) -> Column:
     delays_s -= _GRID_WEIGHTS @ delays_s
     variance = float(_GRID_WEIGHTS @ (delays_s * delays_s))
     powers = (_HERMITE @ (_GRID_WEIGHTS * delays_s)) ** 2 / variance
-    # What polynomials of a higher degree have is given the next one.
+    # The next degree stands for all higher ones.
     powers = np.append(powers, max(0.0, 1.0 - float(powers.sum())))
-    # one below 0 is taken as 0: what comes back after a time no model of the link has
+    # A correlation below 0 becomes 0: no model of the link has delays that return after a time.
     return np.asarray(np.interp(wanted, _CORRELATION_POWERS @ powers, _CORRELATIONS))
 
 
 def generated(ways: dict[str, dict[str, Any]], log: LineLog, seed: int) -> LineLog:
-    """Return what the link with the settings of these ways would have done to the messages of a log, there and back."""
+    """Return a log of the delays that the link with these settings would have given to the messages of a log."""
     segments = []
     begin_s = 0.0
     sent_s = []
@@ -334,9 +336,9 @@ def generated(ways: dict[str, dict[str, Any]], log: LineLog, seed: int) -> LineL
 
 
 def courses(log: LineLog) -> dict[str, float]:
-    """Return what a line does over seconds: correlation of the delay at lags, and the losses of windows; nan: unknown.
+    """Return the behaviour of a line over seconds: correlations of the delay at lags, losses of windows; nan: unknown.
 
-    A delay counts up to the share of 99.5 % of its own log, so that a few stalls are not all of the correlation.
+    Delays are limited to the 99.5 % quantile of their log, so that a few stalls do not dominate the correlation.
     """
     delays = np.concatenate([part.delay_s for part in log.segments])
     high = float(np.nanquantile(delays, COUNTED)) if (~np.isnan(delays)).any() else math.nan
@@ -364,9 +366,9 @@ def courses(log: LineLog) -> dict[str, float]:
 
 
 def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog]) -> list["Agreement"]:
-    """Return how what a line does over seconds agrees: within three deviations of what is generated, or nearly equal.
+    """Return how far the behaviour over seconds agrees: within deviations of the generated values, or nearly equal.
 
-    A bootstrap of blocks of 20 s would cut what lasts longer, so that the draws of the model give the interval.
+    The draws of the model give the interval, because a bootstrap of blocks of 20 s would cut whatever lasts longer.
     """
     rows = []
     measured, other = courses(second), courses(first)
@@ -386,17 +388,17 @@ def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog])
 
 
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
-    """Return what is compared: quantiles [ms], correlation of neighbours, stalls, losses; nan where there is none."""
+    """Return the compared statistics: quantiles [ms], correlation of neighbours, stalls, losses; nan if unknown."""
     tally = tally_of(log, scale)
     return statistics_of(tally, tally.once())
 
 
 def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agreement]:
-    """Fit the first half of each segment and compare what its settings generate with the second.
+    """Fit the first half of each segment, and compare messages generated by its settings with the second half.
 
-    The settings are those that `LineModel.ways` writes, with memory or without. The interval has the uncertainty of
-    both halves, and a statistic agrees inside of it. Where the halves differ by more than chance, no model of the first
-    half can be that of the second: it agrees between the two.
+    The settings are those of `LineModel.ways`, with memory or without. The interval includes the uncertainty of both
+    halves, and a statistic inside it agrees. If the halves differ by more than chance, no model of the first half can
+    be that of the second: then it agrees if it lies between the two.
     """
     scale = scale_of(log)
     first, second = log.halves()
@@ -406,14 +408,14 @@ def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agr
     rows = []
     for what, halves in compared_halves(log, seed).items():
         value, other = halves.second, halves.first
-        # The median, because a single long stall in one of the draws is most of the mean of a late quantile.
+        # The median is used, because one long stall in a draw could dominate the mean of a high quantile.
         made = _middle([draw[what] for draw in draws])
         low, high = value - halves.most_by_chance, value + halves.most_by_chance
         near = low <= made <= high or (halves.differ and min(value, other) <= made <= max(value, other))
-        # A half without a stall says nothing of their length.
+        # A half without a stall shows nothing about their length.
         unknown = math.isnan(made) or math.isnan(value)
         near = near or (what.startswith("correlation") and abs(value - made) <= _NEARLY["correlation"])
-        # an interval that holds nearly every correlation says nothing for the model
+        # An interval that contains nearly every correlation does not support the model.
         vague = what.startswith("correlation") and high - low > _VAGUE and abs(value - made) > 0.5 * _VAGUE
         agrees = unknown or (near and not vague)
         rows.append(Agreement(what, value, low, high, made, other, halves.differ, agrees))
@@ -421,7 +423,7 @@ def accept(log: LineLog, seed: int = 0, *, with_memory: bool = True) -> list[Agr
 
 
 def parameters(model: LineModel) -> dict[str, float]:
-    """Return the numbers of a model that an interval is stated of."""
+    """Return the parameters of a model for which an interval is stated."""
     quantiles = dict(model.quantiles)
     return {
         "usual delay, q50 [ms]": 1e3 * quantiles[0.5],
@@ -440,9 +442,10 @@ def parameters(model: LineModel) -> dict[str, float]:
 def intervals(log: LineLog, seed: int = 0, resamples: int = 1000) -> dict[str, tuple[float, float]]:
     """Return the 95 % interval of each parameter, by a bootstrap of blocks of the log.
 
-    The percentiles are those of Student's distribution of as many blocks, because few blocks vary less than what they
-    are of ("expanded percentile": Hesterberg, The American Statistician 69, 371, 2015). The spread of the stalls has at
-    least the interval of a log-normal one, by chi-square: resamples of some dozens of stalls are too alike.
+    The percentiles are widened to those of Student's distribution for this number of blocks, because resamples of few
+    blocks vary too little ("expanded percentile": Hesterberg, The American Statistician 69, 371, 2015). The spread of
+    the stalls has at least the interval of a log-normal spread, by chi-square, because resamples of some dozens of
+    stalls are too alike.
     """
     tally = tally_of(log, scale_of(log))
     drawn = [parameters(_model(tally, weights)) for weights in tally.draws(seed, resamples)]
@@ -480,7 +483,7 @@ def _at_lag(parts: Sequence[Segment], lag: int, mean_s: float) -> float:
 
 
 def ages_s(log: LineLog, count: int = 20_000) -> Column:
-    """Return how old the newest message that a reader has is, at times that are drawn from all of a log [s]."""
+    """Return the age of the newest message at a reader [s], at times spread evenly over all of a log."""
     ages = []
     for part in log.segments:
         here = ~np.isnan(part.delay_s)
@@ -495,7 +498,7 @@ def ages_s(log: LineLog, count: int = 20_000) -> Column:
 
 
 def lost_runs(log: LineLog) -> list[int]:
-    """Return how many messages each run of losses has."""
+    """Return the number of messages in each run of losses."""
     runs = []
     for part in log.segments:
         edges = np.diff(np.isnan(part.delay_s).astype(np.int8), prepend=0, append=0)
@@ -504,7 +507,7 @@ def lost_runs(log: LineLog) -> list[int]:
 
 
 def _interval(values: Sequence[float], below: float = 0.025) -> tuple[float, float]:
-    """Return the quantiles between which all but twice a share of the values are; nan if none is known."""
+    """Return the quantiles that cut off a share `below` at each end; nan if no value is known."""
     numbers = [value for value in values if not math.isnan(value)]
     return (
         (float(np.quantile(numbers, below)), float(np.quantile(numbers, 1.0 - below)))

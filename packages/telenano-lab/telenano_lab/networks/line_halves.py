@@ -1,4 +1,4 @@
-"""Whether the halves of a log of a line differ by more than chance, and how long what happens on it lasts.
+"""Test whether the halves of a log differ by more than chance, and estimate the correlation time of a line.
 
 differing = [what for what, halves in compared_halves(log).items() if halves.differ]
 """
@@ -13,23 +13,23 @@ from telenano_lab.networks.line_log import LineLog, Segment
 from telenano_lab.networks.line_sources import Column
 from telenano_lab.networks.line_tally import Numbers, Tally, blocks_in, scale_of, statistics_of, tally_of
 
-# The blocks of a log are dealt to two halves this number of times, for what chance makes between them.
+# The number of times that the blocks of a log are dealt to two halves, to find the differences that chance makes.
 _DEALS = 300
-# Of what chance makes, this share stays within the interval: more than 95 %, because the correlation time that the
-# blocks follow from is itself estimated.
+# The share of chance differences within the interval: more than 95 %, because the correlation time that determines the
+# blocks is itself an estimate.
 _SURE = 0.97
-# A block has this number of correlation times, if a half then has as many blocks as this, and no more than that.
+# The length of a block in correlation times, unless a half then has fewer or more blocks than these.
 _BLOCK_TIMES = 5.0
 _FEWEST_BLOCKS = 6.0
 _MOST_BLOCKS = 40.0
-# Correlations from the first that is smaller on count as none.
+# Correlations count only up to the first that is smaller than this.
 _LITTLE_CORRELATION = 0.05
-# Delays count up to this share of those of their log, so that a few stalls are not all of a correlation.
+# Delays are limited to this quantile of their log, so that a few stalls do not dominate a correlation.
 COUNTED = 0.995
 
 
 class Halves(NamedTuple):
-    """A statistic of both halves of a log, and the difference that chance makes at most; nan: none is known."""
+    """A statistic of both halves of a log, and the greatest difference by chance; nan: unknown."""
 
     first: float
     second: float
@@ -42,14 +42,13 @@ class Halves(NamedTuple):
 
 
 def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
-    """Compare the statistics of the halves of a log, by blocks that chance deals to two halves.
+    """Compare the statistics of the halves of a log with those of halves to which chance deals the blocks.
 
-    If the line is stationary, a block of the one half could as well be one of the other, so that the differences of
-    halves that are dealt anew are those that chance makes, with the uncertainty of both halves. A block is as long as
-    several correlation times; what is left of the correlation between blocks widens the differences. A statistic
-    differs if its difference, in its own deviations, is greater than the greatest of any statistic in 97 % of the
-    deals, so that fewer than 5 % of stationary lines have a difference at all (P. H. Westfall, S. S. Young,
-    Resampling-Based Multiple Testing, Wiley 1993).
+    If the line is stationary, a block of one half could as well belong to the other, so that the differences of halves
+    dealt anew are those of chance, with the uncertainty of both halves. A block is several correlation times long; the
+    correlation that remains between blocks widens the differences. A statistic differs if its difference, in its own
+    deviations, exceeds the greatest one of any statistic in 97 % of the deals, so that fewer than 5 % of stationary
+    lines have any difference (P. H. Westfall, S. S. Young, Resampling-Based Multiple Testing, Wiley 1993).
     """
     scale = scale_of(log)
     first, second = log.halves()
@@ -57,7 +56,7 @@ def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
     block_s = half_s / min(max(half_s / (_BLOCK_TIMES * time_s), _FEWEST_BLOCKS), _MOST_BLOCKS)
     tally = tally_of(LineLog((*first.segments, *second.segments), log.round_trip, log.resolution_s), scale, block_s)
     is_second = np.repeat([0, 1], [sum(blocks_in(part, block_s) for part in half.segments) for half in (first, second)])
-    # The blocks of a process with this correlation time have this share of the variance of a mean of them.
+    # The mean of a block of a process with this correlation time keeps this share of the variance.
     times = block_s / time_s
     kept = 1.0 + math.expm1(-times) / times
     draw = np.random.default_rng(seed)
@@ -74,22 +73,23 @@ def compared_halves(log: LineLog, seed: int = 0) -> dict[str, Halves]:
 
 
 def _of_halves(tally: Tally, is_second: Numbers) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the statistics of the blocks that are of the first half, and of those that are of the second."""
+    """Return the statistics of the blocks in the first half, and of those in the second."""
     return statistics_of(tally, 1 - is_second), statistics_of(tally, is_second)
 
 
 def lasting_s(log: LineLog) -> tuple[float, float]:
-    """Return the correlation time of a line, and how long a half of its log is [s]."""
+    """Return the correlation time of a line, and the length of a half of its log [s]."""
     first, second = log.halves()
     half_s = sum(float(part.sent_s[-1]) for part in first.segments)
     return correlation_time_s((*first.segments, *second.segments), log.period_s), half_s
 
 
 def correlation_time_s(parts: Sequence[Segment], period_s: float) -> float:
-    """Return the time in which the correlation of delays and losses falls to 1/e [s], at least that of a message.
+    """Return the time in which the correlation of delays and losses falls to 1/e [s], at least a period.
 
-    It is half of the sum of the correlations at all lags either way, up to the first below a twentieth: for an
-    exponential course the time of that. Each part has its own mean, so that a change between parts is no correlation.
+    It is half of the sum of the correlations at all lags in both directions, up to the first below a twentieth; for an
+    exponential course this is its time constant. Each part has its own mean, so that a change between parts does not
+    count as correlation.
     """
     delays = np.concatenate([part.delay_s for part in parts])
     high = float(np.nanquantile(delays, COUNTED))
@@ -104,7 +104,7 @@ def correlation_time_s(parts: Sequence[Segment], period_s: float) -> float:
 
 
 def _correlations(series: Sequence[Column]) -> list[float]:
-    """Return half of the one at lag 0, and the correlations at the lags after it, up to the first small one."""
+    """Return half of the correlation at lag 0, which is 1, and those at the lags after it up to the first small one."""
     longest = max(len(one) for one in series)
     size = 1 << (2 * longest - 1).bit_length()
     courses_of = [np.fft.irfft(np.abs(np.fft.rfft(one, size)) ** 2, size) for one in series]

@@ -1,9 +1,9 @@
-"""What was measured on a line: when each message was sent, and how long it took or that it was lost.
+"""Read logs of a line: when each message was sent, and how long it took or that it was lost.
 
-Four kinds of log are read: what `ping` printed, a table of times of sending and of receiving (or of delays) under a
-line of headings, a recording with what a network or the link did to each message, and a trace of when a line could
-deliver. A log is cut where its clock steps back or where nothing was sent for a time; a log whose units are not said,
-whose clocks disagree, or whose delay is another one at its end than at its begin, is refused.
+Four kinds of log are read: the output of `ping`, a table of times of sending and receiving (or of delays) with a line
+of headings, a recording with the fate of each message on a network or the link, and a trace of the times at which a
+line could deliver. A log is cut where its clock steps back or where nothing was sent for a time. A log is refused if
+its units are not stated, its clocks disagree, or its delay has changed from begin to end.
 """
 
 import re
@@ -22,33 +22,33 @@ from telenano_lab.networks.line_sources import Column, is_delivery_trace, of_rec
 from telenano_lab.networks.network_trace import Direction
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Fewer messages than this say nothing about rare events.
+# Fewer messages than this show nothing about rare events.
 FEWEST = 300
-# A log shorter than this says nothing about rare events.
+# A log shorter than this shows nothing about rare events.
 SHORTEST_S = 30.0
-# A pause in sending is longer than this number of periods, and than _PAUSE_S.
+# A pause in sending is longer than this number of periods, and longer than _PAUSE_S.
 _PAUSE_PERIODS = 20.0
 _PAUSE_S = 1.0
-# The median delay of a line lies between these; another one has a wrong unit.
+# The range of the median delay of a line; another one has a wrong unit.
 _SHORTEST_DELAY_S = 1e-6
 _LONGEST_DELAY_S = 100.0
 # The names of columns of times contain one of these.
 _SENT = ("sent", "send", "pub", "tx")
 _RECEIVED = ("rec", "sub", "rx", "arriv")
 _TIMES = ("time", "ts")
-# words of a heading that mean a round trip or a delay, wherever they stand, and those that mean another figure of it
+# Words of a heading that mean a round trip or a delay, anywhere in it, and words that mean another quantity.
 _ROUND_TRIP = re.compile(r"(?i)rtt|round|ping|(?:two|2).?way")
 _DELAY = re.compile(r"(?i)delay|latenc|owd|one.?way")
 _NO_DELAY = re.compile(r"(?i)drop|los[st]|rate|share|jitter|count|seq|dev|var|\bid\b")
 _LOST = "lost"
 _LARGEST_BYTES = 256_000_000
-# A longer time between two messages has a wrong unit.
+# A longer time between two messages means a wrong unit.
 _LONGEST_PERIOD_S = 600.0
-# A longer log has times in a wrong unit.
+# A longer log means a wrong unit.
 _LONGEST_LOG_S = 1e8
-# A step of one of two clocks is sought after each of this number of parts of a log.
+# A log is divided into this number of parts, after each of which a step of one of two clocks is sought.
 _PARTS = 20
-# The rows are not in the order of sending if more than this share of them go back in time.
+# With a greater share of rows that go back in time, the rows are not in the order of sending.
 _MOST_BACK_SHARE = 0.01
 # This number of rows may go back in time in any log.
 _MOST_BACK = 3
@@ -56,7 +56,7 @@ _MOST_BACK = 3
 
 @dataclass(frozen=True)
 class Segment:
-    """A part without a pause: sent_s of shape (n,), not decreasing from 0 [s], and delay_s, nan where lost [s]."""
+    """A part without a pause: sent_s, not decreasing from 0, and delay_s, nan if lost, of shape (n,) each [s]."""
 
     sent_s: Column
     delay_s: Column
@@ -64,9 +64,9 @@ class Segment:
 
 @dataclass(frozen=True)
 class LineLog:
-    """What a log holds: its segments, whether the delays are round trips, and what was cut, in sentences.
+    """The content of a log: its segments, whether the delays are round trips, and sentences about cuts.
 
-    resolution_s: what all delays are multiples of, where that is so coarse that it shows [s], else 0.
+    resolution_s: the step of which all delays are multiples [s], if it is so coarse that it shows, else 0.
     """
 
     segments: tuple[Segment, ...]
@@ -76,11 +76,11 @@ class LineLog:
 
     @property
     def period_s(self) -> float:
-        """The median time between two messages sent [s]."""
+        """The median time between two sent messages [s]."""
         return float(np.median(np.concatenate([np.diff(part.sent_s) for part in self.segments])))
 
     def halves(self) -> tuple["LineLog", "LineLog"]:
-        """Return the first half in time of each segment, and the second."""
+        """Return the first and the second half in time of each segment."""
         both_halves: tuple[list[Segment], list[Segment]] = [], []
         for part in self.segments:
             middle = int(np.searchsorted(part.sent_s, 0.5 * part.sent_s[-1]))
@@ -101,21 +101,24 @@ def read_log(
     direction: Direction | None = None,
     period_s: float | None = None,
 ) -> LineLog:
-    """Read logs of one line, each file as a segment of its own at least.
+    """Read logs of one line, each file as at least one segment.
 
-    `unit` is that of the columns of a table whose headings name none; `round_trip` says that the delays of a table are
-    round trips, as those of `ping` are and those under a heading such as `rtt`; `direction` is that of a recording
-    which counts, `forward` where none is given; `period_s` is the time between two messages of a log that has no times
-    [s].
+    Args:
+        paths: The files.
+        unit: The unit of a table's columns whose headings state none.
+        round_trip: Whether the delays of a table are round trips, like those of `ping` and those under a heading such
+            as `rtt`.
+        direction: The direction of a recording that is used; None takes `forward`.
+        period_s: The time between two messages of a log that has no times [s].
 
     Raises:
-        ConfigError: A log cannot be used, or no log needs what is given beside them; the message names file, line or
-            column, or the option, and what would be right.
+        ConfigError: A log cannot be used, or no log needs one of the options; the message names file, line or column,
+            or the option, and the remedy.
     """
     used: set[str] = set()
     segments: list[Segment] = []
     cuts: list[str] = []
-    # whether the delays of each log are round trips
+    # Whether the delays of each log are round trips.
     trips: list[bool] = []
     for path in paths:
         try:
@@ -135,7 +138,7 @@ def read_log(
     return log
 
 
-# What an option is for, as its refusal says where no log needs it.
+# The purpose of each option, for its refusal if no log needs it.
 _FOR = {
     "--unit": "columns whose headings name no unit",
     "--direction": "recordings of a rig",
@@ -144,7 +147,7 @@ _FOR = {
 
 
 def _check_used(given: Mapping[str, object], used: set[str], paths: Sequence[Path]) -> None:
-    """Refuse an option that none of the logs needs: whoever gives it expects that it changes something."""
+    """Refuse an option that none of the logs needs, because its user expects an effect."""
     for flag, value in given.items():
         if value is not None and flag not in used:
             names = ", ".join(path.name for path in paths)
@@ -157,7 +160,7 @@ Part = tuple[Column, Column]
 def _read(
     path: Path, unit: str | None, direction: Direction, period_s: float | None, cuts: list[str], used: set[str]
 ) -> tuple[list[Part], bool]:
-    """Return the parts of a log, and whether its delays are round trips; add to `used` the options that it needed."""
+    """Return the parts of a log, and whether its delays are round trips; add the options that it needed to `used`."""
     if path.suffix == ".mcap":
         used.add("--direction")
         return [of_recording(path, direction, cuts)], False
@@ -186,10 +189,10 @@ def _of_table(
     delay = _delay_in(columns)
     is_trip = delay is not None and _ROUND_TRIP.search(delay.name) is not None
     if period_s and delay is not None and (sent is None or sent.bad) and received is None:
-        # dates are no times that are read, and the person says the time between two rows
+        # Dates are not read as times, and the user states the time between two rows.
         sent = None
     elif len(columns) == 1 and (period_s or delay is not None):
-        # a lone column of delays
+        # The only column has delays.
         delay = columns[0]
         if period_s is None:
             raise ConfigError(f"{name}: has delays and no times; give the time between two messages by --period S")
@@ -218,7 +221,7 @@ def _of_table(
         begins, scale = table.numbers(sent)[:rows], _scale_of(sent, table, unit)
         if np.isnan(begins).any():
             raise ConfigError(f"{name}, line {table.lines[int(np.isnan(begins).argmax())]}: has no time of sending")
-        # Times of an epoch keep their nanoseconds only as differences.
+        # Only differences of times since the epoch keep their nanoseconds in a double.
         sent_s = (begins - begins[0]) * scale
     if delay is not None:
         delay_s = table.numbers(delay)[:rows] * _scale_of(delay, table, unit)
@@ -241,7 +244,7 @@ def _of_table(
 
 
 def _delay_in(columns: Sequence[TableColumn]) -> TableColumn | None:
-    """Return the column of delays: one whose name says a delay, else a round trip, and of several one in a time."""
+    """Return the column of delays: one named a delay, else a round trip; among several, one with a unit of time."""
     for words in (_DELAY, _ROUND_TRIP):
         named = [one for one in columns if words.search(one.name) and not _NO_DELAY.search(one.name)]
         in_time = [one for one in named if (unit := one.known) and unit.powers == (("s", 1.0),)]
@@ -318,15 +321,15 @@ def _check(log: LineLog) -> None:
     if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
         raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")
     for part in log.segments:
-        # One clock that steps is seen as a step of sending; of two, the delays step, wherever in the log that is. The
-        # middle comes first.
+        # A step of a single clock shows in the times of sending. With two clocks the delays step, anywhere in the log;
+        # the middle is checked first.
         places = [_PARTS // 2] if log.round_trip else sorted(range(1, _PARTS), key=lambda n: abs(n - _PARTS // 2))
         for place in places:
             _check_level(part, place / _PARTS)
 
 
 def _check_level(part: Segment, share: float) -> None:
-    """Refuse a part whose usual delays before this share of its time, and after it, have nothing in common."""
+    """Refuse a part whose usual delays before and after this share of its time do not overlap."""
     at_s = share * float(part.sent_s[-1])
     place = int(np.searchsorted(part.sent_s, at_s))
     halves = [half[~np.isnan(half)] for half in (part.delay_s[:place], part.delay_s[place:])]

@@ -1,4 +1,4 @@
-"""The picture of a line: what was measured beside what the link generates, or what a network of the link does alone."""
+"""Draw a line: measured beside generated messages, or a network of the link alone."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -19,15 +19,16 @@ _MOST_DRAWN = 20_000
 
 
 def line_figure(log: LineLog, made: LineLog) -> Figure:
-    """Draw a log beside what was generated for its messages."""
+    """Draw a log beside the delays that were generated for its messages."""
     return lines_figure({"measured": log, "generated": made}, scale_log=log)
 
 
 def lines_figure(lines: Mapping[str, LineLog], scale_log: LineLog | None = None) -> Figure:
     """Draw lines over one another, by name.
 
-    Delay over time, the share of the messages that take longer, the autocorrelation, the length of the stalls, the runs
-    of losses, and the age of the newest message at a reader. What a stall is follows from `scale_log`, else from each.
+    The panels are: delay over time, the share of the messages that take longer, the autocorrelation, the length of the
+    stalls, the runs of losses, and the age of the newest message at a reader. `scale_log` determines what counts as a
+    stall; without it each line does so itself.
     """
     figure = Figure(figsize=(9.5, 9.0), layout="constrained")
     (course, tail), (memory, lengths), (runs, age) = figure.subplots(3, 2)
@@ -62,7 +63,7 @@ def lines_figure(lines: Mapping[str, LineLog], scale_log: LineLog | None = None)
     for axis in (course.yaxis, tail.xaxis, memory.xaxis, age.xaxis):
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
-    # The colours of the course are those of the panel beside it; a legend would lie on its messages.
+    # The course has the colours of the panel beside it; a legend would cover its messages.
     for axes in (tail, memory, lengths, runs, age):
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize="small", loc="lower left" if axes is tail else "upper right")
@@ -72,11 +73,11 @@ def lines_figure(lines: Mapping[str, LineLog], scale_log: LineLog | None = None)
 
 
 class Curves(NamedTuple):
-    """What a network does to messages: x and y of each curve, as lists of numbers for a file.
+    """The effect of a network on messages: x and y of each curve, as lists of numbers for a file.
 
-    course: time [s], and the median and the longest delay [ms] of each of 120 parts of the log (None: no message);
-    delay_ms and age_ms: what these shares of the messages, or of the time at a reader, are above (`SLOWER`);
-    memory: lags [s] and the autocorrelation of the delay at them (None where all delays are alike).
+    course: time [s], and the median and the longest delay [ms] in each of 120 parts of the log (None without a
+    message). delay_ms and age_ms: the values that these shares of the messages, or of the time at a reader, exceed
+    (`SLOWER`). memory: lags [s] and the autocorrelation of the delay at them (None if all delays are equal).
     """
 
     course: tuple[list[float], list[float | None], list[float | None]]
@@ -87,16 +88,16 @@ class Curves(NamedTuple):
 
 # Shares of the messages that take longer, and of the time in which the newest message is older.
 SLOWER = (0.999, 0.99, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
-# The course of the delays is drawn in this number of parts.
+# The number of parts of the course of the delays.
 _COURSE_PARTS = 120
-# The correlations are drawn at this number of lags.
+# The number of lags at which the correlation is drawn.
 _LAGS = 24
-# An axis that has more between its ends is labelled at powers of ten alone.
+# An axis with a greater ratio of its ends is labelled at powers of ten only.
 _WIDE = 20.0
 
 
 def curves_of(log: LineLog) -> Curves:
-    """Return the curves that the picture of a network and the page of the operator draw."""
+    """Return the curves for the picture of a network and for the page of the operator."""
     part = max(log.segments, key=lambda one: len(one.sent_s))
     pieces = np.array_split(np.arange(len(part.sent_s)), min(_COURSE_PARTS, len(part.sent_s)))
     delays = [part.delay_s[piece][~np.isnan(part.delay_s[piece])] for piece in pieces]
@@ -149,7 +150,7 @@ def network_figure(name: str, curves: Curves) -> Figure:
 
 
 def _scale_of(values: Iterable[float]) -> str:
-    """Return the scale of an axis: a network without any delay has nothing that a logarithm shows."""
+    """Return the scale of an axis: linear for a network without any delay, which a logarithm cannot show."""
     return "log" if any(value > 0.0 for value in values) else "linear"
 
 

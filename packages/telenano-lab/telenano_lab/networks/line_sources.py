@@ -1,4 +1,4 @@
-"""What is no table of messages becomes times of sending and delays: recordings, delivery traces and histograms."""
+"""Read times of sending and delays from recordings, delivery traces and histograms, which hold no messages."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,35 +15,35 @@ from telenano_lab.networks.network_trace import Direction, traces_of
 from telenano_lab.networks.report_command import fates_in
 
 Column = npt.NDArray[np.float64]
-# Messages of this size are sent through a delivery trace.
+# The size of messages that are sent through a delivery trace [bytes].
 _SIZE_BYTES = 200
-# They are sent at this interval.
+# The interval at which they are sent [s].
 _PERIOD_S = 0.010
-# A trace gives the times of opportunities in this unit.
+# The unit of the times in a trace [s].
 _OPPORTUNITY_S = 1e-3
-# A trace has this number of opportunities at least.
+# The least number of opportunities in a trace.
 _FEWEST_OPPORTUNITIES = 100
-# A trace with fewer opportunities carries next to nothing.
+# With more messages than this for each opportunity, a trace carries next to nothing.
 _MOST_SENT_FOR_EACH = 1000
 
 
 class Histogram(NamedTuple):
-    """Lower edges of the bins, and the upper edge of the last, shape (n + 1,) [s]; share of each bin, shape (n,)."""
+    """The edges of the bins, shape (n + 1,) [s], and the share of each bin, shape (n,)."""
 
     edges_s: Column
     shares: Column
 
     def quantiles_s(self, shares: tuple[float, ...]) -> list[float]:
-        """Return the delays below which these shares lie [s]; within a bin all delays are alike."""
+        """Return the delays below which these shares lie [s]; within a bin delays are evenly distributed."""
         below = np.concatenate([[0.0], np.cumsum(self.shares)])
         return [float(value) for value in np.interp(shares, below / below[-1], self.edges_s)]
 
 
 def of_recording(path: Path, direction: Direction, notes: list[str]) -> tuple[Column, Column]:
-    """Return sending times and delays [s] of what the network of a recording did, or else of what its link did.
+    """Return sending times and delays [s] of the network in a recording, or else of its link.
 
     Raises:
-        ConfigError: The recording has neither.
+        ConfigError: The recording has data of neither.
         RecordingError: The file is no recording.
         TelenanoError: There are too few datagrams.
     """
@@ -70,7 +70,7 @@ def of_recording(path: Path, direction: Direction, notes: list[str]) -> tuple[Co
 
 
 def is_delivery_trace(text: str) -> bool:
-    """Return whether a text is a whole number a line, never falling: mahimahi writes so when a line could deliver."""
+    """Return whether a text is a mahimahi trace of delivery opportunities: a whole number a line, not decreasing."""
     words = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if len(words) < _FEWEST_OPPORTUNITIES or not all(word.isdecimal() and len(word) < 19 for word in words):
         return False
@@ -81,7 +81,7 @@ def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Colu
     """Return sending times and delays [s] of small messages that are sent through a delivery trace.
 
     Raises:
-        ConfigError: The trace ends where it begins.
+        ConfigError: All opportunities are at time 0, or there are too few of them.
     """
     times = [int(word) for word in text.split() if word.isdecimal()]
     if times[-1] == 0:
@@ -118,10 +118,10 @@ def _written(text: str) -> tuple[Path, str]:
 
 
 def read_histogram(path: Path, unit_s: float | None) -> Histogram:
-    """Read rows of a bin's lower edge and its count, or its share; a line of headings may say the unit.
+    """Read rows of a bin's lower edge and its count, or its share; a line of headings may state the unit.
 
     Raises:
-        ConfigError: Nobody says the unit, a row is no pair of numbers, the edges do not rise, or nothing is counted;
+        ConfigError: The unit is not stated, a row is no pair of numbers, the edges do not rise, or nothing is counted;
             the message names file and line.
     """
     table = TextTable.read(path)

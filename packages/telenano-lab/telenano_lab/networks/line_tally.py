@@ -1,7 +1,7 @@
-"""What a fit needs of a log, tallied in blocks of time: a resample of the blocks then costs sums, and no new search.
+"""Tally the data of a log that a fit needs in blocks of time, so that a resample of the blocks only costs sums.
 
-What begins in a block is of that block, also where it ends in the next one: a stall, a run of losses, a pair of
-neighbours. A stall that a resample cut in two would be two short ones, of which the spread of their lengths is most.
+A stall, a run of losses or a pair of neighbours belongs to the block in which it begins, even if it ends in the next.
+If a resample cut a stall in two, the two short ones would make up most of the spread of the lengths.
 """
 
 import math
@@ -15,22 +15,22 @@ from telenano_lab.networks.line_log import LineLog, Segment
 from telenano_lab.networks.line_sources import Column
 
 Numbers = npt.NDArray[np.int64]
-# Messages of one go arrive within this share of the period at which they were sent.
+# Messages that arrive within this share of the sending period of each other arrive together.
 _TOGETHER = 0.2
 # A stall is longer than this number of periods.
 _PERIODS = 2.0
 # A stall is longer than this multiple of the distance from the median delay to the third quartile.
 _SPREADS = 8.0
-# The log is resampled in blocks of about this length.
+# The approximate length of the blocks for resampling.
 BLOCK_S = 20.0
 # The longest time over which the delay is compared with itself [s].
 _LONGEST_LAG_S = 30.0
-# A message overtakes when it arrives by so much before the one before.
+# A message overtakes the one before it if it arrives earlier by at least this.
 _OVERTAKES_S = 1e-3
 
 
 class Scale(NamedTuple):
-    """What tells a stall from the usual: the period of sending, median delay and least length of a stall [s]."""
+    """The scale that separates stalls from usual delays: period, median delay, least length of a stall [s]."""
 
     period_s: float
     median_s: float
@@ -38,7 +38,7 @@ class Scale(NamedTuple):
 
 
 class Stall(NamedTuple):
-    """The places of its messages in a segment (the last one is not of it), and by how much the latest came late [s]."""
+    """The first message of a stall in its segment, the first after it, and its greatest delay above the median [s]."""
 
     first: int
     end: int
@@ -46,13 +46,13 @@ class Stall(NamedTuple):
 
 
 class SortedDelays(NamedTuple):
-    """Delays in rising order [s], and the number of the block of each."""
+    """Delays in ascending order [s], and the number of the block of each."""
 
     delay_s: Column
     block: Numbers
 
     def quantiles_s(self, weights: Numbers, shares: Sequence[float]) -> Column:
-        """Return the quantiles of the delays with each block as often as its weight says, linear between two [s]."""
+        """Return the quantiles of the delays, each block counted by its weight, with linear interpolation [s]."""
         counts = np.cumsum(weights[self.block])
         if not len(counts) or counts[-1] == 0:
             return np.full(len(shares), np.nan)
@@ -67,11 +67,11 @@ class SortedDelays(NamedTuple):
 class Tally(NamedTuple):
     """A log in n blocks.
 
-    usual, known: the delays outside of stalls, and all that are not lost; lags: distances in messages; usual_pairs of
-    shape (lags, n, 6), pairs of shape (n, 6): of what is so far apart outside of stalls, and of neighbours among all,
-    the sums that give a correlation; stall_block, late_s, length_s and held, of shape (stalls,):
-    block, by how much the latest message was late, how long it lasted [s], and how many messages it held; seconds,
-    messages, lost, runs and overtaken, of shape (n,): length [s], and counts of messages and of runs of losses.
+    usual, known: the delays outside of stalls, and all delays that are known. lags: distances in messages. usual_pairs
+    of shape (lags, n, 6), pairs of shape (n, 6): the sums for a correlation, of messages at each lag outside of stalls,
+    and of neighbours among all. stall_block, late_s, length_s and held, of shape (stalls,): the block of a stall, the
+    greatest delay above the median, the length [s], and the number of messages held. seconds, messages, lost, runs and
+    overtaken, of shape (n,): length [s], and the counts of messages, losses, runs of losses and overtakings.
     """
 
     period_s: float
@@ -91,18 +91,18 @@ class Tally(NamedTuple):
     overtaken: Numbers
 
     def once(self) -> Numbers:
-        """Return the weights with which each block counts once."""
+        """Return weights that count each block once."""
         return np.ones(len(self.seconds), dtype=np.int64)
 
     def draws(self, seed: int, count: int) -> Iterable[Numbers]:
-        """Give the weights of this number of resamples of the blocks, with replacement."""
+        """Yield the weights of this number of resamples of the blocks, with replacement."""
         draw, size = np.random.default_rng(seed), len(self.seconds)
         for _ in range(count):
             yield np.bincount(draw.integers(size, size=size), minlength=size)
 
 
 def scale_of(log: LineLog) -> Scale:
-    """Return what tells a stall from the usual on this line."""
+    """Return the scale that separates stalls from usual delays on this line."""
     delays = np.concatenate([part.delay_s[~np.isnan(part.delay_s)] for part in log.segments])
     median_s, third_s = (float(value) for value in np.quantile(delays, (0.5, 0.75)))
     return Scale(log.period_s, median_s, max(_PERIODS * log.period_s, _SPREADS * (third_s - median_s)))
@@ -111,8 +111,8 @@ def scale_of(log: LineLog) -> Scale:
 def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
     """Return the stalls of a segment, in order.
 
-    A stall is a run of messages that are late by half of the least length of a stall, or arrive together with the one
-    before, of which one is late by the whole of it.
+    A stall is a run of messages that are late by more than half of the least length of a stall, or arrive together with
+    the one before; one of them must be late by more than the whole length.
     """
     here = np.flatnonzero(~np.isnan(part.delay_s))
     if len(here) < 2:
@@ -120,7 +120,7 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
     late_s = part.delay_s[here] - scale.median_s
     gaps_s = np.diff(part.sent_s[here] + part.delay_s[here], prepend=-np.inf)
     held = late_s > 0.5 * scale.stall_s
-    # Each run of messages that are late or come together, from its first late one on.
+    # Each run of messages that are late or arrive together, from its first late one on.
     edges = np.diff((held | (gaps_s < _TOGETHER * scale.period_s)).astype(np.int8), prepend=0, append=0)
     stalls = []
     for first, end in zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True):
@@ -132,12 +132,12 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
 
 
 def blocks_in(part: Segment, block_s: float) -> int:
-    """Return how many blocks of about a length [s] a segment has: one at least, and never more than messages."""
+    """Return the number of blocks of about a length [s] in a segment: at least one, and not more than its messages."""
     return max(1, min(round(float(part.sent_s[-1]) / block_s), len(part.sent_s)))
 
 
 def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
-    """Return the tally of a log in blocks of about this length [s], of which a segment has one at least."""
+    """Return the tally of a log in blocks of about this length [s], at least one for each segment."""
     delays, blocks, is_usual, overtaken = [], [], [], []
     segment: list[Numbers] = []
     seconds: list[float] = []
@@ -151,7 +151,7 @@ def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
         arrived = np.flatnonzero(~np.isnan(part.delay_s))
         for stall in stalls_of(part, scale):
             usual[stall.first : stall.end] = False
-            # What was lost after its last message may have been sent before it ended.
+            # Messages lost after its last one may have been sent before the stall ended.
             after = int(np.searchsorted(arrived, stall.end))
             until = int(arrived[after]) if after < len(arrived) else len(usual)
             stalls.append((int(block[stall.first]), stall.late_s, stall.end - stall.first, until - stall.first))
@@ -169,7 +169,7 @@ def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
     late_s = delay_s - scale.median_s
 
     def pairs(chosen: npt.NDArray[np.bool_], lag: int) -> npt.NDArray[np.float64]:
-        # a pair is of two messages of one segment
+        # Both messages of a pair are in one segment.
         both = chosen[:-lag] & chosen[lag:] & (segments[:-lag] == segments[lag:])
         return _pair_sums(late_s[:-lag][both], late_s[lag:][both], block[:-lag][both], count)
 
@@ -184,7 +184,7 @@ def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
         pairs=pairs(~lost, 1),
         stall_block=np.array([one[0] for one in stalls], dtype=np.int64),
         late_s=stalled_s,
-        # Of a message that comes late alone, because others overtook it, the line did not stand still this long.
+        # If a message is late alone because others overtook it, the line did not stand still for all of its delay.
         length_s=np.minimum(stalled_s, spanned * scale.period_s),
         held=np.array([one[2] for one in stalls], dtype=np.int64),
         seconds=np.array(seconds),
@@ -196,19 +196,19 @@ def tally_of(log: LineLog, scale: Scale, block_s: float = BLOCK_S) -> Tally:
 
 
 def correlation_of(pairs: npt.NDArray[np.float64], weights: Numbers) -> float:
-    """Return the correlation of pairs whose sums are given, each block as often as its weight says; nan: none known."""
+    """Return the correlation of pairs from their sums, each block counted by its weight; nan if unknown."""
     count, first, second, squared, squared_too, product = (weights @ pairs).tolist()
     if count < 3.0:
         return math.nan
     spread, spread_too = squared - first * first / count, squared_too - second * second / count
-    # What is left of a difference of sums of squares is rounding.
+    # A smaller difference of sums of squares is rounding.
     if spread <= 1e-12 * squared or spread_too <= 1e-12 * squared_too:
         return math.nan
     return float((product - first * second / count) / math.sqrt(spread * spread_too))
 
 
 def statistics_of(tally: Tally, weights: Numbers) -> dict[str, float]:
-    """Return what is compared of a log, with each block as often as its weight says; nan where there is none."""
+    """Return the compared statistics of a log, each block counted by its weight; nan if there is none."""
     quantiles_ms = 1e3 * tally.known.quantiles_s(weights, (0.5, 0.99, 0.999))
     each = weights[tally.stall_block]
     late_s, held = np.repeat(tally.late_s, each), np.repeat(tally.held, each)

@@ -22,14 +22,14 @@ PROFILES = Path("telenano") / "settings" / "networks"
 
 
 class Campaign(NamedTuple):
-    """Logs of others: folder of the checkout, and what is cited."""
+    """Logs that others have published: the folder of the checkout, and the citation."""
 
     folder: str
     cite: str
 
 
 class Line(NamedTuple):
-    """A line: campaign, patterns of its logs, further options, and what it is."""
+    """A line: its campaign, patterns of its logs, further options, and a description."""
 
     campaign: str
     patterns: tuple[str, ...]
@@ -115,7 +115,7 @@ LINES = {
 
 
 def logs_of(line: Line, folder: Path) -> list[Path]:
-    """Return the logs of a line; a ping without a packet in it, because it did not start, is none."""
+    """Return the logs of a line, without those of a ping that did not start and has no packet."""
     campaign = folder / CAMPAIGNS[line.campaign].folder
     paths = sorted(path for pattern in line.patterns for path in campaign.glob(pattern))
     if not paths:
@@ -124,7 +124,7 @@ def logs_of(line: Line, folder: Path) -> list[Path]:
 
 
 def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[str, object]:
-    """Run `telenano link fit` and return what fit.json has."""
+    """Run `telenano link fit` and return the content of fit.json."""
     cite = CAMPAIGNS[line.campaign].cite
     if cite.endswith("; "):
         cite += URLLC if line.options else CUMUCORE
@@ -154,7 +154,7 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
 
 
 def row(name: str, facts: dict[str, object]) -> str:
-    """Return the row of a line: for each statistic measured, generated, and whether they agree."""
+    """Return the row of a line: measured and generated value of each statistic, and whether they agree."""
     cells = [name]
     table = facts["agreement"]
     assert isinstance(table, list)
@@ -170,7 +170,7 @@ def row(name: str, facts: dict[str, object]) -> str:
 
 
 def main() -> None:
-    """Fit the lines that were named, or all."""
+    """Fit the named lines, or all of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", choices=[*LINES, []])

@@ -1,8 +1,8 @@
-"""What a network did to the datagrams of the link, as a trace that the link replays (`telenano link probe`).
+"""Convert the measured effect of a network on the link's datagrams to a trace that the link replays (`link probe`).
 
-Each end reports of the direction that it receives when every datagram arrived, how long it took and which were lost
-(`link/network`). Here these become, for each direction, delay and loss by the number of the datagram, in the format of
-`delay_trace` and `loss_trace` of the link.
+Each end reports for the direction that it receives when every datagram arrived, how long it took and which were lost
+(`link/network`). Here these reports become, for each direction, delay and loss by the number of the datagram, in the
+formats of the link's `delay_trace` and `loss_trace`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,18 +22,19 @@ if TYPE_CHECKING:
 Direction = Literal["forward", "backward"]
 DIRECTIONS: tuple[Direction, ...] = ("forward", "backward")
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
-# The fastest datagram of each tenth of a second counts for the clocks [ns].
+# The length of the blocks of which the fastest datagram counts for the clocks [ns].
 _BLOCK_NS = 100_000_000
-# fewer than this say nothing of a network
+# Fewer datagrams than this show nothing about a network.
 _FEWEST = 100
 
 
 @dataclass(frozen=True)
 class NetworkTrace:
-    """One direction: the datagrams in the order of sending, each of shape (n,).
+    """One direction: its datagrams in the order of sending, arrays of shape (n,).
 
-    sent_s: time of sending from that of the first [s]; delay_s: one-way delay [s], 0 where lost; lost: which never
-    arrived. late counts those that a newer one overtook, uncertainty_s bounds what all delays may be off by [s].
+    sent_s: time of sending since the first one [s]. delay_s: one-way delay [s], 0 if lost. lost: whether a datagram
+    never arrived. late: the number that a newer one overtook. uncertainty_s: the bound of the common error of all
+    delays [s].
     """
 
     direction: Direction
@@ -45,7 +46,7 @@ class NetworkTrace:
 
     @property
     def arrived_s(self) -> npt.NDArray[np.float64]:
-        """The delays of those that arrived [s]."""
+        """The delays of the datagrams that arrived [s]."""
         return np.asarray(self.delay_s[~self.lost])
 
     def summary(self) -> dict[str, Any]:
@@ -64,7 +65,7 @@ class NetworkTrace:
 
 
 def longest_run(lost: npt.NDArray[np.bool_]) -> int:
-    """Return how many datagrams were lost in a row at most."""
+    """Return the greatest number of datagrams lost in a row."""
     longest = run = 0
     for is_lost in lost.tolist():
         run = run + 1 if is_lost else 0
@@ -73,12 +74,11 @@ def longest_run(lost: npt.NDArray[np.bool_]) -> int:
 
 
 def traces_of(reports: Iterable[LinkNetwork]) -> dict[Direction, NetworkTrace]:
-    """Return the trace of each direction of which there are reports; TelenanoError when one has too few datagrams.
+    """Return the trace of each direction with reports; TelenanoError if one has too few datagrams.
 
-    Reports from before the clocks were compared have no delays, and are left out. The delays rest on one line of what
-    the slave's clock is ahead, through the fastest datagrams of both directions (`telenano.timing.clock_fit`): what
-    each report knew of the clocks when it was made differs from one to the next. Where one direction lacks, they stay
-    as they were reported.
+    Reports from before the clocks were compared have no delays and are left out. The delays rest on one line for the
+    lead of the slave's clock, through the fastest datagrams of both directions (`telenano.timing.clock_fit`), because
+    the leads that the single reports assumed differ. If one direction is missing, delays stay as reported.
     """
     reports_of: dict[Direction, list[LinkNetwork]] = {}
     for report in reports:
@@ -96,25 +96,25 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 def _columns(reports: Sequence[LinkNetwork]) -> Columns:
-    """Return the rows of reports, with `transit_ns`: arrival less sending, by two clocks [ns]."""
+    """Return the rows of reports, with `transit_ns`: arrival minus sending, by two clocks [ns]."""
     names = ("number", "arrived_ns", "delay_ns", "lost_flag")
     rows = {
         name: np.concatenate([np.asarray(getattr(report, name).to_numpy()) for report in reports]) for name in names
     }
-    # A report has added what it took the other clock to be ahead.
+    # A report has corrected its delays by the lead of the other clock that it assumed.
     added_ns = [np.full(len(report.number.to_numpy()), round(report.clock.offset_s * 1e9)) for report in reports]
     rows["transit_ns"] = rows["delay_ns"] - np.concatenate(added_ns)
     return rows
 
 
 def _clock_line(columns: Mapping[Direction, Columns]) -> ClockLine | None:
-    """Return what the slave's clock is ahead of the master's, by the master's; None without both directions."""
+    """Return the lead of the slave's clock over the master's, by the master's clock; None without both directions."""
     bounds: dict[Direction, list[tuple[int, int]]] = {}
     for direction, rows in columns.items():
         arrived = rows["lost_flag"] == 0
         at_ns, transit_ns = rows["arrived_ns"][arrived], rows["transit_ns"][arrived]
         is_there = direction == "forward"
-        # A datagram to the slave left at the master when it arrived there less its transit by two clocks.
+        # A datagram to the slave left the master at its arrival there minus its transit by two clocks.
         here_ns = at_ns - transit_ns if is_there else at_ns
         best: dict[int, tuple[int, int]] = {}
         for at, value in zip(here_ns.tolist(), transit_ns.tolist(), strict=True):
@@ -125,7 +125,7 @@ def _clock_line(columns: Mapping[Direction, Columns]) -> ClockLine | None:
     if not all(bounds.get(direction) for direction in DIRECTIONS):
         return None
     line = ClockLine.through(bounds["forward"], bounds["backward"])
-    # The very fastest datagram of each way is a matter of chance; the fastest of a usual tenth of a second is not.
+    # The very fastest datagram of a direction is a matter of chance; the fastest of a usual tenth of a second is not.
     off_ns = [
         float(np.median([abs(value - line.at(at)) for at, value in bounds[direction]])) for direction in DIRECTIONS
     ]
@@ -133,7 +133,7 @@ def _clock_line(columns: Mapping[Direction, Columns]) -> ClockLine | None:
 
 
 def _on_one_clock(direction: Direction, rows: Columns, line: ClockLine | None) -> Columns:
-    """Return rows whose times are by one clock, that of the receiver, and whose delays rest on a line."""
+    """Return rows with times by the receiver's clock alone, and delays that rest on the line."""
     if line is None:
         return rows
     sign = -1.0 if direction == "forward" else 1.0
@@ -146,7 +146,7 @@ def _on_one_clock(direction: Direction, rows: Columns, line: ClockLine | None) -
 def _trace(
     direction: Direction, reports: Sequence[LinkNetwork], columns: Columns, line: ClockLine | None
 ) -> NetworkTrace:
-    # A message that was given up and came after all has two rows; the one with its arrival counts.
+    # A datagram that arrived after it was reported lost has two rows; the one with its arrival counts.
     order = np.lexsort((columns["lost_flag"], columns["number"]))
     number = columns["number"][order]
     first = np.ones(len(number), dtype=bool)
@@ -155,7 +155,7 @@ def _trace(
     delay_ns = columns["delay_ns"][order][first]
     sent_ns = columns["arrived_ns"][order][first] - delay_ns
     if len(number) and not lost.all():
-        # Losses in the last second are not reported yet: these are the numbers without a row.
+        # Losses of the last second are not reported yet: they are the numbers without a row.
         arrived = number[~lost]
         lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - LinkNetwork.SETTLE_NS]
         absent = np.setdiff1d(np.arange(lately.min(), lately.max()), number)
@@ -175,8 +175,8 @@ def _trace(
         )
     inside = slice(int(np.argmax(has_arrived)), len(has_arrived) - int(np.argmax(has_arrived[::-1])))
     number, lost, delay_ns, sent_ns, has_arrived = (x[inside] for x in (number, lost, delay_ns, sent_ns, has_arrived))
-    # The neighbours of a lost message tell when it was sent, because the clock of the loop is even. Times count from
-    # the first, because a double has no nanoseconds of an epoch.
+    # The time of sending of a lost datagram follows from its neighbours, because the loop is evenly clocked. Times
+    # count from the first one, because a double cannot hold the nanoseconds of an epoch.
     since_ns = np.maximum.accumulate(sent_ns[has_arrived] - sent_ns[0])
     return NetworkTrace(
         direction,
@@ -189,7 +189,7 @@ def _trace(
 
 
 def _left_out(reports: Sequence[LinkNetwork]) -> list[tuple[int, int]]:
-    """Return between which numbers reports left out what became of datagrams, as they do over a line that is full."""
+    """Return the ranges of numbers for which reports left out the fates of datagrams, as they do over a full line."""
     spans: list[tuple[int, int]] = []
     newest, begin, counted = -1, None, reports[0].arrived
     for report in reports:
@@ -206,10 +206,10 @@ def _left_out(reports: Sequence[LinkNetwork]) -> list[tuple[int, int]]:
 
 
 def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict[str, Any]:
-    """Write FOLDER/DIRECTION.delay and .loss, and give the section `delay_node` that replays them, names relative.
+    """Write FOLDER/DIRECTION.delay and .loss; return the section `delay_node` that replays them, with relative names.
 
-    They go by the number of the datagram: neighbouring delays and runs of losses are those of the network whatever is
-    sent at which rate.
+    They are by the number of the datagram: neighbouring delays and runs of losses are then those of the network at any
+    rate of sending.
     """
     section: dict[str, Any] = {}
     for direction, trace in traces.items():
@@ -230,7 +230,7 @@ def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict
 
 
 def trace_figure(traces: Mapping[Direction, NetworkTrace]) -> "Figure":
-    """Draw delay over time with the losses below, and the distribution of the delay, a row for each direction."""
+    """Draw delay over time with the losses below, and the distribution of the delay, with a row for each direction."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.0 * len(traces)), layout="constrained")

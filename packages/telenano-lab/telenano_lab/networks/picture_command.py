@@ -1,4 +1,4 @@
-"""`telenano link picture`: what networks do to messages, drawn over one another."""
+"""`telenano link picture`: draw the effect of networks on messages over one another."""
 
 import json
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from telenano_lab.networks.line_log import LineLog
     from telenano_lab.networks.line_page import Curves
 
-# Messages are sent at this interval.
+# The interval between messages [ns].
 _PERIOD_NS = 5_000_000
-# They are sent for this number of seconds.
+# The time for which they are sent [s].
 _SECONDS = 600
 _SIZE_BYTES = 200
-# More networks than this are not drawn over one another.
+# The most networks that are drawn over one another.
 _MOST_OVER_ONE_ANOTHER = 8
 
 
@@ -64,7 +64,7 @@ def picture(
 
 
 def curves_text(curves: "Mapping[str, Curves]") -> str:
-    """Return the curves of networks as the page of the operator reads them, a line for each network."""
+    """Return the curves of networks as the page of the operator reads them, with a line for each network."""
     from telenano_lab.networks.line_page import SLOWER
 
     rows = (f"{json.dumps(name)}:{json.dumps(one._asdict(), separators=(',', ':'))}" for name, one in curves.items())
@@ -78,7 +78,7 @@ def _quantiles_ms(values_s: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> l
 
 
 def carried(name: str, seed: int) -> "LineLog":
-    """Return what a network does to messages, as a log of them; ConfigError names the networks that there are."""
+    """Return the delays of messages over a network, as a log of them; ConfigError lists the known networks."""
     import numpy as np
 
     from telenano.settings import LinkSettings

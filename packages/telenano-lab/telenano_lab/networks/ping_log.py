@@ -1,14 +1,13 @@
-"""Read what `ping` printed: the round trips of a measured network.
+"""Read the output of `ping`: the round trips of a measured network.
 
-The lines are those of the `ping` of Linux, BusyBox, BSD, macOS and Windows, and of `fping`; what they call the time is
-that of any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each answer, and so does what puts a date
-in front of each line. Without them the packets are taken as sent at even distances, of which the last lines say how
-long all of them took. Windows prints no numbers: each line between its head and its statistics is a packet, and one
-without a time is a lost one.
+The lines are those of the `ping` of Linux, BusyBox, BSD, macOS and Windows, and of `fping`, with the word for the time
+in any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each answer, as do tools that put a date
+before each line. Without times, packets are assumed to be sent evenly over the duration that the last lines state.
+Windows prints no numbers: each line between its head and its statistics is a packet, and one without a time is lost.
 
-What was lost before the first answer and after the last one is counted as well, by the numbers that other lines name
-(`no answer yet for icmp_seq=7`) and by how many packets were transmitted. A new run in the same file, by its head or by
-numbers that begin again, is a part of its own.
+Losses before the first and after the last answer are counted as well, from the numbers that other lines name (`no
+answer yet for icmp_seq=7`) and from the number of transmitted packets. A new run in the same file, which has a head or
+begins its numbers again, is a part of its own.
 """
 
 import math
@@ -22,46 +21,45 @@ from telenano.wire import ConfigError
 _TIME = r"(?:\b[^\W\d]+ ?[=<]|\d bytes, )(?P<ms>\d{1,9}(?:[.,]\d{1,9})?) ?(?:ms|мс)"
 _STAMP = r"\[(?P<stamp>\d{1,12}\.\d{1,12}|\d{4}-\d\d-\d\d[ T][\d:.]{5,20})\] "
 _ANSWER = re.compile(rf"^(?:{_STAMP})?.*?{_TIME}", re.IGNORECASE)
-# the last lines: how many packets, and how long all of them took
+# The last lines: the number of packets, and the time that all of them took.
 _TOTAL = re.compile(r"^(\d{1,10}) packets transmitted(?:.* time (\d{1,12}) ?ms)?")
 _NUMBER = re.compile(r"(?:\b(?:icmp_)?seq[= ]| : \[)(\d+)")
 _HEAD = re.compile(rf"^(?:{_STAMP})?(?:PING|Pinging) ")
-# of Windows in any language: the answer has its life, and the head ends with a colon
+# Windows in any language: an answer ends with its TTL, and the head ends with a colon.
 _OF_WINDOWS = re.compile(r"\bTTL=\d{1,3}\s*$")
-# the unit in whatever letters, which an older character set may have damaged
+# The unit may have any letters, because an older character set may have damaged it.
 _WINDOWS_ANSWER = re.compile(r"[=<] ?(?P<ms>\d{1,9}) ?\S{1,4} +TTL=\d{1,3}\s*$")
 _WINDOWS_HEAD = re.compile(r".*\d.*[:：]\s*$")
-# No line of ping is longer.
+# No line of ping is longer than this.
 _LONGEST_LINE = 500
 # The sixteen bits of the number begin again after 65535.
 _TURN = 65536
-# A number that falls by more belongs to a run of its own, or to the next turn; answers overtake one another by less.
+# A number that falls by more belongs to a new run, or to the next turn; answers overtake one another by less.
 _FARTHEST_BACK = 1000
-# A number may be ahead of the last one by this for each packet that was answered: a line that answers less often than
-# that is of no use.
+# A number may be ahead of the last one by this for each answered packet: a line that answers less often is of no use.
 _MOST_UNANSWERED = 50
-# A number may be ahead by this besides, however few packets were answered.
+# In addition it may be ahead by this, however few packets were answered.
 _MOST_AT_ONCE = 100_000
-# Windows waits for this time after an answer.
+# The time that Windows waits after an answer.
 _WINDOWS_PERIOD_S = 1.0
-# Windows waits for an answer for this time.
+# The time that Windows waits for an answer.
 _WINDOWS_PATIENCE_S = 4.0
 
 Rows = list[tuple[float, float]]
 
 
 class _Run:
-    """One run of ping: by number the time of sending [s], None where no line says it, and the round trip [s]."""
+    """One run of ping: by number, the time of sending [s], None if no line states it, and the round trip [s]."""
 
     def __init__(self) -> None:
         self.answers: dict[int, tuple[float | None, float]] = {}
-        # greatest number with an answer, and least and greatest number that any line names
+        # The greatest number with an answer; the least and the greatest number in any line.
         self.greatest = self.last = -1
         self.first = math.inf
         self.has_head = False
         self.sent = 0
         self.took_s = 0.0
-        # the line of the first answer without a stamp
+        # The line of the first answer without a time stamp.
         self.unstamped = 0
 
     def name(self, number: int) -> None:
@@ -69,25 +67,28 @@ class _Run:
 
 
 class Trips(NamedTuple):
-    """Parts of a log, each the time since its first packet and the round trip [s] of each packet; and remarks."""
+    """The parts of a log, each with time since its first packet and round trip of each packet [s]; and remarks."""
 
     parts: list[Rows]
     remarks: tuple[str, ...]
 
 
 def is_ping_log(text: str) -> bool:
-    """Return whether a text is what `ping` printed, by its first line or its first answer."""
+    """Return whether a text is the output of `ping`, by its first lines."""
     lines = [line for line in text[:20_000].splitlines()[:20] if len(line) <= _LONGEST_LINE]
     return any(_HEAD.match(line) or _ANSWER.match(line) or _WINDOWS_ANSWER.search(line) for line in lines)
 
 
 def round_trips(text: str, name: str, period_s: float | None = None) -> Trips:
-    """Return the round trips of each run of ping in a text, nan where no answer came; a run without any is left out.
+    """Return the round trips of each run of ping in a text, nan without an answer; runs without answers are left out.
 
-    period_s is the time between two packets of a log that says none [s].
+    Args:
+        text: The output of ping.
+        name: The name of the log, for messages.
+        period_s: The time between two packets of a log that states none [s].
 
     Raises:
-        ConfigError: No line says the time, or a number is that of no packet; the message names the line.
+        ConfigError: No line states the time, or a number cannot be that of a packet; the message names the line.
     """
     if any(_OF_WINDOWS.search(line) and not _NUMBER.search(line) for line in text.splitlines()):
         return _of_windows(text, name, period_s)
@@ -163,7 +164,7 @@ def _most_ahead(run: _Run) -> int:
 
 
 def _begins_again(run: _Run, number: int, answer: re.Match[str]) -> bool:
-    """Return whether a number that was answered is that of a new run: a stamp that is later, as no repeat is."""
+    """Return whether an answered number begins a new run: its stamp is later, which is not so for a repetition."""
     if number not in run.answers or answer["stamp"] is None or run.greatest - number < 2:
         return False
     return number <= run.first + 2
@@ -171,7 +172,7 @@ def _begins_again(run: _Run, number: int, answer: re.Match[str]) -> bool:
 
 def _rows_of(run: _Run, name: str) -> Rows:
     numbers = sorted(run.answers)
-    # Linux counts from 1; BSD and macOS count from 0, and name it whether it is answered or not.
+    # Linux counts from 1; BSD and macOS count from 0, and name that number whether it is answered or not.
     first = min(int(run.first), 1) if run.has_head else int(run.first)
     last = max(run.last, first + run.sent - 1 if run.sent <= run.last - first + 1 + _most_ahead(run) else 0)
     steady_s = run.took_s / max(run.sent - 1, 1) if run.took_s else 0.0
@@ -194,7 +195,7 @@ def _rows_of(run: _Run, name: str) -> Rows:
 
 
 def _of_windows(text: str, name: str, period_s: float | None) -> Trips:
-    """Return the packets of each run: lines that stand together, of which one at least is an answer."""
+    """Return the packets of each run: consecutive lines with at least one answer."""
     parts: list[Rows] = []
     for block in re.split(r"\n[^\S\n]*\n", text.replace("\r\n", "\n")):
         lines = [line for line in block.splitlines() if line.strip() and len(line) <= _LONGEST_LINE]
@@ -216,7 +217,7 @@ def _of_windows(text: str, name: str, period_s: float | None) -> Trips:
 
 
 def _seconds(stamp: str, name: str, line: int) -> float:
-    # Only differences count, so that no time zone is needed.
+    # Only differences count, so no time zone is needed.
     try:
         if stamp.replace(".", "").isdecimal():
             return float(stamp)

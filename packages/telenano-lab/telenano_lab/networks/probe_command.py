@@ -1,4 +1,4 @@
-"""`telenano link probe`: what the network between two sites does, as a trace, a figure and settings."""
+"""`telenano link probe`: measure the network between two sites, as a trace, a figure and settings."""
 
 import contextlib
 import json
@@ -77,9 +77,9 @@ def probe(
 
 
 def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
-    """Return the state of the line in a direction: what it carries and the longest queue, each with its interval.
+    """Return the state of the line in a direction: its capacity and longest queue, each with its interval.
 
-    A figure is null where it is unknown.
+    A figure is None if it is unknown.
     """
     own = [report for report in reports if report.direction == direction]
     carries = next((report for report in reversed(own) if report.capacity_bit_per_s is not None), None)
@@ -97,7 +97,7 @@ def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
 
 
 def _recorded(path: Path) -> Iterator[LinkNetwork]:
-    """Yield the reports of a recording; at the master it has both directions, one of them as a copy."""
+    """Yield the reports in a recording, each once: at the master it has both directions, one of them as copies too."""
     from telenano.recording import Recording
 
     seen = set()
@@ -108,9 +108,9 @@ def _recorded(path: Path) -> Iterator[LinkNetwork]:
 
 
 def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNetwork]:
-    """Return the reports of a running rig within a time [s]."""
+    """Return the reports of a running rig within duration_s [s]."""
     newest: dict[tuple[str, int], LinkNetwork] = {}
-    # Without the role of a commander here, what was measured at the start of the rig has to do.
+    # If this machine may not send commands, the measurement from the start of the rig is used.
     with contextlib.suppress(TelenanoError):
         send_control(Command("set", LINK, parameters={TRAIN: True}), site_file, "master", lambda event: None)
     begin = time.monotonic()

@@ -1,4 +1,4 @@
-"""Messages in the place of a node that does not run, for trials: `telenano topic pub`."""
+"""Publish messages instead of a node that does not run, for trials: `telenano topic pub`."""
 
 import time
 from typing import Any
@@ -9,25 +9,25 @@ from telenano.runtime import AddressBook, Participant
 from telenano.settings import flag_overrides
 from telenano.wire import TOPICS, ConfigError, Message
 
-# Readers of the endpoint take about this long to notice that it is there.
+# The time that readers need to connect to a new endpoint [s].
 _CONNECT_S = 0.5
 _HEADER = set(Message.__struct_fields__)
 
 
 def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, count: int | None) -> int:
-    """Publish a message again and again, until a number or Ctrl-C; return how many were sent.
+    """Publish a message repeatedly, up to a number of times or until Ctrl-C; return the number sent.
 
     Args:
         book: The addresses of the rig.
         src: The publisher as node@site, whose endpoint is used.
         topic: The topic.
         text: The fields as YAML.
-        rate_hz: How often the message is sent [Hz].
-        count: How many messages are sent; None continues until Ctrl-C.
+        rate_hz: The rate of the messages [Hz].
+        count: The number of messages; None continues until Ctrl-C.
 
     Raises:
-        ConfigError: A field is wrong, or another publisher would be right; the message names it.
-        EndpointError: The node itself runs.
+        ConfigError: A field is wrong, or `src` does not publish the topic; the message names the publishers.
+        EndpointError: The node itself is running.
     """
     row = TOPICS[topic]
     if not row.is_published_by(src):

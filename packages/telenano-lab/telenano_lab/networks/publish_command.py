@@ -1,4 +1,4 @@
-"""`telenano topic pub`: messages in the place of a node that does not run."""
+"""`telenano topic pub`: publish messages instead of a node that does not run."""
 
 from pathlib import Path
 from typing import Annotated

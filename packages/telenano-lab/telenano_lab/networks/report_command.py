@@ -1,4 +1,4 @@
-"""`telenano link report`: what the link did to the messages of a recording, from its own account of each."""
+"""`telenano link report`: show the effect of the link on a recording's messages, from its own account of each."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -51,12 +51,12 @@ def report(
     print_rows(rows)
 
 
-# of a message: topic, seq, time of arrival, delay and time held [ns], what dropped it, and whether it was overtaken
+# For a message: topic, seq, time of arrival, delay and time held [ns], cause of a drop, and whether it was overtaken.
 FateRow = tuple[str, int, int, int, int, str, bool]
 
 
 def fates_in(recording: Path) -> dict[str, list[FateRow]]:
-    """Return what became of each message, copies aside, by direction and in the order of arrival.
+    """Return the fate of each message, without copies, by direction and in the order of arrival.
 
     Raises:
         RecordingError: The file is no recording.
@@ -80,7 +80,7 @@ def fates_in(recording: Path) -> dict[str, list[FateRow]]:
 
 
 def overflows_in(recording: Path) -> dict[str, int]:
-    """Return how many datagrams `telenano link udp` had no room for in its sockets, where there were any.
+    """Return the number of datagrams for which the sockets of `telenano link udp` had no room, by direction, if any.
 
     Raises:
         RecordingError: The file is no recording.
@@ -93,9 +93,9 @@ def overflows_in(recording: Path) -> dict[str, int]:
 
 
 def figures(rows: list[FateRow], topic: str | None) -> dict[str, Any]:
-    """Return counts, quantiles of the delay [ms], stalls, and the correlation of neighbours of one direction.
+    """Return counts, quantiles of the delay [ms], stalls, and the correlation of neighbours in one direction.
 
-    A stall is a run of messages that were held until the same time.
+    A stall is a run of messages that were held until the same time. `topic` None takes the topic with most messages.
     """
     import numpy as np
 

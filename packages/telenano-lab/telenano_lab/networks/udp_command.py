@@ -1,4 +1,4 @@
-"""`telenano link udp`: the link between two programs that speak UDP, without any privilege."""
+"""`telenano link udp`: put the link between two programs that use UDP, without any privilege."""
 
 import contextlib
 from collections.abc import Mapping
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from telenano_lab.networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
-# The metadata of a recording that has the datagrams for which a socket had no room.
+# The metadata of a recording with the number of datagrams for which a socket had no room.
 OVERFLOWED = "udp_overflowed"
-# A kill loses no more of a recording [s].
+# Killing the process loses no more of a recording than this [ns].
 _FLUSH_NS = 1_000_000_000
 
 
@@ -71,7 +71,7 @@ def udp(
         from telenano_lab.networks.udp_ports import UdpPorts, make_room_for, place_of
 
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
-        # The text `none` is a missing value, as for `telenano link set`.
+        # The text `none` stands for a missing value, as for `telenano link set`.
         flags = [f"{flag.removesuffix('none')}null" if flag.endswith("=none") else flag for flag in keys or ()]
         settings = LinkSettings.of({"profile": profile, **flag_overrides(flags)}, "the network")
         with contextlib.ExitStack() as stack:
@@ -111,7 +111,7 @@ def udp(
 
 
 class Keeper:
-    """Writes the messages of the link to a recording; one that cannot be written ends, and the link continues."""
+    """Writes the messages of the link to a recording; if it cannot be written it ends, and the link continues."""
 
     def __init__(self, writer: "RecordingWriter") -> None:
         self.path, self.fault = writer.path, ""
@@ -120,7 +120,7 @@ class Keeper:
         self._flushed_ns = 0
 
     def __call__(self, topic: str, seq: int, t_ns: int, src: str, payload: bytes) -> None:
-        """Keep a message that the link has sent."""
+        """Record a message that the link has published."""
         from telenano.wire import RecordingError
 
         if self.fault:
@@ -136,7 +136,7 @@ class Keeper:
             self.fault = f"the recording ends before the link: {error}"
 
     def close(self, overflowed: Mapping["Direction", int] | None = None) -> None:
-        """Complete the file, with what the sockets of the link had no room for, by direction."""
+        """Complete the file, with the number of datagrams for which the link's sockets had no room, by direction."""
         from telenano.wire import RecordingError
 
         if self.fault:

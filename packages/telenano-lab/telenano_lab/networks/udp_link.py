@@ -1,6 +1,6 @@
-"""The carrier of the link for datagrams of any program: how many may be in transit, and what became of each.
+"""The carrier of the link for datagrams of any program: bounds of the datagrams in transit, and counts of their fates.
 
-The truth of each datagram is `link/fates`, with the topic `udp`.
+The fate of each datagram is in `link/fates`, with the topic `udp`.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,25 +9,25 @@ from typing import NamedTuple, Protocol, TypeVar
 from telenano_lab.networks.byte_link import ByteLinkProcess
 from telenano_lab.networks.network_trace import DIRECTIONS, Direction
 
-# Delays and lateness are counted in steps of these lengths.
+# The steps in which delays and lateness are counted.
 DELAY_STEP_NS = 100_000
 LATE_STEP_NS = 10_000
-# A greater lateness is counted with this number of steps.
+# The greatest lateness that is counted, in steps.
 _MOST_LATE = 100_000
 _Key = TypeVar("_Key")
 
 
 class Ports(Protocol):
-    """What the link sends with."""
+    """The sockets with which the link sends, and from which datagrams come."""
 
     take: Callable[[Direction, bytes, str], None]
 
     def send(self, direction: Direction, payload: bytes, name: str) -> None:
-        """Send a datagram in a direction, of the client of a name."""
+        """Send a datagram of the named client in a direction."""
 
 
 class Bounds(NamedTuple):
-    """How much may be in transit in each direction, in datagrams and in bytes."""
+    """The most datagrams, and bytes, in transit in each direction."""
 
     datagrams: int = 20_000
     size_bytes: int = 64 << 20
@@ -37,9 +37,9 @@ _BOUNDS = Bounds()
 
 
 class Counts:
-    """What became of the datagrams of one direction.
+    """Counts of the datagrams of one direction.
 
-    delays and late: how many had a delay, and how many were sent this long after their release, by whole steps.
+    delays and late: the number of datagrams by delay, and by lateness after their release, in whole steps.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Counts:
         self.late: dict[int, int] = {}
 
     def summary(self) -> dict[str, object]:
-        """Return the counts, and quantiles of the delays of the link and of what came on top of them [ms]."""
+        """Return the counts, and quantiles of the link's delays and of the additional lateness [ms]."""
         return {
             "arrived": self.arrived,
             "sent": self.sent,
@@ -63,7 +63,7 @@ class Counts:
 
 
 def quantiles_ms(counts: Mapping[int, int], step_ns: int) -> dict[str, float] | None:
-    """Return median, 99 %, 99.9 % and the greatest of values that were counted in whole steps [ms]."""
+    """Return median, 99 %, 99.9 % and maximum of values that were counted in whole steps [ms]; None without any."""
     total = sum(counts.values())
     if not total:
         return None
@@ -79,17 +79,17 @@ def quantiles_ms(counts: Mapping[int, int], step_ns: int) -> dict[str, float] | 
 
 
 class UdpLink:
-    """Sends datagrams on when the link releases them; those beyond its bounds are dropped and counted."""
+    """Sends datagrams on when the link releases them; datagrams beyond its bounds are dropped and counted."""
 
     topic = "udp"
 
     def __init__(self, link: ByteLinkProcess, ports: Ports, bounds: Bounds = _BOUNDS) -> None:
-        """Count what is in transit, from nothing.
+        """Begin with nothing in transit.
 
         Args:
             link: The link that the datagrams cross.
-            ports: What datagrams are sent with, and come from.
-            bounds: How much may be in transit in each direction.
+            ports: The sockets to which and from which datagrams are sent.
+            bounds: The most datagrams and bytes in transit in each direction.
         """
         self._link, self._ports, self._bounds = link, ports, bounds
         self.counts: dict[Direction, Counts] = {way: Counts() for way in DIRECTIONS}
@@ -97,7 +97,7 @@ class UdpLink:
         ports.take = self.arrive
 
     def arrive(self, direction: Direction, payload: bytes, client: str) -> None:
-        """Take a datagram that has arrived, and send what is due."""
+        """Accept a datagram that has arrived, and send the datagrams that are due."""
         counts = self.counts[direction]
         counts.arrived += 1
         size = len(payload)
@@ -125,14 +125,14 @@ class UdpLink:
         self._leave(counts, len(payload), is_copy=is_copy)
 
     def dropped(self, direction: Direction, cause: str, size_bytes: int, *, is_copy: bool) -> None:
-        """Count a datagram that the link has lost."""
+        """Count a datagram that the link has dropped."""
         counts = self.counts[direction]
         _add(counts.dropped, cause)
         self._leave(counts, size_bytes, is_copy=is_copy)
 
     @staticmethod
     def _leave(counts: Counts, size_bytes: int, *, is_copy: bool) -> None:
-        # A copy has taken no place.
+        # A copy does not count as in transit.
         if not is_copy:
             counts.on_way -= 1
             counts.on_way_bytes -= size_bytes

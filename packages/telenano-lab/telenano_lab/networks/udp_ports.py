@@ -1,4 +1,4 @@
-"""The UDP sockets of `telenano link udp`: one that clients send to, and one for each client towards the target."""
+"""The UDP sockets of `telenano link udp`: one to which clients send, and one for each client towards the target."""
 
 import contextlib
 import errno
@@ -15,23 +15,23 @@ from telenano.timing import NEVER_NS
 from telenano.wire import ConfigError, Received
 from telenano_lab.networks.network_trace import Direction
 
-# The largest datagram of UDP is smaller.
+# The largest datagram of UDP is smaller than this.
 _MOST_BYTES = 65_536
-# This many datagrams of a socket are taken in a turn, so that a flood at one delays the others by no more.
+# The most datagrams that are read from a socket in a turn, so that a flood at one delays the others no longer.
 _MOST_A_TURN = 64
 _BUFFER_BYTES = 4 << 20
-# A client that is silent for longer gives its place to a new one, where there is none left.
+# If all places are taken, a client that was silent for longer than this gives its place to a new one.
 IDLE_NS = 10_000_000_000
-# What the link opens besides: the recording, connections of consoles, and files of the kernel that it reads.
+# Further descriptors of the link: the recording, connections of consoles, and kernel files that it reads.
 _OTHER_DESCRIPTORS = 32
-# SO_MEMINFO of Linux (include/uapi/asm-generic/socket.h) gives nine counts, the last of which are the drops.
+# SO_MEMINFO of Linux (include/uapi/asm-generic/socket.h) returns nine counts, the last of which is that of drops.
 _SO_MEMINFO = 55
 _MEMINFO_COUNTS = 9
 LOOPBACK = "127.0.0.1"
 
 
 class Place(NamedTuple):
-    """A host and a port, as they are given."""
+    """A host and a port, as they were given."""
 
     host: str
     port: int
@@ -41,10 +41,10 @@ class Place(NamedTuple):
 
 
 def place_of(text: str, what: str, *, needs_host: bool) -> Place:
-    """Return HOST:PORT or [HOST]:PORT, or a port of this machine alone.
+    """Return the place in HOST:PORT or [HOST]:PORT; a port alone is one of this machine.
 
     Raises:
-        ConfigError: It is neither; the message begins with `what`.
+        ConfigError: The text is neither; the message begins with `what`.
     """
     host, _, port = text.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
@@ -71,7 +71,7 @@ class UdpPorts:
     """Reads datagrams for a node as the bus reads messages, and sends those that the node releases.
 
     `take` is called with the direction, the datagram and the name of its client. A datagram that cannot be sent is
-    counted in `unsent` by the reason, one from a client for which there is no place, or no descriptor, in `refused`.
+    counted in `unsent` by the reason; one from a client for which there is no place or no descriptor in `refused`.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class UdpPorts:
         self.address: tuple[object, ...] = self._listener.getsockname()
         self._poll.register(self._listener, select.EPOLLIN)
         self._by_descriptor: dict[int, str] = {}
-        # what a bus asks of a reader
+        # The attributes that a bus needs of a reader.
         self.descriptor = self._poll.fileno()
         self.drained, self.shared, self.due_ns = True, False, NEVER_NS
         self.trackers: dict[tuple[str, str], Any] = {}
@@ -109,7 +109,7 @@ class UdpPorts:
         self.last_error = ""
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Hand on the datagrams that have arrived; there are no messages of the bus among them."""
+        """Pass on the datagrams that have arrived; return no messages of the bus, because there are none among them."""
         self.drained = True
         for descriptor, _ in self._poll.poll(0):
             name = self._by_descriptor.get(descriptor)
@@ -120,7 +120,7 @@ class UdpPorts:
         return []
 
     def input_health(self) -> tuple[()]:
-        """Return nothing: datagrams have no numbers by which one could tell which are missing."""
+        """Return nothing: datagrams have no numbers that would show a loss."""
         return ()
 
     def send(self, direction: Direction, payload: bytes, name: str) -> None:
@@ -138,7 +138,7 @@ class UdpPorts:
             self._count(_reason(error))
 
     def overflowed(self) -> dict[Direction, int]:
-        """Return how many datagrams of each direction the kernel dropped at sockets here that had no room."""
+        """Return the number of datagrams in each direction that the kernel dropped at full sockets here."""
         backward = sum(overflowed(client.upstream) for client in self.clients.values())
         return {"forward": overflowed(self._listener), "backward": self._overflowed_backward + backward}
 
@@ -157,7 +157,7 @@ class UdpPorts:
             except BlockingIOError:
                 return
             except OSError as error:
-                # An answer to a client that has ended comes back as an error of the socket that has sent it.
+                # A datagram to a client that has ended comes back as an error of the sending socket.
                 self._count(_reason(error))
                 continue
             name = f"{address[0]}:{address[1]}"
@@ -199,7 +199,7 @@ class UdpPorts:
         return client
 
     def _forget_idle(self) -> bool:
-        """Let go of the client that has been silent for longest; return whether there was one for long enough."""
+        """Remove the client that was silent for longest, if for over IDLE_NS; return whether one was removed."""
         name, client = min(self.clients.items(), key=lambda item: item[1].heard_ns)
         if self._monotonic_ns() - client.heard_ns < IDLE_NS:
             return False
@@ -214,10 +214,10 @@ class UdpPorts:
 
 
 def make_room_for(clients: int) -> None:
-    """Let this process have a descriptor for each of a number of clients.
+    """Raise this process's limit of open files so that each of a number of clients can have a descriptor.
 
     Raises:
-        ConfigError: The system grants fewer; the message has the most clients that there can be.
+        ConfigError: The system permits fewer; the message states the most clients possible.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     needed = clients + sum(1 for _ in Path("/proc/self/fd").iterdir()) + _OTHER_DESCRIPTORS
@@ -231,7 +231,7 @@ def make_room_for(clients: int) -> None:
 
 
 def overflowed(opened: socket.socket) -> int:
-    """Return how many datagrams the kernel dropped at a socket without room; 0 where the system does not say so."""
+    """Return the number of datagrams that the kernel dropped at a full socket; 0 if the system does not report it."""
     try:
         counts = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * _MEMINFO_COUNTS)
     except OSError:

@@ -1,1 +1,1 @@
-"""Studies of delay and stability with telenano: maps, transparency, which law to take, and the paper."""
+"""Studies of delay and stability with telenano: maps, transparency, advice on laws, and the figures of the paper."""

@@ -67,7 +67,7 @@ def compare(
 
 
 class Comparison(NamedTuple):
-    """The rows of the sessions, and of what repetitions have in common; none where nothing was repeated."""
+    """The rows of the sessions, and the statistics of repetitions; none where nothing was repeated."""
 
     sessions: list[dict[str, Any]]
     statistics: list[dict[str, Any]]
@@ -85,9 +85,9 @@ def compare_sessions(
 ) -> Comparison:
     """Write figure and tables of sessions into a folder; return the rows of the tables.
 
-    Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
+    Published points are drawn beneath the curves; `published.json` has each with the nearest point of each session.
     """
-    # The import brings matplotlib, which takes a second.
+    # Imported here, because matplotlib takes a second to import.
     from telenano_lab.studies.comparison import beside, compare_figures, rows_of
     from telenano_lab.studies.comparison import compare as read
     from telenano_lab.studies.published import paper_points, read_published
@@ -119,7 +119,7 @@ def _json(document: Any) -> bytes:
 
 
 def print_comparison(comparison: Comparison, out: Path, *, as_json: bool) -> None:
-    """Print the tables: a row a session as JSON, or a column a session, which a terminal has room for."""
+    """Print the tables: as JSON with a row for each session, else with a column for each, which fits a terminal."""
     if as_json:
         repeated = {"statistics": comparison.statistics} if comparison.statistics else {}
         print_json({"sessions": comparison.sessions, **repeated, "folder": str(out)})

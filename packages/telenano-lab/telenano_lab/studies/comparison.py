@@ -1,4 +1,4 @@
-"""Several recorded sessions side by side: their curves in one figure, their figures in one table."""
+"""Compare recorded sessions: their curves in one figure, their results in one table."""
 
 import math
 import re
@@ -37,31 +37,31 @@ _COLUMNS = (
 )
 
 
-# A pattern such as `out/delay/*` gives these with the sessions that they were made from.
+# A pattern such as `out/delay/*` also matches the results of sessions, which have these suffixes.
 _RESULTS = (".csv", ".json", ".mat", ".parquet", ".pdf", ".png", ".svg")
 # Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
 Floats = npt.NDArray[np.float64]
-# The least and the greatest value of an ordinate, None where matplotlib chooses.
+# The least and the greatest value of an ordinate; None leaves the choice to matplotlib.
 Limits = tuple[float, float] | None
-# These keys of a scenario are said by the law and by the round trip of the link.
+# Law and round trip are in the label anyway; these keys of a scenario would repeat them.
 _SAID = re.compile(r"controller\.law|delay_node\..*delay_s|delay_node\.profile")
 _AXES = (
     ("time (s)", r"$\alpha_f F_s$ (N)"),
     ("time (s)", r"$x_m$ (cm)"),
     ("tip-sample distance h (nm)", r"$F_s$ (nN)"),
 )
-# This number of conditions have their panels in one figure.
+# The number of conditions that have their panels in one figure.
 _ON_A_PAGE = 24
-# Labels that are longer than this stand in one column of a legend.
+# Labels longer than this are listed in one column of a legend.
 _WIDE = 48
-# What is beyond the curves at each end of an ordinate, as a share of it.
+# The margin beyond the curves at each end of an ordinate, as a share of its span.
 _MARGIN = 0.08
 _LEAVES = "diverges, beyond the axes"
 
 
 class ComparedSession(NamedTuple):
-    """A session, what it is called beside the others, its summary, and the scenario that ran."""
+    """A session, its name in the comparison, its summary, and its scenario."""
 
     name: str
     session: Session
@@ -75,9 +75,9 @@ def sessions_in(paths: Sequence[Path]) -> list[Path]:
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """Return the shortest names by which paths differ: their last part, with as many before it as that takes."""
+    """Return the shortest names by which paths differ: their last parts, as many as are needed."""
     parts = [_named(path).parts for path in paths]
-    # An ending that all names share distinguishes nothing.
+    # An ending that all paths share distinguishes nothing.
     while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1 and len(parts) > 1:
         if len(set(parts)) < len(parts):
             break
@@ -90,7 +90,7 @@ def names_of(paths: Sequence[Path]) -> list[str]:
 
 
 def _named(path: Path) -> Path:
-    """Return the part of a path that names a session: its folder where the file has the name that all have."""
+    """Return the part of a path that names a session: its folder, if the file has the usual name."""
     path = path.absolute()
     if path.suffix != ".mcap":
         return path
@@ -101,8 +101,8 @@ def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compar
     """Read sessions, each once.
 
     Args:
-        paths: A recording of each, or the folder with its files.
-        same_session: Whether the files of a folder are joined that do not say that they are of one session.
+        paths: For each session its recording, or the folder with its files.
+        same_session: Whether to join files of a folder that do not state that they are of one session.
 
     Raises:
         RecordingError: A file has no session, the files of a folder are not of one, or two paths are of one session.
@@ -120,7 +120,7 @@ def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compar
 
 
 def rows_of(sessions: Sequence[ComparedSession]) -> list[dict[str, Any]]:
-    """Return a row for each session: what distinguishes it first, then its figures, in the units of the headings."""
+    """Return a row for each session: distinguishing parameters and results, in the units of the headings."""
     changed = _differing([session.summary["parameters"] for session in sessions])
     rows = []
     for name, _, summary, _ in sessions:
@@ -141,7 +141,7 @@ def _value(value: Any) -> Any:
 
 
 def beside(sessions: Sequence[ComparedSession], published: PublishedPoints) -> dict[str, Any]:
-    """Return published points with the nearest point of each session, for JSON; None for a number that is not known."""
+    """Return published points with the nearest point of each session, for JSON; unknown numbers are None."""
     rows = []
     for point in published.points:
         own = {name: dict(zip("xy", _known(nearest(session, point)), strict=True)) for name, session, *_ in sessions}
@@ -156,7 +156,7 @@ def _known(values: Sequence[float]) -> list[float | None]:
 
 
 class Drawn(NamedTuple):
-    """What a figure shows of a session: x and y of alpha_f F_s and x_m over time, and of F_s against h."""
+    """The curves of a session in a figure: x and y of alpha_f F_s and x_m over time, and of F_s against h."""
 
     diverged: bool
     curves: tuple[tuple[Floats, Floats], ...]
@@ -177,14 +177,14 @@ class Drawn(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """Sessions whose scenarios are the same but for their seeds, and what they are called in a figure."""
+    """Sessions whose scenarios differ by their seeds only, and their label in a figure."""
 
     label: str
     sessions: tuple[ComparedSession, ...]
 
     @property
     def outcome(self) -> str:
-        """The verdict of the only session, or how many of several have which."""
+        """The verdict of a single session, or the count of each verdict among several."""
         verdicts = Counter(session.summary["verdict"].replace("_", " ") for session in self.sessions)
         if len(self.sessions) == 1:
             return str(next(iter(verdicts)))
@@ -192,10 +192,10 @@ class Condition(NamedTuple):
 
 
 def conditions_in(sessions: Sequence[ComparedSession]) -> list[Condition]:
-    """Return the sessions by what was set: a sweep with seeds has each of its conditions once.
+    """Return the sessions grouped by their settings: a sweep with seeds gives each of its conditions once.
 
-    Where sessions differ by their seeds alone, a condition is called by its law, its round trip and the further keys in
-    which the conditions differ; else each session is a condition with the name of its folder.
+    If sessions differ by their seeds, the label of a condition has its law, its round trip and the further keys in
+    which the conditions differ. Otherwise each session is a condition labelled with the name of its folder.
     """
     groups = [tuple(sessions[place] for place in places) for places in repetitions([s.scenario for s in sessions])]
     if all(len(group) == 1 for group in groups):
@@ -207,7 +207,7 @@ def conditions_in(sessions: Sequence[ComparedSession]) -> list[Condition]:
 
 
 def _labels(firsts: Sequence[ComparedSession]) -> list[str]:
-    """Return what distinguishes sessions, in words: law, round trip, and each further key with its value."""
+    """Return labels that distinguish sessions: law, round trip, and each further key with its value."""
     known = [
         {key: value for key, value in conditions_of(session.scenario).items() if not _SAID.fullmatch(key)}
         for session in firsts
@@ -225,7 +225,7 @@ def _labels(firsts: Sequence[ComparedSession]) -> list[str]:
 
 
 def _tail(key: str, keys: Sequence[str]) -> str:
-    """Return the shortest end of a dotted key that no other one has."""
+    """Return the shortest end of a dotted key that no other key has."""
     parts = key.split(".")
     ends = (".".join(parts[-count:]) for count in range(1, len(parts) + 1))
     return next(end for end in ends if sum(f".{other}".endswith(f".{end}") for other in keys) == 1)
@@ -238,12 +238,12 @@ def _shown(value: Any) -> str:
 def compare_figures(
     sessions: Sequence[ComparedSession], options: FigureOptions = ON_SCREEN, published: Sequence[PublishedPoints] = ()
 ) -> "list[Figure]":
-    """Draw sessions beside one another: a condition is a colour, each of its sessions a thin line.
+    """Draw sessions for comparison: each condition has a colour, and each of its sessions is a thin line.
 
-    Six conditions or fewer lie over one another in three panels: alpha_f F_s, x_m, and F_s against h; F_m of the first
-    for reference. Of more each has a panel of its own with alpha_f F_s, on axes that all share, in as many figures as
-    that takes. A session that diverged is dotted and does not stretch the axes of the others; a cross marks where it
-    leaves them. Published points are drawn beneath, with their errors.
+    Up to six conditions are drawn over one another in three panels, alpha_f F_s, x_m, and F_s against h, with F_m of
+    the first session for reference. With more conditions each has a panel of its own with alpha_f F_s, all with the
+    same axes, in as many figures as needed. A session that diverged is dotted and does not stretch the axes of the
+    others; a cross marks where it leaves them. Published points are drawn beneath, with their errors.
     """
     from matplotlib.figure import Figure
 
@@ -277,7 +277,7 @@ def _multiples(
     published: Sequence[PublishedPoints],
     limits: Sequence[Limits],
 ) -> "Figure":
-    """Draw a panel a condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
+    """Draw a panel for each condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
     from matplotlib.figure import Figure
 
     paper = options.style == "paper"
@@ -293,7 +293,7 @@ def _multiples(
         _draw([panel], own, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
         _draw_published([panel], published)
         _limit([panel], own, limits)
-        # A title that is wider than its panel would lie on that of the next one.
+        # A title wider than its panel would overlap the next one.
         lines = textwrap.wrap(f"{condition.label}: {condition.outcome}", 30 if paper else 44)
         panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 8)
     for panel in grid[:, 0]:
@@ -307,7 +307,7 @@ def _multiples(
 
 
 def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
-    """Put one legend of all panels below them."""
+    """Add one legend for all panels below them."""
     named: dict[str, Any] = {}
     for panel in panels:
         handles, labels = panel.get_legend_handles_labels()
@@ -319,7 +319,7 @@ def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
 
 
 def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoints]) -> None:
-    """Draw published points into the panels of their curves, each file with a marker of its own."""
+    """Draw published points into the panels of their curves, with one marker for each file."""
     curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
     for number, file in enumerate(published):
         look: dict[str, Any] = {
@@ -337,14 +337,14 @@ def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoint
 
 
 def _draw_reference(panel: "Axes", session: ComparedSession, label: str, width: float) -> None:
-    """Draw the force of the hand in a session, which the curves of a panel are compared with."""
+    """Draw the force of the hand in a session, as the reference for the curves of a panel."""
     series = session.session.series()
     look: dict[str, Any] = {"color": FigureOptions.REFERENCE, "lw": width, "zorder": 0, "label": label}
     panel.plot(series.hand_time_s, series.hand_force_n, **look)
 
 
 def _draw(panels: "Sequence[Axes]", drawn: Sequence[Drawn], look: Look, label: str) -> None:
-    """Draw the sessions of a condition into the panels, the first with the label."""
+    """Draw the sessions of a condition into the panels; the first has the label."""
     width = 0.7 if len(drawn) > 1 else 1.0
     for number, session in enumerate(drawn):
         style = ":" if session.diverged else look.style
@@ -354,7 +354,7 @@ def _draw(panels: "Sequence[Axes]", drawn: Sequence[Drawn], look: Look, label: s
 
 
 def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
-    """Return the limits of an ordinate by the sessions that did not diverge; None where there are none, or all."""
+    """Return the limits of an ordinate by the sessions that did not diverge; None if all or none of them diverged."""
     found = [y[np.isfinite(y)] for y, diverged in curves if not diverged]
     if not found or len(found) == len(curves) or not all(y.size for y in found):
         return None
@@ -364,7 +364,7 @@ def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
 
 
 def _limit(panels: "Sequence[Axes]", drawn: Sequence[Drawn], limits: Sequence[Limits]) -> None:
-    """Set the ordinates, and put a cross where a session that diverged leaves a panel for the first time."""
+    """Set the ordinates, and mark with a cross where a session that diverged first leaves a panel."""
     for place, (panel, bounds) in enumerate(zip(panels, limits, strict=True)):
         panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
         if bounds is None:

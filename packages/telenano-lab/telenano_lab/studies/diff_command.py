@@ -1,4 +1,4 @@
-"""`telenano bag diff`: two recordings compared message by message."""
+"""`telenano bag diff`: compare two recordings message by message."""
 
 from pathlib import Path
 from typing import Annotated

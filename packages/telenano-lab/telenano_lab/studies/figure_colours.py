@@ -1,7 +1,7 @@
-"""The looks of curves in the figures of studies, and how these are written by default.
+"""Colours, lines and marks of curves in the figures of studies, and the default formats of figures.
 
-Six colours of Okabe and Ito are distinguished by readers with deuteranopia and protanopia, and each has a line of its
-own for print in grey. A figure of more curves than that pairs them anew, so that no two curves of a panel look alike.
+Readers with deuteranopia and protanopia can distinguish the six colours of Okabe and Ito, and each has its own line for
+print in grey. A figure with more curves combines them anew, so that no two curves of a panel look alike.
 """
 
 from typing import Any, NamedTuple
@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from telenano.analysis import FigureOptions
 from telenano.wire import ConfigError
 
-# how figures are written unless an option of the command states another way
+# The formats and style of figures unless an option of the command states others.
 ON_SCREEN = FigureOptions()
-# curves of one panel: each has a line of its own as well, for print in grey
+# The colours of curves in one panel; each has its own line as well, for print in grey.
 LINES: tuple[tuple[str, Any], ...] = (
     ("#000000", "-"),
     ("#d55e00", "--"),
@@ -24,7 +24,7 @@ _MARKS = ("o", "s", "^", "D", "v", "P")
 
 
 class Look(NamedTuple):
-    """How a curve is drawn."""
+    """The colour, line and mark of a curve."""
 
     colour: str
     style: Any
@@ -32,10 +32,10 @@ class Look(NamedTuple):
 
 
 def looks(count: int) -> list[Look]:
-    """Return the looks of a number of curves in one panel, no two alike: the colours first, then new pairs with lines.
+    """Return looks for a number of curves in one panel, no two alike: each colour with its line, then new combinations.
 
     Raises:
-        ConfigError: There are more curves than pairs of a colour and a line, 36.
+        ConfigError: There are more curves than combinations of a colour and a line, 36.
     """
     most = len(LINES) ** 2
     if count > most:

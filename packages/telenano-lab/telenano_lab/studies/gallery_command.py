@@ -1,4 +1,4 @@
-"""`telenano study gallery`: what a delay does to each law, on one page with one slider."""
+"""`telenano study gallery`: the effect of delay on each law, on one page with one slider."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -45,5 +45,5 @@ def gallery_command(
 
 
 def _theory(law: dict[str, Any]) -> float | str:
-    """Return the round trip that a law tolerates by theory [ms], in words where it is no number."""
+    """Return the round trip that a law tolerates by theory [ms]; a word if there is no number."""
     return ("any" if law["critical_ms"] is None else float(law["critical_ms"])) if law["linear"] else "not linear"

@@ -1,4 +1,4 @@
-"""Images and tables of studies as files, in their formats."""
+"""Write images and tables of studies as files, in the chosen formats."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ def write_images(
     Args:
         out: The folder.
         figures: The figures by name.
-        command: The command that makes them, which each file contains together with the version.
+        command: The command that makes them; each file contains it together with the version.
         options: The formats and the style of the figures.
     """
     versions_here = versions()
@@ -36,6 +36,6 @@ def write_images(
 def write_tables(
     folder: Path, name: str, rows: Sequence[Mapping[str, Any]], formats: Sequence[str] = ("parquet",)
 ) -> None:
-    """Write rows as NAME.FORMAT, in formats of `studies.table_files`; nested keys become columns with dots."""
+    """Write rows as NAME.FORMAT in the formats of `studies.table_files`; nested keys become dotted columns."""
     for file, content in table_files(name, [flatten(row) for row in rows], formats).items():
         (folder / file).write_bytes(content)

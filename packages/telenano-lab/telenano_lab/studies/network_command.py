@@ -1,4 +1,4 @@
-"""`telenano study network`: what each law does over a network that `telenano link probe` has measured."""
+"""`telenano study network`: run each law over a network that `telenano link probe` has measured."""
 
 from pathlib import Path
 from typing import Annotated

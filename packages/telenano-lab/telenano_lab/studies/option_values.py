@@ -1,4 +1,4 @@
-"""Lists and ranges on the command line: every error names the option, what was given and what would be right."""
+"""Read lists and ranges from the command line; errors name the option, the given text and the allowed values."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from telenano.settings import LoadedScenario, flag_overrides, flatten, nested, v
 from telenano.wire import ConfigError, known_names
 
 _MOST_VALUES = 10_000
-# What is said of a file in the place of numbers.
+# The hint for a file name instead of numbers.
 _OF_A_LINE = (
     "; of a log of a line `telenano link fit` makes a network, and `study advise` and `study validate` run over it"
     " (--network)"
@@ -24,7 +24,7 @@ STIFFEST_N_PER_M = 1e5
 
 @dataclass(frozen=True)
 class Jitter:
-    """Half-width of the jitter each way: this many ms, or that share of the one-way delay."""
+    """The half-width of the jitter each way: a value in ms, or (`relative`) a share of the one-way delay."""
 
     value: float = 0.0
     relative: bool = False
@@ -37,22 +37,22 @@ class Jitter:
 
 
 def delays(text: str) -> tuple[float, ...]:
-    """Read round trips [ms]."""
+    """Read round trips [ms] from a list or range."""
     return numbers("--delay", text, 0.0, LONGEST_MS, "ms")
 
 
 def stiffnesses(text: str) -> tuple[float, ...]:
-    """Read stiffnesses [N/m]."""
+    """Read stiffnesses [N/m] from a list or range."""
     return numbers("--stiffness", text, 1e-3, STIFFEST_N_PER_M, "N/m")
 
 
 def gains(text: str) -> tuple[float, ...]:
-    """Read force gains."""
+    """Read force gains from a list or range."""
     return numbers("--gain", text, 0.0, 1e6, "")
 
 
 def chosen(option: str, what: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Read names separated by commas, or `all`; ConfigError names the option and those that are known."""
+    """Read names separated by commas, or `all`; ConfigError names the option and the known names."""
     if text.strip() == "all":
         return tuple(known)
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
@@ -63,10 +63,10 @@ def chosen(option: str, what: str, text: str, known: Sequence[str]) -> tuple[str
 
 
 def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:
-    """Read `a,b,c` and `start:stop:step` (stop included), also mixed, into increasing different numbers.
+    """Read `a,b,c` and `start:stop:step` (stop included), also mixed, into increasing distinct numbers.
 
     Raises:
-        ConfigError: A part is no number or no range, or lies outside [least, most].
+        ConfigError: A part is not a number or range, or lies outside [least, most].
     """
     values: list[float] = []
     for part in text.split(","):
@@ -101,17 +101,17 @@ def _range(option: str, text: str, unit: str) -> list[float]:
     count = math.floor((stop - start) / step * (1.0 + 1e-12)) + 1
     if count > _MOST_VALUES:
         raise ConfigError(f"{option} {text}: {count} values are more than {_MOST_VALUES}")
-    # The sum is rounded, so that 0.1 + 0.2 does not become a delay of its own.
+    # The sum is rounded, so that rounding errors as in 0.1 + 0.2 make no delays of their own.
     return [round(start + i * step, 9) for i in range(count)]
 
 
 def frequencies(text: str) -> tuple[float, ...]:
-    """Read frequencies [Hz]."""
+    """Read frequencies [Hz] from a list or range."""
     return numbers("--frequency", text, 0.05, 50.0, "Hz")
 
 
 def named_instruments(text: str) -> tuple[str, ...]:
-    """Read names of instruments separated by commas; ConfigError for one that there is not."""
+    """Read names of instruments separated by commas; ConfigError for an unknown name."""
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         section_of_instrument(name)
@@ -119,7 +119,7 @@ def named_instruments(text: str) -> tuple[str, ...]:
 
 
 def laws(text: str) -> tuple[str, ...]:
-    """Read names of laws; `all` are `COMPARED_LAWS`, so that a result does not depend on what else is installed."""
+    """Read names of laws; `all` stands for `COMPARED_LAWS`, so that a result does not depend on further packages."""
     return COMPARED_LAWS if text.strip() == "all" else chosen("--law", "law", text, tuple(LAWS))
 
 
@@ -148,14 +148,14 @@ def losses(text: str) -> tuple[float, ...]:
 
 
 def settings(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Read KEY=VALUE of the section `controller` into dotted keys; ConfigError for a key or value that it refuses."""
+    """Read KEY=VALUE of section `controller` into sorted dotted keys; ConfigError if it refuses a key or value."""
     flat = _single_values("--set", texts)
     validate(ControllerConfig, nested(flat, "--set"), "--set")
     return tuple(sorted(flat.items()))
 
 
 def disturbances(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Read names and NAME.KEY=VALUE of the section `afm_node.disturbances`; what is named is switched on.
+    """Read names and NAME.KEY=VALUE of section `afm_node.disturbances`; each named disturbance is switched on.
 
     >>> disturbances(["thermal.temperature_k=77", "drift"])
     (('drift.enabled', True), ('thermal.enabled', True), ('thermal.temperature_k', 77))
@@ -166,7 +166,7 @@ def disturbances(texts: Sequence[str]) -> tuple[tuple[str, float | int | str | b
 
 
 def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | bool], ...]:
-    """Return the keys of `afm_node.disturbances` of a named instrument, as `disturbances` does; ConfigError for others.
+    """Return the keys of `afm_node.disturbances` of a named instrument, as `disturbances`; ConfigError if unknown.
 
     >>> disturbances_of("ideal")
     ()
@@ -175,13 +175,13 @@ def disturbances_of(instrument: str) -> tuple[tuple[str, float | int | str | boo
 
 
 def section_of_instrument(instrument: str) -> dict[str, Any]:
-    """Return the section `afm_node` of a named instrument; ConfigError for others: `section_of_instrument("real")`."""
+    """Return the section `afm_node` of a named instrument; ConfigError if unknown: `section_of_instrument("real")`."""
     named = {"name": "study", "description": "A study.", "duration_s": 1.0, "instrument": instrument}
     return LoadedScenario.of(named, "--instrument").scenario.afm_node
 
 
 def _single_values(option: str, texts: Sequence[str]) -> dict[str, float | int | str | bool]:
-    """Return KEY=VALUE by dotted key. Raises ConfigError naming the option, for a value that is a list or nothing."""
+    """Return KEY=VALUE by dotted key; ConfigError, naming the option, for a value that is a list or nothing."""
     flat: dict[str, float | int | str | bool] = {}
     for key, value in flatten(flag_overrides(texts)).items():
         if not isinstance(value, float | int | str | bool):

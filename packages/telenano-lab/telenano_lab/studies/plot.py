@@ -15,18 +15,18 @@ from telenano.wire import ConfigError, RecordingError
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-# dots of a braille character: column, row from the top
+# Bits of the dots of a braille character: rows from the top, two columns.
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _BRAILLE = 0x2800
 _LABEL_COLUMNS = 12
-# parts of a trace in a picture, two for each of its pixels
+# Spans of a trace in a picture, two for each of its pixels.
 _BINS = 2160
-# This number of samples of a trace are kept in memory.
+# The most samples of a trace that are kept in memory.
 _MOST_KEPT = 1 << 20
 
 
 class Trace(NamedTuple):
-    """A field over time [s] from the earliest message of those drawn, by the time of sending on the master's clock."""
+    """A field over time [s] since the first message drawn, by the time of sending on the master's clock."""
 
     name: str
     time_s: Floats
@@ -34,7 +34,7 @@ class Trace(NamedTuple):
 
 
 class _Course:
-    """The samples of a field in the order of sending; of very many, the extremes of spans far below a pixel."""
+    """The samples of a field in the order of sending; of very many, the extremes of spans much shorter than a pixel."""
 
     def __init__(self) -> None:
         self._sent_ns: list[Ints] = []
@@ -52,7 +52,7 @@ class _Course:
 
     def samples(self) -> tuple[Ints, Floats]:
         sent_ns, values = np.concatenate(self._sent_ns), np.concatenate(self._values)
-        # A topic may have several publishers, and messages that overtook others on the link.
+        # A topic may have several publishers, and messages may overtake others on the link.
         order = np.argsort(sent_ns, kind="stable")
         return sent_ns[order], values[order]
 
@@ -60,11 +60,11 @@ class _Course:
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     """Read the fields named TOPIC.FIELD, each topic once and by the index of the recording.
 
-    Of more than a million samples those are kept that a line of this number of pixels shows.
+    Of more than a million samples, only those are kept that a line in a picture shows.
 
     Raises:
         ConfigError: A name is not of that form.
-        RecordingError: There is no such channel or field, or it is text; the message says which there are.
+        RecordingError: The channel or field does not exist, or is text; the message lists those that exist.
     """
     fields_of: dict[str, list[str]] = {}
     for name in dict.fromkeys(names):
@@ -73,7 +73,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
             raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
         fields_of.setdefault(topic, []).append(field)
     recording = open_recordings([path])
-    # The recorder lags by a time that changes: against its times a ramp is a staircase.
+    # The recorder's delay varies: over its times a ramp would be a staircase.
     timeline = Timeline(recording, quick=True)
     courses = {name: _Course() for name in names}
     for topic, fields in fields_of.items():
@@ -95,10 +95,10 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
 
 
 def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
-    """Return times [s] and values of the least and the greatest value in each of this number of even spans of time.
+    """Return times [s] and values of the least and the greatest value in each of `bins` equal spans of time.
 
-    A line through them covers the same pixels as one through all, so that no peak is lost. A short trace comes as it
-    is.
+    A line through them covers the same pixels as one through all samples, so no peak is lost. A short trace is returned
+    unchanged.
     """
     if len(trace.values) <= 2 * bins:
         return trace.time_s, trace.values
@@ -107,9 +107,9 @@ def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
 
 
 def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.NDArray[np.intp]:
-    """Return the places of the least and the greatest value in each of this number of even spans of ascending times.
+    """Return the places of the least and the greatest value in each of `bins` equal spans of ascending times.
 
-    A span without any number has its first place, so that the line has the gap. The first and the last are among them.
+    A span without a number has its first place, so that the line has a gap. The first and the last sample are included.
     """
     since = times - times[0]
     starts = np.unique(np.searchsorted(since, since[-1] * (np.arange(bins) / bins)))
@@ -118,7 +118,7 @@ def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.N
 
 
 def _first_least(values: Floats, starts: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Return the first place of the least value in each part of an array."""
+    """Return the first place of the least value in each part of an array; the parts begin at `starts`."""
     least = np.repeat(np.minimum.reduceat(values, starts), np.diff(starts, append=len(values)))
     places = np.flatnonzero(values == least)
     parts = np.searchsorted(starts, places, side="right")
@@ -126,8 +126,8 @@ def _first_least(values: Floats, starts: npt.NDArray[np.intp]) -> npt.NDArray[np
 
 
 def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
-    """Draw each trace in a panel of its own, on one axis of time; RecordingError when the file cannot be written."""
-    # The import takes a second, which the other commands should not pay.
+    """Draw each trace in its own panel over a common time axis; RecordingError if the file cannot be written."""
+    # Imported here, because the import takes a second that other commands should not pay.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(traces)), layout="constrained")
@@ -154,7 +154,7 @@ def draw(trace: Trace, width: int, height: int) -> str:
         height: The height of the whole drawing in characters, at least 3.
 
     Returns:
-        The lines, with the range of values at the left and that of time below.
+        The lines, with the range of values on the left and that of time below.
     """
     finite = np.isfinite(trace.values)
     if not finite.any():
@@ -177,14 +177,14 @@ def draw(trace: Trace, width: int, height: int) -> str:
 
 
 def _distinct(high: float, low: float) -> tuple[str, str]:
-    """Return two numbers with as many digits as distinguish them: a base at 1 µm may move by 1 pm."""
+    """Return two numbers as text with enough digits to distinguish them: a base at 1 µm may move by 1 pm."""
     span = high - low
     digits = 4 if span == 0.0 else max(4, 2 + math.ceil(math.log10(max(abs(high), abs(low)) / span)))
     return f"{high:.{digits}g}", f"{low:.{digits}g}"
 
 
 def _cells(values: Floats, count: int) -> npt.NDArray[np.int64]:
-    """Return for each value which of `count` equal cells between the least and the greatest it falls into."""
+    """Return the number of each value's cell, among `count` equal cells between the least and the greatest value."""
     low, span = values.min(), np.ptp(values)
     if span == 0.0:
         return np.full(values.shape, count // 2, dtype=np.int64)

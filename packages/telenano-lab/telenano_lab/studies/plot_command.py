@@ -1,4 +1,4 @@
-"""`telenano bag plot`: fields of a recording over time, on the terminal or into a picture."""
+"""`telenano bag plot`: draw fields of a recording over time, on the terminal or into a picture."""
 
 import shutil
 import sys
@@ -9,7 +9,7 @@ import typer
 
 from telenano.cli import report_errors
 
-# A drawing has this number of columns and rows where there is no terminal.
+# The columns and rows of a drawing where there is no terminal.
 _SIZE = (100, 12)
 
 

@@ -1,4 +1,4 @@
-"""`telenano study promises`: what the laws promise over bad links, tried on drawn cells."""
+"""`telenano study promises`: test the promises of the laws over bad links on drawn cells."""
 
 from typing import Annotated
 

@@ -1,8 +1,8 @@
-"""Points of published curves: beneath those of a session, each with the error with which it was read.
+"""Points of published curves, to be drawn beneath those of a session, each with its reading error.
 
-A file is a CSV table; its first line is a comment with the source (authors, title, venue, year, figure), then come the
-columns `panel,x,y,x_error,y_error` and, if wanted, `note`. An error is the half width of the interval that holds the
-value; one that is empty is not known.
+A file is a CSV table. Its first line is a comment with the source (authors, title, venue, year, figure); then come the
+columns `panel,x,y,x_error,y_error` and, optionally, `note`. An error is the half width of the interval that holds the
+value; an empty one is unknown.
 """
 
 import csv
@@ -20,20 +20,20 @@ from telenano.wire import ConfigError
 
 Series = npt.NDArray[np.float64]
 
-# the panels of a comparison, and the curves in them: x and y in the units of the axes
+# The panels of a comparison and the curves in them: y over x in the units of the axes.
 PANELS = {
     "tip_force": "alpha_f F_s [N] over time [s]",
     "hand_force": "F_m [N] over time [s]",
     "hand_position": "x_m [cm] over time [s]",
     "tip_path": "F_s [nN] over h [nm]",
 }
-# a hundred thousand points
+# The largest file: a hundred thousand points.
 _LARGEST_BYTES = 1 << 23
 _COLUMNS = ("panel", "x", "y", "x_error", "y_error")
 
 
 class Point(NamedTuple):
-    """A point of a published curve; an error that is not known is NaN."""
+    """A point of a published curve; an unknown error is NaN."""
 
     panel: str
     x: float
@@ -44,7 +44,7 @@ class Point(NamedTuple):
 
 
 class PublishedPoints(NamedTuple):
-    """The points of a file, and where they are from."""
+    """The points of a file, and their source."""
 
     source: str
     points: tuple[Point, ...]
@@ -54,7 +54,7 @@ class PublishedPoints(NamedTuple):
 
 
 def paper_points() -> PublishedPoints:
-    """Return what the paper's text says of the curves of its Fig. 12."""
+    """Return the points of Fig. 12 that the paper states in its text."""
     with importlib.resources.as_file(importlib.resources.files("telenano.settings") / "paper" / "fig12.csv") as path:
         return read_published(path)
 
@@ -63,7 +63,7 @@ def read_published(path: Path) -> PublishedPoints:
     """Read a file of points.
 
     Raises:
-        ConfigError: A line cannot be read; the message names file, line and what would be right.
+        ConfigError: A line cannot be read; the message names file, line and the required form.
     """
     try:
         lines = read_regular(path, _LARGEST_BYTES).decode().splitlines()
@@ -105,7 +105,7 @@ def _number(text: str | None, place: str, least: float = -math.inf) -> float:
 
 
 def curve_of(session: Session, panel: str) -> tuple[Series, Series]:
-    """Return x and y of the curve of a session that a panel has, in the units of PANELS."""
+    """Return x and y of a session's curve in a panel, in the units of PANELS."""
     series = session.series()
     if panel == "tip_force":
         return series.tip_time_s, series.force_scale * series.tip_force_n
@@ -118,9 +118,9 @@ def curve_of(session: Session, panel: str) -> tuple[Series, Series]:
 
 
 def nearest(session: Session, point: Point) -> tuple[float, float]:
-    """Return the point of a session's curve that is nearest to a published one; NaN where it has none.
+    """Return the point of a session's curve that is nearest to a published one; NaN if the curve has no point.
 
-    Distances count in errors of the published point, or in spans of the curve where an error is not known.
+    Distances are in errors of the published point, or in spans of the curve if an error is unknown.
     """
     x, y = curve_of(session, point.panel)
     is_finite = np.isfinite(x) & np.isfinite(y)

@@ -1,4 +1,4 @@
-"""`telenano study push`: how a delayed hand places a particle, against round trip, loss and law."""
+"""`telenano study push`: placing of a particle by a delayed hand, against round trip, loss and law."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -84,7 +84,7 @@ def push_figure(rows: "list[Row]") -> "Figure":
     laws = sorted({law for law, _ in lines})
     for law, loss in lines:
         chosen = [row for row in rows if (row.law, row.loss) == (law, loss)]
-        # so far aside that lines which are the same are seen beside each other
+        # Lines are shifted by this, so that equal ones are seen beside each other.
         aside_ms = _ASIDE_MS * (lines.index((law, loss)) - 0.5 * (len(lines) - 1))
         trips = [row.round_trip_ms + aside_ms for row in chosen]
         colour, _, mark = looks(len(laws))[laws.index(law)]

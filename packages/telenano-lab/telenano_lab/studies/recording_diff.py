@@ -9,7 +9,7 @@ from telenano.recording import RecordedChannel, RecordedMessage, Recording, Sele
 
 
 class ChannelDifference(BaseModel):
-    """Differences in one channel: messages in both files, how many of the same `seq` differ, and the first of them."""
+    """Differences in one channel: the messages in each file, the number of differing pairs, the first difference."""
 
     channel: str
     src: str
@@ -22,7 +22,7 @@ class ChannelDifference(BaseModel):
 
 
 class RecordingDifference(BaseModel):
-    """Differences of two recordings; `same` when every message of one is in the other."""
+    """Differences of two recordings; `same` is true if every message of each is in the other."""
 
     same: bool
     left: str
@@ -41,7 +41,7 @@ def diff_recordings(
     ignore: Iterable[str] = (),
     selection: Selection | None = None,
 ) -> RecordingDifference:
-    """Compare two recordings by channel, publisher and `seq` of the message, whatever the times of reception.
+    """Compare two recordings by channel, publisher and `seq` of the messages; times of reception are ignored.
 
     Args:
         left: One recording.
@@ -69,7 +69,7 @@ def _side(recording: Recording, selection: Selection) -> Side:
     messages: Side = {}
     for message in recording.select(selection):
         channel = messages.setdefault(message.channel, {})
-        # a restarted publisher uses its numbers again
+        # A restarted publisher repeats its numbers.
         repetition = 0
         while (message.seq, repetition) in channel:
             repetition += 1

@@ -1,7 +1,7 @@
-"""What repeated sessions have in common: mean, deviation and interval of each figure over those that differ by seed.
+"""Statistics of repeated sessions: mean, deviation and interval of each figure over sessions that differ by seed.
 
-The interval of a mean is Student's, that of a share Wilson's; both are meant to have the true value in 95 of 100
-repetitions of all sessions. Sessions are repetitions where their scenarios are the same but for their seeds.
+The interval of a mean is Student's, that of a share Wilson's; each should contain the true value in 95 of 100
+repetitions of the whole set. Sessions are repetitions if their scenarios differ in nothing but their seeds.
 """
 
 import json
@@ -14,14 +14,14 @@ from telenano.settings import flatten
 
 CONFIDENCE = 0.95
 _NAMES = ("name", "description")
-# Where a session is kept and shown does not change it.
+# The storage and display of a session do not change it.
 _SECTIONS = ("recorder", "viz_node")
 
 
 class Statistic(NamedTuple):
-    """Number of values, their mean, standard deviation (n - 1), and the ends of the interval of the mean.
+    """The number of values, their mean, standard deviation (n - 1), and the interval of the mean.
 
-    As text it is `mean ± deviation [low, high]`, of a share without the deviation.
+    Its text is `mean ± deviation [low, high]`, for a share without the deviation.
     """
 
     n: int
@@ -37,7 +37,7 @@ class Statistic(NamedTuple):
 
 
 def statistic(values: Sequence[float]) -> Statistic:
-    """Return the statistic of one or more numbers; one number has neither deviation nor interval."""
+    """Return the statistic of one or more numbers; a single number has neither deviation nor interval."""
     n, mean = len(values), math.fsum(values) / len(values)
     if n < 2:
         return Statistic(n, mean, None, None, None)
@@ -47,12 +47,12 @@ def statistic(values: Sequence[float]) -> Statistic:
 
 
 def share(count: int, of: int) -> Statistic:
-    """Return the statistic of a share: 0 <= count <= of, of > 0. It has no deviation."""
+    """Return the statistic of a share, 0 <= count <= of, of > 0; it has no deviation."""
     return Statistic(of, count / of, None, *wilson(count, of))
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a scenario, with dots, in which experiments differ: no names, no seeds, no place of files."""
+    """Return the dotted keys of a scenario in which experiments differ: without names, seeds, recorder and viewer."""
     return {
         key: value
         for key, value in flatten(scenario).items()
@@ -61,7 +61,7 @@ def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def repetitions(scenarios: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """Return the places of the scenarios that are the same but for their seeds, together, in the order given."""
+    """Return the places of scenarios that differ only in their seeds, in groups, in the given order."""
     groups: dict[str, list[int]] = {}
     for place, scenario in enumerate(scenarios):
         groups.setdefault(json.dumps(conditions_of(scenario), sort_keys=True, default=str), []).append(place)
@@ -69,14 +69,14 @@ def repetitions(scenarios: Sequence[Mapping[str, Any]]) -> list[list[int]]:
 
 
 def statistics_of(rows: Sequence[Mapping[str, Any]], scenarios: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each figure of each group of repetitions; nothing where no session was repeated.
+    """Return a row for each figure of each group of repetitions; none if no session was repeated.
 
     Args:
-        rows: The rows of the sessions: numbers are figures, and `verdict` is counted.
+        rows: The rows of the sessions: their numbers are figures, and `verdict` is counted.
         scenarios: The scenario of each session.
 
     Returns:
-        Rows of what distinguishes the groups, `figure`, and the members of a `Statistic`.
+        Rows with the keys that distinguish the groups, `figure`, and the members of a `Statistic`.
     """
     groups = repetitions(scenarios)
     if all(len(group) < 2 for group in groups):

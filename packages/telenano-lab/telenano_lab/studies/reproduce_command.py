@@ -1,4 +1,4 @@
-"""`telenano reproduce`: figures and equations of the paper, made again, on one page."""
+"""`telenano reproduce`: reproduce figures and equations of the paper on one page."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -7,7 +7,7 @@ import typer
 
 from telenano.cli import EXIT_FAILED, JsonOption, print_json, progress, report_errors, results_in
 
-# For Fig. 10 and 12 a rig is run.
+# Fig. 10 and 12 need a running rig.
 PaperFigure = Literal["all", "equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12"]
 
 
@@ -21,7 +21,7 @@ def reproduce(
 ) -> None:
     """Make figures and equations of the paper again, and write them on one HTML page."""
     with report_errors(as_json, "interrupted: the page was not written; sessions that had ended are in their folders"):
-        # The import comes first of all, because it compiles every step that is imported after it.
+        # This import comes first, because it compiles every step that is imported after it.
         from telenano_lab.studies.pages.reproduce import FIGURES
         from telenano_lab.studies.pages.reproduce import reproduce as make
 

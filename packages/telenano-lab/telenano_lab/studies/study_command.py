@@ -1,6 +1,6 @@
-"""`telenano study`: stability maps, transparency, and the check that the bus agrees.
+"""`telenano study`: stability maps, transparency, and the check that the bus agrees with lockstep.
 
-What imports matplotlib is imported when a command runs, so that `telenano study --help` answers at once.
+Modules that import matplotlib are imported when a command runs, so that `telenano study --help` answers at once.
 """
 
 from dataclasses import asdict
@@ -57,9 +57,9 @@ if TYPE_CHECKING:
     from telenano_lab.studies.loops.validate import Agreement
 
 _BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
-# A study of one link and one environment does not have these options.
+# Fields without an option in studies of one link and one environment.
 _ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
-# defaults of a study in place of those of the model, as a person would write them
+# Defaults of a study instead of those of the model, as a person would write them.
 _TRANSPARENCY = {"laws": "all", "environment": "spring", "delays_ms": "0,20,40,100,200", "stiffnesses_n_per_m": "10"}
 _VALIDATE = {"laws": "virtual_impedance", "environment": "tip_sample", "delays_ms": "0,40,60"}
 
@@ -249,7 +249,7 @@ def _agreed(agreement: "Agreement") -> str:
 
 
 def _over_seeds(result: LineResult) -> str:
-    """Return deviation, interval and number of the seeds that have an edge; what is not random has one course."""
+    """Return deviation, interval and number of the seeds that have an edge, as text; "not random" without draws."""
     if not result.stable_shares:
         return "not random"
     of = f"{result.seeds.n if result.seeds else 0} of {result.line.axes.seeds} seeds"
@@ -259,5 +259,5 @@ def _over_seeds(result: LineResult) -> str:
 
 
 def _edge(result: LineResult, value_ms: float | None) -> str:
-    """Return a critical delay, or the longest delay that was tried where all of them are stable."""
+    """Return a critical delay as text, or the longest delay that was tried if all of them are stable."""
     return f"> {max(result.line.axes.delays_ms):g}" if value_ms is None else f"{value_ms:.2f}"

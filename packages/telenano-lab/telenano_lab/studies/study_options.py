@@ -1,4 +1,4 @@
-"""Options that the studies share beside those of their models."""
+"""Options that the studies share, besides those of their models."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ WorkersOption = Annotated[
 
 
 def _address(text: str | None) -> str | None:
-    """Return the address of a scheduler as it was written; ConfigError if it is not of the form PROTOCOL://HOST:PORT."""
+    """Return the address of a scheduler unchanged; ConfigError if it is not of the form PROTOCOL://HOST:PORT."""
     if text is not None and not re.fullmatch(r"[a-z]+://[^\s/]+:\d+/?", text):
         raise ConfigError(f"--scheduler {text}: is not of the form tcp://host:8786")
     return text

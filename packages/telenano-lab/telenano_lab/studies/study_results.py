@@ -1,4 +1,4 @@
-"""What the studies share besides their options: the sweep with its progress, the files of a result, what is printed."""
+"""Helpers shared by the studies: the sweep with its progress, the files of a result, and its output."""
 
 import contextlib
 import json
@@ -23,7 +23,7 @@ NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins 
 def sweep_in(
     out: Path, workers: int | None, scheduler: str | None, *, shown: bool, kind: Kind = HOLDS
 ) -> Iterator[Sweep]:
-    """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
+    """Yield a sweep with the journal of a folder, and show its progress on stderr."""
     with results_in(out, at_once=True), progress("cells", shown=shown, counted=True) as show:
         yield Sweep(
             Journal(out / JOURNAL_NAME, kind),
@@ -35,13 +35,13 @@ def sweep_in(
 
 
 def warn_of(*doubts: str) -> None:
-    """Print what makes the result of a study doubtful."""
+    """Print the doubts about the result of a study."""
     for doubt in doubts:
         say(f"warning: {doubt}")
 
 
 def command_line() -> str:
-    """Return the command that makes the page."""
+    """Return the command that made the page."""
     return " ".join(["telenano", *(() if sys.argv[1:2] == ["study"] else ("study",)), *sys.argv[1:]])
 
 
@@ -52,7 +52,7 @@ def write_study(
     formats: Sequence[str] = ("parquet",),
     **tables: list[dict[str, Any]],
 ) -> None:
-    """Write page, summary and tables of a study into a folder, the first two by the name of the study."""
+    """Write page, summary and tables of a study into a folder; page and summary are named after the study."""
     document = json.dumps(summary, indent=2) + "\n"
     (folder / f"{summary['study']}.json").write_text(document, encoding="utf-8")
     page.write(folder / f"{summary['study']}.html")
@@ -63,7 +63,7 @@ def write_study(
 def print_result(
     summary: dict[str, Any], head: tuple[str, ...], rows: list[tuple[Any, ...]], folder: Path, *, as_json: bool
 ) -> None:
-    """Print the result of a study as JSON, or as a table and the place of its page."""
+    """Print the result of a study as JSON, or as a table with the path of its page."""
     if as_json:
         print_json(summary)
         return

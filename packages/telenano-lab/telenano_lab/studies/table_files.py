@@ -1,4 +1,4 @@
-"""A table of results in the formats that other programs read: CSV, Parquet, and MAT for MATLAB."""
+"""Tables of results in formats of other programs: CSV, Parquet, and MAT for MATLAB."""
 
 import csv
 import io
@@ -10,7 +10,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def table_files(name: str, rows: Rows, formats: Sequence[str] = ("csv",)) -> dict[str, bytes]:
-    """Return a table as the content of its files, by name. The columns are those of all rows, in their order."""
+    """Return a table as the content of its files, by file name; its columns are those of all rows, in their order."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     whole = [{column: _plain(row.get(column)) for column in columns} for row in rows]
     return {f"{name}.{form}": FORMATS[form](whole) for form in formats}
@@ -34,9 +34,9 @@ def _parquet(rows: Rows) -> bytes:
 
 
 def _mat(rows: Rows) -> bytes:
-    """Return a struct `table` with a member a column: numbers with NaN for none, or a cell of texts.
+    """Return a struct `table` with a member for each column: numbers, with NaN for none, or a cell array of texts.
 
-    MATLAB takes letters, figures and underlines, 63 of them, with a letter first.
+    MATLAB accepts names of at most 63 letters, digits and underscores that begin with a letter.
     """
     import numpy as np
     from scipy.io import savemat
@@ -56,7 +56,7 @@ def _mat(rows: Rows) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    # a number of NumPy is a number
+    # Numbers of NumPy become plain numbers.
     value = value.item() if hasattr(value, "item") else value
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 

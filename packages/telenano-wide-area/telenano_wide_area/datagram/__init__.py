@@ -1,1 +1,1 @@
-"""Sealed datagrams between two machines, for what a reader wants the newest of."""
+"""Sealed datagrams between two machines, for topics of which a reader needs the newest sample."""

@@ -1,9 +1,9 @@
-"""Which keys are in force at an end, and how both ends come to the same ones.
+"""Key agreement: the keys in force at an end, and the exchange by which both ends change to new ones.
 
-The master's end offers a public key, the slave's answers with its own: after that the slave can open what comes under
-the pair, and once its answer is there the master seals with it. The slave goes over when the first such datagram has
-come. What is under way with the keys before is opened for a moment longer. No pair of public keys is used twice: with
-the same key the numbers would begin again.
+The master's end offers a public key, and the slave's end answers with its own. From then on the slave opens datagrams
+under the new pair; when the answer arrives, the master seals with it, and the slave follows when the first such
+datagram arrives. Datagrams in transit under the previous keys are opened for a short time longer. No pair of public
+keys is used twice, because sequence numbers begin at 0 again and would repeat under the same key.
 """
 
 from telenano_wide_area.datagram.sealing import KeyPair, Opener, Sealer
@@ -13,13 +13,13 @@ _GRACE_NS = 10_000_000_000
 
 
 class Agreement:
-    """The keys of one end."""
+    """The keys of one end: `sealer` for sending, `openers` by tag for receiving."""
 
     def __init__(self, now_ns: int, *, is_master: bool) -> None:
         self.is_master = is_master
         self.sealer: Sealer | None = None
         self.openers: dict[bytes, Opener] = {}
-        # It opens datagrams under the newest keys.
+        # The opener of the newest keys.
         self.opener: Opener | None = None
         self.peer_public = b""
         self._pair = KeyPair()
@@ -35,19 +35,19 @@ class Agreement:
 
     @property
     def tags(self) -> list[bytes]:
-        """What the datagrams that may be opened begin with."""
+        """The tags with which datagrams that can be opened begin."""
         return list(self.openers)
 
     def hear(self, public: bytes, answers: bytes, now_ns: int) -> bool:
-        """Take the public key of the other end and which one of this end it `answers`; return whether keys are new.
+        """Handle the other end's public key and the key of this end that it `answers`; return whether keys are new.
 
         Raises:
-            ValueError: The public key gives no secret.
+            ValueError: The public key gives no shared secret.
         """
         if public == self.peer_public:
             return False
         if self.is_master and answers != self.public:
-            # The answer is for the offer of an earlier process, or is not one yet: the offer is repeated until it is.
+            # This answers the offer of an earlier process, or is no answer yet; the offer is repeated until one comes.
             return False
         if public in self._used or (not self.is_master and self.peer_public):
             self._renew(now_ns)
@@ -67,16 +67,16 @@ class Agreement:
         return True
 
     def opened(self, opener: Opener) -> None:
-        """Go over to the newest keys, once the other end has used them."""
+        """Change to sealing with the newest keys, once the other end has used them."""
         if self._waiting is not None and opener is self.opener:
             self.sealer, self._waiting = self._waiting, None
 
     def maintain(self, now_ns: int, *, silent: bool) -> bool:
-        """Retire old keys, and offer new ones when it is time; return whether the tags or the offer have changed.
+        """Retire old keys and offer new ones when they are due; return whether the tags or the offer have changed.
 
         Args:
             now_ns: The time now [ns].
-            silent: Whether nothing comes under the keys so far: the other end may be a new process without them.
+            silent: Whether no datagram arrives under the present keys: the other end may be a new process without them.
         """
         changed = False
         if silent and self._waiting is not None:
@@ -93,7 +93,7 @@ class Agreement:
         return changed
 
     def forget(self, now_ns: int) -> None:
-        """Forget every key: the other machine is no longer allowed."""
+        """Forget all keys, because the other machine is no longer allowed."""
         self._renew(now_ns)
         self.sealer = self._waiting = self.opener = self._retire_ns = None
         self.openers, self.peer_public = {}, b""

@@ -1,4 +1,4 @@
-"""Ground truth of a real network: of each datagram of one direction whether it arrived, when, and after which delay."""
+"""Record of a real network: for each datagram of one direction whether it arrived, when, and with which delay."""
 
 from array import array
 from collections import deque
@@ -7,14 +7,14 @@ from typing import NamedTuple
 from telenano.wire import LinkNetwork
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 
-# rows kept for one report: some seconds of the busiest direction
+# The most rows kept for one report: some seconds of the busiest direction.
 MOST_ROWS = 4096
 
 
 class Fates(NamedTuple):
-    """What became of each datagram, in the order in which that was known: columns, there are a thousand a second.
+    """The fate of each datagram, in the order in which it became known; columns, because there are a thousand a second.
 
-    `raw_ns` is arrival less sending, by two clocks; both times are 0 where it was lost.
+    `raw_ns` is the time of arrival minus that of sending, by two clocks; both times are 0 for a lost datagram.
     """
 
     number: "array[int]"
@@ -42,12 +42,12 @@ class ArrivalRecord:
         self.late = 0
         self.lost = 0
         self._fates = no_fates()
-        # datagrams of keys before the present ones
+        # The number of datagrams under earlier keys.
         self._base = 0
         self._window = ReplayWindow()
         self._settled = 0
-        # The first datagram that arrived with the present keys; earlier ones were sent when this end did not have them
-        # yet.
+        # The number of the first datagram that arrived under the present keys; earlier ones were sent before this end
+        # had these keys.
         self._first = 0
         self._arrived_of_keys = 0
         # The number of arrivals whose sequence numbers are not settled yet.
@@ -56,21 +56,21 @@ class ArrivalRecord:
 
     @property
     def sent(self) -> int:
-        """How many the other end has sent, as far as those that arrived show."""
+        """The number of datagrams that the other end has sent, as far as the newest arrival shows it."""
         return self._base + self._window.newest + 1 - self._first if self._arrived_of_keys else self._base
 
     @property
     def settled(self) -> int:
-        """Of how many of them it is known whether they arrived; `lost` is a part of these."""
+        """The number of datagrams that are known to have arrived or to be lost; `lost` counts some of these."""
         return self._base + max(0, self._settled - self._first) if self._arrived_of_keys else self._base
 
     @property
     def of_keys(self) -> tuple[int, int]:
-        """Sent and arrived since the keys changed."""
+        """The numbers of datagrams sent and arrived since the keys changed."""
         return self._window.newest + 1, self._arrived_of_keys
 
     def begin(self, window: ReplayWindow) -> None:
-        """Continue with the numbers of new keys, whose accepted ones are in `window`; open ones of the old are lost."""
+        """Continue under new keys, whose accepted numbers are in `window`; open numbers of the old keys are lost."""
         if self._arrived_of_keys:
             self._settle_up_to(self._window.newest + 1)
         self._base = self.sent
@@ -78,7 +78,7 @@ class ArrivalRecord:
         self._newest_at.clear()
 
     def record(self, number: int, sent_ns: int, arrived_ns: int) -> None:
-        """Record a datagram that was opened, and so is in the window of the present keys."""
+        """Record a datagram that was opened, so that its number is in the window of the present keys."""
         if not self._arrived_of_keys:
             self._first = self._settled = number
         self.arrived += 1
@@ -92,14 +92,14 @@ class ArrivalRecord:
         self._keep(number, arrived_ns, arrived_ns - sent_ns, 0)
 
     def settle(self, now_ns: int) -> None:
-        """Count as lost what newer ones overtook so long ago that it will not come any more."""
+        """Count as lost the datagrams that newer ones overtook longer ago than LinkNetwork.SETTLE_NS."""
         self._newest_at.append((now_ns, self._window.newest))
         while self._newest_at and now_ns - self._newest_at[0][0] >= LinkNetwork.SETTLE_NS:
             _, newest = self._newest_at.popleft()
             self._settle_up_to(newest + 1)
 
     def take_fates(self) -> Fates:
-        """Return what was known since the last call."""
+        """Return the fates that became known since the last call, at most MOST_ROWS."""
         fates, self._fates = self._fates, no_fates()
         return fates
 
@@ -116,7 +116,7 @@ class ArrivalRecord:
         self._settled = max(self._settled, end)
 
     def _pass_over(self, end: int) -> None:
-        """Settle numbers that have left the window, however many: what arrived of them is known by its count alone."""
+        """Settle numbers that have left the window, however many; only the count of arrivals among them is known."""
         newest = self._window.newest
         within = sum(map(self._window.has, range(newest - WINDOW + 1, newest + 1)))
         arrived = max(0, self._unsettled - within)

@@ -1,7 +1,7 @@
-"""What is inside a sealed datagram: a report to the sender of the other direction, and samples, the newest first.
+"""The content of a sealed datagram: a report to the sender of the other direction, and samples, the newest first.
 
-Samples are deflated with a dictionary of what every sample has: 60 to 110 bytes instead of 250 to 300. A short report
-is the time of sending alone, with its highest bit set.
+Samples are deflated with a dictionary of the bytes that they have in common: 60 to 110 bytes instead of 250 to 300. A
+short report is the time of sending alone, with its highest bit set.
 """
 
 import struct
@@ -22,21 +22,21 @@ DATAGRAMS_OF = {
 }
 NUMBERS = {topic: number for number, topic in enumerate(DATAGRAM_TOPICS)}
 _FRAMES = tuple(topic.encode() for topic in DATAGRAM_TOPICS)
-# A whole report, and a short one, which has the time of sending alone.
+# A full report, and a short one, which is the time of sending alone.
 REPORT = struct.Struct("!QQQQQ")
 SHORT_REPORT = struct.Struct("!Q")
 SAMPLE = struct.Struct("!BH")
 # Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
 BOUND = 2**62
 _SHORT = 2**63
-# A datagram has so much room for samples.
+# The room for samples in a datagram.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
-# The mark of a train, of which the receiver measures how fast the line carries it. Marks stand where a sample does and
-# carry nothing.
+# The mark of a train, by which the receiver measures the capacity of the line. A mark takes the place of a sample and
+# carries no data.
 TRAIN = 0xFE
-# The mark of a train that is to be answered with one.
+# The mark of a train that asks the receiver for a train in return.
 ASKING_TRAIN = 0xFD
-# This one carries what the line carries that the other end sends over [bit/s].
+# The mark that carries the measured capacity of the line on which the other end sends [bit/s].
 CARRIES = 0xFC
 # Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.
 _WINDOW_BITS = -12
@@ -44,7 +44,7 @@ _MOST_INFLATED = 4096
 
 
 def _dictionary() -> bytes:
-    """Return what samples have in common; these bytes are part of the wire format, and follow no model."""
+    """Return the bytes that samples have in common; they are part of the wire format and do not follow the models."""
     head = {"hand_seq": 0, "hand_t_ns": 0, "seq": 0, "t_ns": 0, "src": ""}
     law = "virtual_impedance model_mediated position_force smith tactile wave passivity"
     zeros = [0.0, 0.0, 0.0]
@@ -64,11 +64,12 @@ DICTIONARY = _dictionary()
 
 
 class Report(NamedTuple):
-    """What a datagram says beside its samples.
+    """The report in a datagram.
 
-    `sent_ns`: when it was sent, by its sender's clock; `heard_sent_ns`, `heard_ns`: of the newest datagram of the other
-    direction its own `sent_ns`, and when it arrived, by this sender's clock (0: none did); `expected`, `arrived`: how
-    many datagrams of the other direction had been sent up to the newest that arrived, and how many had arrived.
+    `sent_ns`: the time of sending, by the sender's clock. `heard_sent_ns`, `heard_ns`: the `sent_ns` of the newest
+    datagram of the other direction, and the time of its arrival by this sender's clock (0 if none has arrived).
+    `expected`, `arrived`: the number of datagrams of the other direction that were sent up to the newest that arrived,
+    and the number that arrived.
     """
 
     sent_ns: int
@@ -79,9 +80,10 @@ class Report(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A body: its report, its samples (topic, payload), the marks that stand among them (`TRAIN` and others).
+    """The content of a datagram: its report, its samples (topic, payload), and the marks among them (such as `TRAIN`).
 
-    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say.
+    `carries` is the capacity of the line from here as the other end measured it [bit/s], 0 if the body does not state
+    it.
     """
 
     report: Report
@@ -91,19 +93,19 @@ class Body(NamedTuple):
 
 
 def short_report(sent_ns: int) -> bytes:
-    """Return a report that says only when it was sent [ns]."""
+    """Return a report with the time of sending alone [ns]."""
     return SHORT_REPORT.pack(_SHORT | sent_ns)
 
 
 def packed(topic: str, payload: bytes) -> bytes:
-    """Return a sample as it stands in a body."""
+    """Return a sample as it stands in a body: number of the topic, length, deflated payload."""
     deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
     deflated = deflate.compress(payload) + deflate.flush()
     return SAMPLE.pack(NUMBERS[topic], len(deflated)) + deflated
 
 
 def mark(number: int, content: bytes = b"") -> bytes:
-    """Return a mark as it stands in a body, with its content, or with padding."""
+    """Return a mark as it stands in a body, followed by its content or by padding."""
     return SAMPLE.pack(number, len(content)) + content
 
 
@@ -114,17 +116,18 @@ def _inflated(data: bytes) -> bytes:
     except zlib.error:
         raise RejectedError("malformed") from None
     if not inflate.eof or inflate.unused_data:
-        # It is cut short, becomes longer than any sample, or has something behind it.
+        # The data is cut short, inflates to more than any sample has, or is followed by further bytes.
         raise RejectedError("malformed")
     return payload
 
 
 def parse(body: bytes) -> Body:
-    """Return what is in a body.
+    """Return the content of a body.
 
     Raises:
-        RejectedError: It is no body (`malformed`), or its report has a time (`time`) or a count (`count`) that no
-            sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
+        RejectedError: The bytes are no body (`malformed`), or the report has a time (`time`) or a count (`count`) that
+            no sender can have. The check matters because an authentic sender may be wrong too, and its figures are
+            added up here.
     """
     if is_short := len(body) >= SHORT_REPORT.size and body[0] >= 0x80:
         report = Report(SHORT_REPORT.unpack_from(body)[0] - _SHORT, 0, 0, 0, 0)
@@ -151,7 +154,7 @@ def parse(body: bytes) -> Body:
             marks.append(number)
             content = body[place - length : place]
             if number == CARRIES:
-                # An earlier end says further figures behind it.
+                # Some ends put further figures behind the capacity.
                 carries = int.from_bytes(content[:8], "big")
                 if carries >= BOUND:
                     raise RejectedError("count")

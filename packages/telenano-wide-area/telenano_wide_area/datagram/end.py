@@ -1,8 +1,9 @@
-"""One end of the link between two machines: sends the newest samples as sealed datagrams, and takes those that arrive.
+"""One end of the link between two machines: sends the newest samples as sealed datagrams, and receives the other's.
 
-It stands beside the subscriber that receives the same topics over TCP, and hands it what arrives: decoding, roles of
-the other machine and tracking of numbers are the same on both ways (`reception.py` chooses).
-The loop of the node calls it like a subscriber; nothing here runs in a thread, and each call does a bounded amount.
+The end works beside the subscriber that receives the same topics over TCP, and passes arrived samples to it, so that
+decoding, the roles of the other machine and the tracking of sequence numbers are the same for both (`reception.py`
+chooses between them). The loop of the node calls it like a subscriber; it has no thread, and each call does a bounded
+amount of work.
 """
 
 import contextlib
@@ -47,47 +48,50 @@ from telenano_wide_area.relay.path import RelayPath
 from telenano_wide_area.sealed import RejectedError
 from telenano_wide_area.settings import DatagramSettings
 
-# The node looks at its deadline again after this many datagrams, so that a flood cannot hold a loop.
+# The number of datagrams after which the node looks at its deadline again, so that a flood cannot hold its loop.
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
-# Due work waits for this time for a turn in which nothing has arrived; a node that is asked in every turn has many of
-# those.
+# Due work is postponed by up to this time until a turn in which nothing has arrived; there are many such turns if the
+# node calls the end in every turn.
 _PUT_OFF_NS = 20_000_000
-# A process that took no turn for this time stood still.
+# A process without a turn for this time has stood still.
 _STOOD_STILL_NS = 2 * _MAINTAIN_NS
-# The datagrams that waited for it say nothing about the line until it has taken them all, for this time at most: a
-# process that is slower is a queue itself.
+# After that the waiting datagrams say nothing about the line until the process has read them all, for at most this
+# time: a process that is slower than this is itself a queue.
 _BEHIND_NS = 2_000_000_000
-# After this time without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent,
-# to find out when they arrive again.
+# After this time without an acknowledgement, if the other end receives over TCP, only a few datagrams are sent, to find
+# out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
-# After a silence of this length a process may be behind, whose delay is no route's, for as long as _BEHIND_NS.
+# After a silence of this length a process may be behind for up to _BEHIND_NS; its delay then says nothing about the
+# route.
 _SILENCE_NS = 300_000_000
-# Datagrams are blocked if none arrives and the other end says over TCP that it has sent this number of since the
-# newest.
+# Datagrams are considered blocked if none arrives although the other end reports over TCP that it has sent this number
+# since the newest.
 _BLOCKED = 5
 _BETWEEN = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
-# The key is offered at this interval while none is agreed or nothing comes under it.
+# The key is offered at this interval while no key is agreed or no datagram arrives under it.
 _OFFER_NS = 500_000_000
-# The key is offered at this interval once datagrams flow and are answered. An end that is started again falls silent
-# first.
+# The key is offered at this interval once datagrams flow and are answered; before an end is started again, it is
+# silent.
 _CALM_OFFER_NS = 5_000_000_000
-# seconds of exchanges of time stamps in view
+# The window of time stamp exchanges for the clock offset [s].
 _CLOCK_WINDOW = 64
-# The line is measured by this number of trains at the start, because a process that stands still makes it seem narrow.
+# The number of trains that measure the line at the start: several, because a process that stands still makes the line
+# seem narrow.
 _TRAINS = 9
-# This many of them are sent only while the line seems narrow.
+# The number of these trains that are sent only while the line seems narrow.
 _FURTHER_TRAINS = 6
-# What else crosses a line at the start may make it seem to carry less than this [bit/s]: then it is measured further.
+# Below this capacity a line seems narrow and is measured further, because other traffic at the start may have caused it
+# [bit/s].
 _NARROW = 600_000
-# payloads of the other end that a repetition is compared with
+# The number of payloads with which a repetition is compared.
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
 
 
 def _told_of(machine: str, before: Measured, after: Measured) -> str:
-    """Return the sentence of an event: what the line from a machine carries now, and carried before."""
+    """Return the text of an event: the capacity of the line from a machine now, with its interval, and before."""
     high = "or more" if after.high_bit_per_s is None else f"to {1e-6 * after.high_bit_per_s:.3g}"
     carries = f"{1e-6 * after.bit_per_s:.3g} Mbit/s ({1e-6 * after.low_bit_per_s:.3g} {high})"
     return f"the line from {machine} carries {carries}, and carried {1e-6 * before.bit_per_s:.3g} Mbit/s before"
@@ -109,7 +113,7 @@ def _bound_socket(place: Place) -> socket.socket:
 class DatagramEnd:
     """The datagrams of one process."""
 
-    # It is called in each turn, for the work that is due here.
+    # The loop calls this end in each turn, for its due work.
     shared = True
     topics: Sequence[str] = ()
 
@@ -136,7 +140,7 @@ class DatagramEnd:
         self.drained = True
         self.sockets: list[Any] = []
         self.arrivals = ArrivalRecord()
-        # when the next sample of the play-out buffer is due, on the monotonic clock
+        # The time at which the next sample of the play-out buffer is due, on the monotonic clock.
         self.due_ns = NEVER_NS
         self.held = HeldSamples() if settings.play_out else None
         self.outgoing = Outgoing(settings, now)
@@ -155,21 +159,22 @@ class DatagramEnd:
         topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
         falls_back, peer = settings.transport == "auto", (machine, place.port)
         self._sparse = SparseSamples()
-        # Losses of what is received, over the time of some reports.
+        # The losses of the incoming direction over the last few reports.
         self._losses = Repeats(None)
-        # What arrives here lately of what the other end sends.
+        # The recent delivery of the incoming direction.
         self._delivered = Delivery()
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
-        # The newest datagram that arrived: its own time of sending, and when it came.
+        # The newest datagram that arrived: its time of sending by the other clock, and its time of arrival.
         self._heard = (0, 0)
         self._turned_ns, self._behind_until_ns = now, 0
         self._silent_until_ns = now - _BEHIND_NS
         self._sent_ns = now
-        # When the other end was last known, by either way, to have received further datagrams from here, and when by
-        # one of its own.
+        # The last times at which the other end acknowledged further datagrams: by any way, and by a datagram of its
+        # own.
         self._acknowledged_ns = self._answered_ns = now - 2 * _UNHEARD_NS
-        # How the other end receives, by its last word over TCP, and what was offered to it last of this end.
+        # The way in which the other end receives, by its last word over TCP, and the way of this end that was told to
+        # it last.
         self._peer_receives: Way = "stream"
         self._offered: Way = "stream"
         self._blocked_since_ns: int | None = None
@@ -177,9 +182,9 @@ class DatagramEnd:
         self._acknowledged_counts = (0, 0)
         self._maintain_ns = self._report_ns = now
         self._offered_ns = now - _CALM_OFFER_NS
-        # What the other end has measured of the line from here [bit/s], 0 before that.
+        # The capacity of the line from here as the other end measured it [bit/s], 0 before it has.
         self._known = 0
-        # How many trains are still to be sent at the start.
+        # The number of trains still to be sent at the start.
         self._trains = _TRAINS
         self.socket = _bound_socket(place)
         self.descriptor = self.socket.fileno()
@@ -191,27 +196,27 @@ class DatagramEnd:
 
     @property
     def receiving(self) -> Way:
-        """The way by which samples are received at the moment."""
+        """The way by which samples are received now."""
         return self._reception.way
 
     # --- sending ---
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the other end has lately said, by datagram or over TCP, that datagrams arrive there."""
+        """Whether the other end has lately confirmed, by datagram or over TCP, that datagrams arrive there."""
         return self._clock.monotonic_ns() - self._acknowledged_ns < _UNHEARD_NS and self._expected > 0
 
     def carry(self, topic: str, payload: bytes) -> bytes | None:
-        """Send a sample that was published, at once, if it is one of those that cross as datagrams.
+        """Send a sample that was just published, if its topic crosses as datagrams.
 
         Returns:
-            By which of SPARSE it is sent over TCP as well, None for most.
+            The prefix from SPARSE under which the sample is sent over TCP as well; None for most samples.
         """
         if topic not in self._sent_topics:
             return None
         now = self._clock.monotonic_ns()
-        # Where no acknowledgement comes and the other end receives over TCP, the signs of life that `maintain` sends
-        # will tell when that changes.
+        # Without acknowledgements, and if the other end receives over TCP, only the signs of life from `maintain` are
+        # sent; they show when datagrams arrive again.
         sends = now - self._acknowledged_ns <= _UNHEARD_NS or self._peer_receives == "datagram"
         sends = sends and self._agreement.sealer is not None and self._peer is not None and self._touch.is_kept
         if sends and (samples := self.outgoing.samples(topic, payload, now)):
@@ -234,7 +239,7 @@ class DatagramEnd:
             self.outgoing.unsent += 1
             return
         except OSError as error:
-            # No route, or an interface that is down, is the same as a network that loses everything.
+            # No route, or an interface that is down, is treated like a network that loses everything.
             self.last_error = f"no datagram can be sent to {peer[0]}: {errno.errorcode.get(error.errno or 0, error)}"
             return
         self._sent_ns = now_ns
@@ -248,7 +253,7 @@ class DatagramEnd:
     # --- receiving ---
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Return the messages of the datagrams that have arrived, judged as the subscriber judges its own."""
+        """Return the messages of the datagrams that have arrived, checked as the subscriber checks its own."""
         received: list[Received] = []
         now = self._clock.monotonic_ns()
         if now - self._turned_ns > _STOOD_STILL_NS:
@@ -266,18 +271,18 @@ class DatagramEnd:
         if now >= self._reception.missed_ns:
             self._reception.subscribe_early(now)
         self.due_ns = min(self._reception.missed_ns, NEVER_NS if self.held is None else self.held.due_ns)
-        # Arrived messages come first, because a report takes half a millisecond.
+        # Arrived messages are returned first, because a report takes half a millisecond.
         if now >= self._maintain_ns + (_PUT_OFF_NS if received else 0):
             self._maintain_ns = now + _MAINTAIN_NS
             self.maintain(now)
         return received
 
     def pending(self) -> bool:
-        """Return whether datagrams were left when the last batch was full."""
+        """Return whether datagrams were left unread because the last batch was full."""
         return not self.drained
 
     def input_health(self) -> tuple[()]:
-        """Return nothing: what arrives is in the sequence statistics of the subscriber."""
+        """Return nothing: the subscriber's sequence statistics include the datagrams."""
         return ()
 
     def _take(self) -> list[tuple[list[bytes], int]]:
@@ -291,7 +296,7 @@ class DatagramEnd:
                 self.drained = True
                 break
             except OSError:
-                # An ICMP error answers an earlier datagram; nothing has arrived with it.
+                # An ICMP error about an earlier datagram; nothing has arrived with it.
                 continue
             now = self._clock.now_ns()
             try:
@@ -313,7 +318,7 @@ class DatagramEnd:
             self._note(opener, number, datagram_read, len(datagram), address, now)
             if not self._touch.is_kept:
                 continue
-            # the oldest first, each once
+            # The samples are passed on from the oldest, each once.
             for topic, payload in reversed(datagram_read.samples):
                 if payload not in self._recent:
                     self._recent.append(payload)
@@ -329,7 +334,7 @@ class DatagramEnd:
         self.last_error = f"a datagram from {address[0]} port {address[1]} is refused: {cause}"
 
     def _note(self, opener: Opener, number: int, body: Body, size: int, address: Address, now_ns: int) -> None:
-        """Note what an authentic datagram of a size [bytes] tells beside its samples."""
+        """Record the number, report and marks of an authentic datagram of a size [bytes]."""
         report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
         is_behind = monotonic_ns < self._behind_until_ns or monotonic_ns - self._turned_ns > _STOOD_STILL_NS
@@ -351,7 +356,7 @@ class DatagramEnd:
             if report.heard_sent_ns and report.expected > self._expected:
                 self._acknowledge(report.expected, report.arrived, monotonic_ns)
                 if monotonic_ns - self._answered_ns > _UNHEARD_NS:
-                    # Nothing may be concluded from what arrived before and after a time without answers.
+                    # Reports from before and after a time without answers must not be compared.
                     self.outgoing.forget_reports(new_process=False)
                 self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
@@ -374,7 +379,7 @@ class DatagramEnd:
         self._peer = address
 
     def _steer(self, relay: RelayPath, now_ns: int) -> None:
-        """Send where the relay, or the other end by its answers, says."""
+        """Send to the address that the relay, or the other end by its answers, gives."""
         relay.maintain(now_ns, self._reception.silence_ns(now_ns))
         if relay.peer != self._peer and relay.peer is not None:
             self._peer = relay.peer
@@ -384,7 +389,7 @@ class DatagramEnd:
     # --- what is due ---
 
     def maintain(self, now_ns: int) -> None:
-        """Exchange keys, send a sign of life, choose the way to receive by, and report."""
+        """Do the due work: exchange keys, send a sign of life, choose the way of receiving, and report."""
         loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
         notice = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
         if notice is not None:
@@ -417,7 +422,7 @@ class DatagramEnd:
         self.side.report("link/network", **report, refused=dict(self.rejected))
 
     def _weigh_tcp(self) -> None:
-        """Take what TCP can carry each way, by what is known of the datagrams."""
+        """Update what TCP can carry in each direction, from what the datagrams show of the line."""
         offset, settled = self.offset.estimate(), self.arrivals.settled
         self._losses.adapt(settled, settled - max(0, self.arrivals.lost))
         round_trip_s = 0.0 if offset is None else offset.round_trip_s
@@ -425,7 +430,7 @@ class DatagramEnd:
         self._sparse.carried = carried_by_tcp(self._known, self.outgoing.repeats.loss_share, round_trip_s)
 
     def _why_silent(self) -> str:
-        """Return what may be said of the UDP port while no datagram comes."""
+        """Return a clause on the UDP port for the event that no datagram arrives."""
         if not self._agreement.peer_public:
             return "may be in use by no link there: it has offered no key"
         if self._blocked_since_ns is None:
@@ -434,12 +439,12 @@ class DatagramEnd:
         return f"is blocked {_BETWEEN[self._incoming]} since {since:%H:%M:%S} UTC"
 
     def _adapt(self, now_ns: int) -> None:
-        """Adapt what is sent to the line, and tell of a line that is full."""
+        """Adapt sending to the line, answer trains, and report a line that is full or has changed."""
         if now_ns - self._answered_ns < _UNHEARD_NS:
-            # What was reported before that says nothing of the queue now.
+            # Older reports say nothing about the queue now.
             offset, line = self.offset.estimate(), self.outgoing.line
             round_trip_ns = 0 if offset is None else round(offset.round_trip_s * 1e9)
-            # A queue that stands is in the round trip as well.
+            # The standing queues are part of the round trip and are subtracted.
             self.outgoing.update(now_ns, max(0, round_trip_ns - (line.there_ns or 0) - (line.back_ns or 0)))
         if self.acknowledged:
             seems_narrow = 0 < min(self.incoming.capacity, self._known) < _NARROW
@@ -456,9 +461,9 @@ class DatagramEnd:
             self._tell(*notice)
 
     def send_train(self) -> bool:
-        """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.
+        """Send a train of datagrams and ask for one, to measure both directions; return whether it was sent.
 
-        A line that is full is left alone, and what it carries is known.
+        Nothing is sent on a line that is full, whose capacity is known.
         """
         if self.outgoing.control.mode != "free":
             return False
@@ -482,7 +487,7 @@ class DatagramEnd:
                 self._expected = 0
                 self._reception.begin_keys(now_ns)
             changed = changed or new
-        # Where no datagram answers, what arrives here is said over TCP.
+        # If no datagram acknowledges, the arrivals are reported over TCP with the key.
         calm = not silent and agreement.sealer is not None and now_ns - self._answered_ns < _OFFER_NS
         changed = changed or self.receiving != self._offered
         if changed or now_ns - self._offered_ns >= (_CALM_OFFER_NS if calm else _OFFER_NS):
@@ -505,7 +510,7 @@ class DatagramEnd:
         self._offers = [cast(LinkKey, message)]
 
     def _hear_word(self, word: LinkKey, now_ns: int) -> None:
-        """Take what the other end says over TCP: what arrives there, and what it has sent that does not arrive here."""
+        """Record the other end's report over TCP: its arrivals, and whether its datagrams do not arrive here."""
         if word.receiving is None or word.public_key != self._agreement.peer_public.hex():
             return
         arrived = word.arrived or 0
@@ -521,18 +526,18 @@ class DatagramEnd:
             self._reception.remind(now_ns)
 
     def take_sparse(self, waiting: Sequence[Taken]) -> list[Received]:
-        """Return what brings something new of the sparse samples that came by a connection beside the subscriber's."""
+        """Return the messages among the sparse samples from the second TCP connection that bring something new."""
         sifted = [(self._sift(list(frames)), received_ns) for frames, received_ns in waiting]
         return self.subscriber.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
 
     def connect_beside(self, beside: "zmq.Socket[bytes]") -> None:
-        """Take the socket of a further connection to the other machine, for the sparse samples that go by it."""
+        """Use the socket of a second connection to the other machine, for its share of the sparse samples."""
         self._reception.connect_beside(beside)
 
     def _sift(self, frames: list[bytes]) -> list[bytes] | None:
         sifted = self._reception.sift(frames, self._clock.monotonic_ns())
         if sifted is not None and sifted is not frames:
-            # Its datagram may still come.
+            # Its datagram may still arrive, and is then a repetition.
             self._recent.append(sifted[-1])
         return sifted
 
@@ -547,7 +552,7 @@ class DatagramEnd:
     # --- as one that looks after the network ---
 
     def apply_permissions(self) -> None:
-        """Forget the keys when the other machine is no longer allowed, and continue over TCP, which refuses it too."""
+        """Forget the keys if the other machine is no longer allowed, and continue over TCP, which refuses it too."""
         if self.side.is_allowed or not self._agreement.peer_public:
             return
         now = self._clock.monotonic_ns()

@@ -1,38 +1,39 @@
-"""What a line carries, by the rate at which datagrams leave a queue that this direction has filled by itself.
+"""Measure the capacity of a line by the rate at which datagrams leave a queue that this direction has filled itself.
 
-While a queue stands, datagrams arrive at the rate of the line, however fast they are sent. So what is needed are two
-times one after the other, in which the delay grew or fell at rates that are well apart, because more was sent in the
-one than in the other, and in which as much arrived. A route that becomes longer or shorter does not do that: while the
-delay grows less arrives than is sent, and while it falls more does, in the same proportion. Neither does the traffic of
-others, which takes a share of the line that changes. The rate is measured by the receiver's clock, and the delays are
-compared with one another, so that no offset of the clocks matters.
+While a queue stands, datagrams arrive at the rate of the line, however fast they are sent. The measurement therefore
+needs two consecutive intervals in which the delay changed at clearly different rates, because more was sent in one than
+in the other, while the same rate arrived in both. A route that becomes longer or shorter looks different: while the
+delay grows, less arrives than is sent, and while it falls, more does, in the same proportion. Other traffic looks
+different too: its share of the line changes. The rate is measured by the receiver's clock, and delays are only compared
+with one another, so that the offset of the clocks does not matter.
 """
 
 import itertools
 from collections import deque
 from typing import NamedTuple
 
-# What the rig sends by TCP besides takes so much of the line, and is in no measurement [bit/s].
+# The share of the line that the rig's TCP traffic takes, which no measurement contains [bit/s].
 BESIDE_BIT_PER_S = 100_000
-# Datagrams within this time are one point of the course [ns].
+# Datagrams within this time are one point of the delay's course [ns].
 _STEP_NS = 20_000_000
-# The course of this time is kept [ns].
+# The length of the course that is kept [ns].
 _KEPT_NS = 3_000_000_000
-# A part of it lasts at least for this time [ns], with this number of datagrams.
+# An interval lasts at least this time [ns] and has at least this number of datagrams.
 _LEAST_NS = 120_000_000
 _FEWEST = 12
-# The delay is above the least of the course by at least this while a queue stands [ns].
+# While a queue stands, the delay is above the least of the course by at least this [ns].
 _STANDS_NS = 4_000_000
-# The slopes of both parts are apart by at least this.
+# The slopes of the delay in the two intervals differ by at least this.
 _APART = 0.12
-# The delay grows and falls by so many times what neighbours differ by in the median.
+# The delay must change by at least this multiple of the median difference of neighbouring points.
 _BEYOND = 8
-# What arrived in both parts is the same within this share of what a route would make of it, and of what is counted.
+# The arrival rates of the two intervals agree within this share of the difference that a route would make, and within
+# the counting error.
 _SAME = 0.3
 
 
 class Point(NamedTuple):
-    """The newest datagram of a step: when it arrived, its delay by two clocks [ns], bytes and datagrams up to it."""
+    """The newest datagram of a step: time of arrival, delay by two clocks [ns], and bytes and datagrams up to it."""
 
     at_ns: int
     delay_ns: int
@@ -41,7 +42,7 @@ class Point(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What a line carries and the interval in which that is [bit/s], with None for an end that nothing bounds."""
+    """The capacity of a line and its interval [bit/s]; an upper end of None is open."""
 
     bit_per_s: int
     low_bit_per_s: int
@@ -49,23 +50,23 @@ class Measured(NamedTuple):
 
 
 class FullQueue:
-    """The course of the delay of a direction, and the rate at which a full queue was emptied."""
+    """The course of the delay of a direction, and the capacity that a full queue shows."""
 
     def __init__(self) -> None:
         self._points: deque[Point] = deque()
         self._bytes = self._count = 0
 
     def forget(self) -> None:
-        """Forget the course: what comes next is not of the same line, or of another process."""
+        """Forget the course, because the next datagrams are of another line or another process."""
         self._points.clear()
 
     def record(self, size_bytes: int, delay_ns: int, now_ns: int) -> Measured | None:
-        """Record a datagram of a size with its headers; return what the line carries, None if that is unknown.
+        """Record a datagram; return the capacity of the line, None while it is unknown.
 
         Args:
-            size_bytes: Its size [bytes].
+            size_bytes: Its size with headers [bytes].
             delay_ns: Its delay by two clocks [ns].
-            now_ns: When it arrived [ns].
+            now_ns: Its time of arrival [ns].
         """
         self._bytes += size_bytes
         self._count += 1
@@ -80,7 +81,7 @@ class FullQueue:
         return self._measured()
 
     def _measured(self) -> Measured | None:
-        """Return the rate of the two newest parts that show it."""
+        """Return the rate of the newest two intervals that show it."""
         points = list(self._points)
         floor_ns = min(point.delay_ns for point in points) + _STANDS_NS
         end = len(points) - 1
@@ -89,7 +90,7 @@ class FullQueue:
             begin -= 1
         if points[end].delay_ns < floor_ns or points[end].at_ns - points[begin].at_ns < 2 * _LEAST_NS:
             return None
-        # The parts meet where the delay turns, which is the greatest of it, or the least.
+        # The intervals meet where the delay is greatest or least, or in the middle.
         inside = points[begin : end + 1]
         apart = sorted(abs(after.delay_ns - before.delay_ns) for before, after in itertools.pairwise(inside))
         varied_ns = _BEYOND * apart[len(apart) // 2]
@@ -104,7 +105,7 @@ class FullQueue:
 
 
 def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> Measured | None:
-    """Return the rate of both parts, None where they are too short, too alike in slope, or not of one rate."""
+    """Return the common rate of two intervals; None if they are too short, too alike in slope, or differ in rate."""
     parts = ((first, turn), (turn, last))
     if any(end.at_ns - begin.at_ns < _LEAST_NS or end.datagrams - begin.datagrams < _FEWEST for begin, end in parts):
         return None
@@ -118,7 +119,7 @@ def _common(first: Point, turn: Point, last: Point, varied_ns: int) -> Measured 
     if abs(rates[0] / rates[1] - 1.0) > max(_SAME * apart, min(counted, 0.5 * apart)):
         return None
     whole = (last.size_bytes - first.size_bytes) / (last.at_ns - first.at_ns)
-    # Each part shows it by itself, to within a datagram at each of its ends.
+    # Each interval shows the rate by itself, to within a datagram at each of its ends.
     off = counted + max(abs(rate / whole - 1.0) for rate in rates)
     rate, low, high = (round(8e9 * whole * share) for share in (1.0, max(0.0, 1.0 - off), 1.0 + off))
     return Measured(rate, low, high + BESIDE_BIT_PER_S)

@@ -1,4 +1,4 @@
-"""Samples that wait for their time, so that each of them is late by as much as the others."""
+"""A play-out buffer: samples wait until their time, so that all have the same delay."""
 
 import heapq
 import itertools
@@ -10,8 +10,8 @@ from telenano.timing import NEVER_NS, PlayOut
 class HeldSamples:
     """The samples of a play-out buffer, the earliest first.
 
-    `held.hold(sent_ns, now_ns, offset_ns, samples)` at each datagram, and `held.released(monotonic_ns)` when `due_ns`
-    has come.
+    Call `held.hold(sent_ns, now_ns, offset_ns, samples)` for each datagram, and `held.released(monotonic_ns)` at
+    `due_ns`.
     """
 
     def __init__(self) -> None:
@@ -21,16 +21,16 @@ class HeldSamples:
 
     @property
     def due_ns(self) -> int:
-        """When the next sample is due, on the monotonic clock [ns]."""
+        """The time at which the next sample is due, on the monotonic clock [ns]."""
         return self._waiting[0][0] if self._waiting else NEVER_NS
 
     def hold(self, sent_ns: int, now_ns: int, epoch_offset_ns: int, samples: Iterable[list[bytes]]) -> None:
         """Keep the samples of a datagram until their time.
 
         Args:
-            sent_ns: When it was sent, on the clock of the other end [ns].
+            sent_ns: The time at which it was sent, on the clock of the other end [ns].
             now_ns: The time now on the clock of this end [ns].
-            epoch_offset_ns: What this clock is ahead of the monotonic one [ns].
+            epoch_offset_ns: The lead of this clock over the monotonic one [ns].
             samples: The frames of each sample.
         """
         release_ns = self._play_out.release_ns(sent_ns, now_ns) - epoch_offset_ns
@@ -38,7 +38,7 @@ class HeldSamples:
             heapq.heappush(self._waiting, (release_ns, next(self._order), frames))
 
     def released(self, monotonic_ns: int) -> list[list[bytes]]:
-        """Return the samples whose time has come, and keep the others."""
+        """Remove and return the samples whose time has come."""
         released = []
         while self._waiting and self._waiting[0][0] <= monotonic_ns:
             released.append(heapq.heappop(self._waiting)[2])

@@ -1,9 +1,9 @@
-"""What an end learns of the line that it receives over, beside its queue: how much it carries.
+"""Measure the capacity of the line over which an end receives.
 
-Two things show that: a train of datagrams sent back to back, which the line spreads, and a queue that the samples have
-filled (`full_queue`). A train says nothing where its datagrams come in another order, or in bursts, because jitter, a
-stall or a step of the delay has spread it then; nothing else is taken for what the line carries. What was measured
-holds until more arrives than that, or another measurement is made.
+Two things show the capacity: a train of datagrams sent back to back, which the line spreads, and a queue that the
+samples have filled (`full_queue`). A train that arrives out of order or in bursts shows nothing, because jitter, a
+stall or a step of the delay has spread it; nothing else is taken for the capacity. A measurement holds until more
+arrives than it allows, or until the next one.
 """
 
 import itertools
@@ -15,32 +15,32 @@ from telenano_wide_area.datagram.full_queue import BESIDE_BIT_PER_S, FullQueue, 
 from telenano_wide_area.datagram.outgoing import TRAIN_DATAGRAMS
 from telenano_wide_area.datagram.pacing import NETWORK_BYTES
 
-# A train begins after a pause of this length.
+# A train begins after a pause of this length [ns].
 _PAUSE_NS = 400_000_000
-# A train of fewer datagrams than this says nothing.
+# A train of fewer datagrams than this shows nothing.
 _FEWEST = 24
-# Faster than this a train is over before the clock of a process shows how long it took [ns].
+# A train that arrives faster than this is over before the clock of a process can show its duration [ns].
 _SHORTEST_NS = 500_000
-# A faster train cannot show in which order and how evenly it came [ns].
+# A faster train cannot show in which order and how evenly it arrived [ns].
 _EVEN_FROM_NS = 4_000_000
-# Of a train that the line spreads, each third takes this share of the time of a third at least.
+# If the line has spread a train, each third of it takes at least this share of a third of its time.
 _EVEN = 0.6
 # This number of datagrams of a train may come out of order.
 _OVERTAKEN = 1
 _RATE_SPAN_NS = 500_000_000
-# The most that trains, or full queues, showed in this time is what the line carries, as what others sent makes it less
-# [ns].
+# The capacity is the greatest value that trains, or full queues, showed within this time, because other traffic makes a
+# measurement smaller [ns].
 _NOTED_NS = 10_000_000_000
 _QUEUE_NOTED_NS = 2_000_000_000
-# More than this multiple of what was measured shows that the line carries more.
+# If more than this multiple of the capacity arrives, the line carries more than was measured.
 _MORE = 1.1
-# A change by this share that is in no interval of before is worth telling of, once it has lasted for so long [ns].
+# A change by this share, outside the interval of the old value, is reported once it has lasted for this time [ns].
 _TOLD_SHARE = 0.25
 _LASTED_NS = 1_000_000_000
 
 
 class ArrivedDatagram(NamedTuple):
-    """A datagram of a train: when it arrived [ns], its number, and its size [bytes]."""
+    """A datagram of a train: its time of arrival [ns], its number, and its size [bytes]."""
 
     at_ns: int
     number: int
@@ -48,16 +48,16 @@ class ArrivedDatagram(NamedTuple):
 
 
 class Incoming:
-    """The line from another machine."""
+    """The line from another machine, and its measured capacity."""
 
     def __init__(self, machine: str) -> None:
         self.machine = machine
         # Whether the other end has asked for a train, which is answered once.
         self.wants_train = False
         self._full = FullQueue()
-        # What was measured lately, by its time [ns]; only by trains, or only by full queues.
+        # The recent measurements by time [ns]; all by trains, or all by full queues.
         self._shown: dict[int, Measured] = {}
-        # The best of it, what was told of last, and since when another one is measured [ns].
+        # The greatest of them, the one reported last, and the time since when another one is measured [ns].
         self._best: Measured | None = None
         self._told: Measured | None = None
         self._other_since_ns: int | None = None
@@ -69,16 +69,16 @@ class Incoming:
 
     @property
     def capacity(self) -> int:
-        """What the line carries [bit/s], 0 where no train and no full queue has shown it."""
+        """The capacity of the line [bit/s], 0 where no train and no full queue has shown it."""
         return 0 if self._best is None else self._best.bit_per_s
 
     @property
     def measured(self) -> Measured | None:
-        """What the line carries with its interval, None where no train and no full queue has shown it."""
+        """The capacity of the line with its interval, None where no train and no full queue has shown it."""
         return self._best
 
     def take_change(self, now_ns: int) -> tuple[Measured, Measured] | None:
-        """Return what the line carried and carries, where that has changed for good and was not told of yet."""
+        """Return the previous and the present capacity if it has changed for good and that was not reported yet."""
         best, told = self._best, self._told
         if best is None or told is None:
             self._told = told or best
@@ -98,10 +98,10 @@ class Incoming:
 
         Args:
             size_bytes: Its size [bytes].
-            now_ns: When it arrived [ns].
-            marks: What stands among its samples.
-            sent_ns: When it was sent, by the other clock [ns].
-            number: Its number among those that were sent.
+            now_ns: Its time of arrival [ns].
+            marks: The marks among its samples.
+            sent_ns: Its time of sending, by the other clock [ns].
+            number: Its number in the sender's sequence.
         """
         size = size_bytes + NETWORK_BYTES
         self._bytes += size
@@ -109,7 +109,7 @@ class Incoming:
             self._end_train(now_ns)
         is_train = bool(marks) and marks[0] in (TRAIN, ASKING_TRAIN)
         if is_train or number < self._number:
-            # Trains come at times of their own, and a queue keeps the order.
+            # A train is not paced like samples, and a queue keeps the order.
             self._full.forget()
         elif (rate := self._full.record(size, now_ns - sent_ns, now_ns)) is not None:
             self._show(now_ns, rate, by_queue=True)
@@ -120,7 +120,7 @@ class Incoming:
             self._train.append(ArrivedDatagram(now_ns, number, size))
 
     def measure(self, now_ns: int) -> None:
-        """Look at what was carried: where that is more than was measured, it is open how much more the line carries."""
+        """Forget the capacity if more arrives than it allows: how much more the line carries is then unknown."""
         if self._train and now_ns - self._train[-1].at_ns > _PAUSE_NS:
             self._end_train(now_ns)
         if self._span is None:
@@ -134,14 +134,14 @@ class Incoming:
             self._span = now_ns, self._bytes
 
     def _end_train(self, now_ns: int) -> None:
-        """Take what a whole train showed, if the line alone has spread it."""
+        """Use the rate of a whole train, if only the line has spread it."""
         train, self._train = self._train, []
         if (rate := _spread(train)) is None:
             return
         self._show(now_ns, rate, by_queue=False)
 
     def _show(self, now_ns: int, rate: Measured, *, by_queue: bool) -> None:
-        """Take a measurement; what others sent meanwhile makes it less than the line carries."""
+        """Add a measurement; other traffic meanwhile makes it smaller than the capacity."""
         if by_queue != self._by_queue:
             self._shown.clear()
         self._by_queue = by_queue
@@ -156,15 +156,15 @@ def _rate(measured: Measured) -> int:
 
 
 def _differ(before: Measured, after: Measured) -> bool:
-    """Return whether two measurements are of different lines: by much, and without a common value."""
+    """Return whether two measurements differ by much and have no value in common."""
     lower, upper = sorted((before, after), key=_rate)
     apart = lower.high_bit_per_s is not None and lower.high_bit_per_s < upper.low_bit_per_s
     return apart and abs(after.bit_per_s - before.bit_per_s) > _TOLD_SHARE * before.bit_per_s
 
 
 def _spread(train: Sequence[ArrivedDatagram]) -> Measured | None:
-    """Return the rate at which a train came; None where something else than the line has spread it."""
-    # The first one tells when the others began to arrive, and was itself carried before.
+    """Return the rate at which a train arrived; None if something other than the line has spread it."""
+    # The first datagram marks the begin of the others' arrival, and its own bytes were carried before that.
     count = len(train) - 1
     if count < _FEWEST:
         return None
@@ -180,7 +180,7 @@ def _spread(train: Sequence[ArrivedDatagram]) -> Measured | None:
     thirds_ns = [end - begin for begin, end in itertools.pairwise(ends)]
     if overtaken > _OVERTAKEN or min(thirds_ns) < _EVEN * took_ns / 3:
         return None
-    # Each third shows it as well, by a third of the datagrams.
+    # Each third shows the rate as well, from a third of the datagrams.
     shares = [third_ns / (took_ns / 3) for third_ns in thirds_ns]
     highest = round(rate / min(shares)) + BESIDE_BIT_PER_S
     return Measured(rate, min(low, round(rate / max(shares))), highest if high is None else max(high, highest))

@@ -1,14 +1,15 @@
-"""The standing queue of a line, each way, from exchanges of four time stamps between two clocks that drift.
+"""The standing queue of a line in each direction, from exchanges of four time stamps between two clocks that drift.
 
-With the times t1 to t4 of `clock_offset`, the way there appears to take f = t2 - t1 and the way back b = t4 - t3, each
-with the offset of the clocks in it, which drifts: f rises as b falls. A queue only ever adds to one of them. So every f
-bounds the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which
-clocks are known (`telenano.timing.clock_fit`), are the delays of the empty line.
+With the times t1 to t4 of `clock_offset`, the way there seems to take f = t2 - t1 and the way back b = t4 - t3. Each
+contains the offset of the clocks, which drifts: f rises as b falls. A queue can only add to f or b. So every f bounds
+the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which clocks
+are compared (`telenano.timing.clock_fit`), are the delays of the empty line.
 
-What a datagram took beyond its line was queueing or jitter. The least of that within a tenth of a second is a queue
-that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012): jitter comes and goes within it.
-Neither way can have more of a queue than the round trip, which no clock enters, is above its least. A route that has
-become longer is no queue: the line is then sought anew above what exchanges take since (`jump`).
+The delay of a datagram beyond these lines is queueing or jitter. Its least value within a tenth of a second is a
+standing queue (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012), because jitter comes and goes
+within that time. Neither direction can have a queue longer than the excess of the round trip over its least value,
+which no clock enters. A route that has become longer is no queue: the line is then fitted anew above the delays since
+(`jump`).
 """
 
 from collections import deque
@@ -16,26 +17,26 @@ from typing import NamedTuple
 
 from telenano.timing import STEP_NS, ClockLine
 
-# A queue stands if it does for two of these [ns].
+# A queue stands if it lasts for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
-# The variation of the delay by itself is the calmest quarter of this number of half windows.
+# The variation of the delay without queues is that of the calmest quarter of this number of half windows.
 _VARIATIONS = 16
-# A half window counts if it had this number of delays.
+# A half window counts if it had at least this number of delays.
 _FEWEST_SEEN = 3
-# The least delay of a span stands for all of it: by the drift of usual clocks another one may be less [s/s].
+# The least delay represents a whole span; by the drift of usual clocks another one in it may be less [s/s].
 _USUAL_DRIFT = 1e-4
 _ROUNDED_NS = 50_000
-# Time stamps are as exact as the turns of a process [ns].
+# Time stamps are no more exact than the turns of a process [ns].
 _STAMPED_NS = 500_000
-# Least delays are kept for this number of spans of equal length. What is older than all of them (ten minutes) is
-# forgotten, because routes change.
+# The number of spans of equal length for which least delays are kept. Older ones (ten minutes) are forgotten, because
+# routes change.
 _SPANS = 64
 # The length of a span doubles from _FIRST_SPAN_NS to _LAST_SPAN_NS.
 _FIRST_SPAN_NS = 250_000_000
 _LAST_SPAN_NS = 16_000_000_000
-# Older spans are forgotten only while there are this number at least.
+# Older spans are forgotten only if there are at least this number.
 _FEWEST_SPANS = 4
-# After the clock of this process was set, what was under way then comes within so many of the least round trips and
+# After the clock of this process was set, datagrams in transit arrive within this multiple of the least round trip, and
 # this time [ns].
 _UNDER_WAY, _UNDER_WAY_NS = 2, 100_000_000
 # A time [ns], and a delay at that time [ns].
@@ -43,7 +44,7 @@ Bound = tuple[int, int]
 
 
 class Least(NamedTuple):
-    """The least delays of one span, each with its time: there, back, and both ways of one exchange [ns]."""
+    """The least delays of one span with their times: there, back, and the round trip of one exchange [ns]."""
 
     there: Bound
     back: Bound
@@ -60,9 +61,10 @@ def _delay(point: Bound) -> int:
 
 
 class Standing(NamedTuple):
-    """A queue that stands [ns], and the interval in which it is [ns].
+    """A standing queue [ns] and its interval [ns].
 
-    A queue that has stood since the line began is in no interval: nothing shows it, and it counts as the line.
+    A queue that has stood since the line began is not in the interval: nothing shows it, and it counts as part of the
+    line.
     """
 
     queue_ns: int
@@ -71,50 +73,51 @@ class Standing(NamedTuple):
 
 
 class Line:
-    """Both ways of a line; `there_ns` and `back_ns` are their standing queues [ns], None until they are known."""
+    """Both directions of a line; `there_ns` and `back_ns` are their standing queues [ns], None until they are known."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Begin again: the other clock was set, or belongs to another process."""
-        # Up to when exchanges are left out because the clock of this process was set back, and its newest time [ns].
+        """Begin again, because the other clock was set, or belongs to another process."""
+        # The time up to which exchanges are left out because the clock of this process was set back, and its newest
+        # time [ns].
         self._left_out_ns = self._received_ns = 0
         self._zero: tuple[int, int, int] | None = None
         self._spans: list[Least] = []
         self._span_ns = _FIRST_SPAN_NS
         self._now: Least | None = None
         self._now_ends_ns = 0
-        # What was kept of the route before it became longer.
+        # The spans of the route before it became longer.
         self._shorter: tuple[list[Least], int] | None = None
         self._slope = self._expected_slope = self._there = self._back = 0.0
         self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
         self._most_back = 0.0
         self._highest, self._last, self._seen = (0.0, 0.0), 0.0, 0
-        # By how much the delay of each way varied within the newest half windows.
+        # The variation of the delay of each direction within the newest half windows.
         self._varied: deque[tuple[float, float]] = deque(maxlen=_VARIATIONS)
         self._window_ends_ns = 0.0
         self._windows = 0
 
     @property
     def drift(self) -> float:
-        """How much faster the other clock runs, as a ratio."""
+        """The rate of the other clock relative to this one, minus 1."""
         return self._slope
 
     @property
     def there_ns(self) -> int | None:
-        """The standing queue of what is sent from here [ns]."""
+        """The standing queue of the direction from here [ns]."""
         return self._standing(0)
 
     @property
     def back_ns(self) -> int | None:
-        """The standing queue of what arrives here [ns]."""
+        """The standing queue of the direction to here [ns]."""
         return self._standing(1)
 
     @property
     def ways(self) -> tuple[Standing | None, Standing | None]:
-        """The standing queues of both ways, there and back, with their intervals."""
+        """The standing queues of both directions, there and back, with their intervals."""
         there_ns, back_ns = self.there_ns, self.back_ns
         return (
             None if there_ns is None else self._within(0, there_ns),
@@ -122,13 +125,13 @@ class Line:
         )
 
     def take_back(self) -> Standing | None:
-        """Return the greatest standing queue of what arrived here since it was last asked."""
+        """Return the greatest standing queue of the direction to here since the last call."""
         most_ns, self._most_back = round(self._most_back), 0.0
         return None if self.back_ns is None else self._within(1, max(self.back_ns, most_ns))
 
     @property
     def there_variation_ns(self) -> int:
-        """By how much the delay of what is sent from here varies, in the calmest quarter of the last second [ns]."""
+        """The variation of the delay from here, in the calmest quarter of the last second [ns]."""
         return self._variation_ns(0)
 
     def _variation_ns(self, way: int) -> int:
@@ -136,8 +139,8 @@ class Line:
         return round(varied[len(varied) // 4]) if varied else 0
 
     def _within(self, way: int, queue_ns: int) -> Standing:
-        """Return a queue with its interval: jitter is none, and the empty way may be longer than its line says."""
-        # No exchange has shown both ways empty at once by so much.
+        """Return a queue with its interval: jitter is no queue, and the empty delay may be longer than fitted."""
+        # No exchange has shown both directions empty at once, by this amount.
         unseen_ns = round(max(0.0, self._least_both - self._there - self._back))
         low_ns = max(0, queue_ns - unseen_ns - self._variation_ns(way) - _STAMPED_NS)
         return Standing(queue_ns, low_ns, queue_ns + unseen_ns + _STAMPED_NS)
@@ -146,7 +149,7 @@ class Line:
         return None if self._windows < 2 else round(min(self._before[way], self._lowest[way]))
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> None:
-        """Record the delays of an exchange: sent here, received and answered there, the answer received here [ns]."""
+        """Record the time stamps of an exchange: sent here, received there, answered there, received here [ns]."""
         went_back, self._received_ns = received_ns < self._received_ns, received_ns
         if received_ns < self._left_out_ns and not went_back:
             return
@@ -155,18 +158,18 @@ class Line:
             self._zero = (received_ns, there, back)
         at, f, b = (x - zero for x, zero in zip((received_ns, there, back), self._zero, strict=True))
         if at < 0:
-            # This process was given another clock.
+            # The clock of this process was set.
             self._forget_clock(received_ns, went_back=went_back)
             return
         f_above, b_above = f - self._slope * at, b + self._slope * at
         falls = max(self._there - f_above, self._back - b_above) > STEP_NS
         if self._shorter and (falls or f + b < self._least_both - STEP_NS):
-            # The route is as short again as it was, or always was.
+            # The route is as short again as before, or always was.
             self._spans, self._span_ns = self._shorter
             self._shorter, self._now, self._now_ends_ns = None, None, 0
             self._fit()
         elif f + b < self._least_both - STEP_NS:
-            # No round trip is that much shorter than the shortest: this process was given another clock.
+            # No round trip can be that much shorter than the shortest: the clock of this process was set.
             self._forget_clock(received_ns, went_back=went_back)
             return
         self._keep(Least((at, f), (at, b), f + b), at)
@@ -177,7 +180,7 @@ class Line:
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
     def _forget_clock(self, received_ns: int, *, went_back: bool) -> None:
-        """Begin again after the clock of this process was set, without what is under way, which has half of it."""
+        """Begin again after the clock of this process was set, without datagrams in transit, which mix both times."""
         _, there, back = self._zero or (0, 0, 0)
         round_trip_ns = max(0, there + back + round(self._least_both))
         self.forget()
@@ -186,7 +189,7 @@ class Line:
             self._received_ns = received_ns
 
     def jump(self, at_ns: int, there_ns: int, back_ns: int) -> None:
-        """Begin again from a route that has become longer there and back by so much [ns]."""
+        """Begin again from a route that has become longer by these times there and back [ns]."""
         if self._zero is None:
             return
         at = at_ns - self._zero[0]
@@ -197,10 +200,10 @@ class Line:
             None,
             0,
         )
-        # The clocks run as they did.
+        # The rates of the clocks have not changed.
         self._expected_slope = self._slope
         self._there, self._back, self._least_both = f - self._slope * at, b + self._slope * at, f + b
-        # So much of what stood was no queue.
+        # This part of the standing delay was no queue.
         self._lowest, self._before = (
             (max(0.0, there - there_ns), max(0.0, back - back_ns)) for there, back in (self._lowest, self._before)
         )
@@ -220,12 +223,13 @@ class Line:
         self._fit()
 
     def _fit(self) -> None:
-        """Find the highest pair of lines below what is kept.
+        """Fit the highest pair of lines below the kept delays.
 
-        Where it is further below the shortest round trip than jitter explains, the other clock was set, or runs at
+        If it lies further below the shortest round trip than jitter explains, the other clock was set, or runs at
         another rate, since then: the older half of the spans is forgotten.
         """
-        # The first exchange is zero here; with what it took, no line between the bounds means that a clock was set.
+        # Delays are relative to the first exchange. Its own delays are added for the fit, so that bounds without a line
+        # between them mean that a clock was set.
         _, there_ns, back_ns = self._zero or (0, 0, 0)
         took_ns = there_ns + back_ns
         while True:
@@ -243,7 +247,7 @@ class Line:
             if self._least_both - round_trip_ns <= STEP_NS:
                 return
             if self._shorter:
-                # A way that had seemed to be longer is not: what is older than that counts again.
+                # The route that seemed longer is not: the older spans count again.
                 self._spans, self._span_ns = [*self._shorter[0], self._spans[-1]], self._shorter[1]
                 self._shorter = None
                 continue

@@ -1,4 +1,4 @@
-"""What an end sends of the samples that it is offered: how many, how small, with which older ones."""
+"""Choose what an end sends of the samples that it is offered: how many, how small, and with which older ones."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,31 +11,31 @@ from telenano_wide_area.datagram.rate import WARN_QUEUE_NS, Delivery, PathEstima
 from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
 from telenano_wide_area.settings import DatagramSettings
 
-# However full the line is, and whatever the other end says of it, this number of samples are sent in a second: a reader
-# takes a silence of 50 ms for a loss.
+# At least this number of samples is sent in a second, however full the line is and whatever the other end reports of
+# it: a reader takes a silence of 50 ms for a loss.
 LEAST_HZ = 50.0
-# Over a full line a report of the law goes along with a sample, and no more often than this [ns].
+# Over a full line a report of the law is sent with a sample, at this interval at the shortest [ns].
 _REPORTS_NS = 100_000_000
 _REPORTED = "law/status"
-# Over a full line a datagram says what was heard from the other end no more often than this [ns]: some ten times within
-# the time over which a queue is judged.
+# Over a full line a datagram has a full report at this interval at the shortest [ns]: some ten times within the time
+# over which a queue is judged.
 _WHOLE_REPORT_NS = 9_000_000
-# A train is this number of datagrams, back to back.
+# The number of datagrams of a train, sent back to back.
 TRAIN_DATAGRAMS = 40
-# Each datagram of a train has this number of bytes of padding.
+# The padding of each datagram of a train [bytes].
 _PADDING_BYTES = 400
-# No more than one train in this time, whatever asks for it [ns].
+# The shortest interval between trains, whatever asks for them [ns].
 _TRAIN_PAUSE_NS = 700_000_000
-# A queue that lasts this long is reported.
+# A queue that lasts for this time is reported [ns].
 _STANDS_NS = 2_000_000_000
-# A queue that still lasts is reported again after this time.
+# A queue that still lasts is reported again after this time [ns].
 _REMIND_NS = 60_000_000_000
-# Means follow what is sent over some 0.3 s, at twenty updates a second.
+# The share of the newest value in a mean: means follow over some 0.3 s, at twenty updates a second.
 _NEWEST_SHARE = 0.15
 
 
 class SentTotal(NamedTuple):
-    """What was sent up to a time [ns]."""
+    """The totals sent up to a time [ns]."""
 
     now_ns: int
     bytes: int
@@ -43,7 +43,7 @@ class SentTotal(NamedTuple):
 
 
 class Outgoing:
-    """The samples of one end on their way out; `line` is what it knows of both ways, `control` its rate."""
+    """The samples of one end on their way out; `line` has the queues of both directions, `control` the rate."""
 
     def __init__(self, settings: DatagramSettings, now_ns: int) -> None:
         self.line = Line()
@@ -55,14 +55,14 @@ class Outgoing:
         self._beside, self._beside_ns = b"", now_ns
         self._whole_report_ns = now_ns
         self._seen = SentTotal(now_ns, 0, 0)
-        # The mean size of a datagram [bytes], and what is sent in a second.
+        # The mean size of a datagram [bytes], and the mean rate of sending [bytes/s].
         self._bytes_each, self._bytes_per_s = 400.0, 0.0
         self._train_ns = now_ns - _TRAIN_PAUSE_NS
         self._full_since_ns: int | None = None
         self._queue_reported_ns: int | None = None
 
     def samples(self, topic: str, payload: bytes, now_ns: int) -> bytes:
-        """Return what to send now that a sample is offered; empty where it is left out."""
+        """Return the bytes to send for a sample that is offered now; empty if the sample is left out."""
         limited = self.control.mode != "free"
         if limited and topic == _REPORTED:
             if now_ns - self._beside_ns >= _REPORTS_NS:
@@ -70,7 +70,7 @@ class Outgoing:
             return b""
         left = self._budget.left_bytes(now_ns)
         if limited and left < 0.9 * (self._bytes_each - NETWORK_BYTES):
-            # It is known before the work of packing that there is no room.
+            # There is no room for a mean sample, so the work of packing is saved.
             self.unsent += 1
             return b""
         sample = packed(topic, payload)
@@ -83,7 +83,7 @@ class Outgoing:
         return samples_sent
 
     def leaves_report_out(self, now_ns: int) -> bool:
-        """Return whether a sample goes without what was heard from the other end: 32 bytes of a line that is full."""
+        """Return whether a sample is sent with a short report, which saves 32 bytes of a full line."""
         if self.control.mode == "free" or now_ns - self._whole_report_ns >= _WHOLE_REPORT_NS:
             self._whole_report_ns = now_ns
             return False
@@ -96,7 +96,7 @@ class Outgoing:
         self._budget.spend(size_bytes)
 
     def record_heard(self, report: Report, now_ns: int) -> None:
-        """Record what the other end says of what it received, in a datagram that arrived now [ns]."""
+        """Record the other end's report of its arrivals, from a datagram that arrived now [ns]."""
         self.line.record(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
         self._delivery.record(report.heard_ns, report.expected, report.arrived)
 
@@ -110,11 +110,11 @@ class Outgoing:
         back_is_full: bool,
         there_by_and_by: bool = False,
     ) -> None:
-        """Record that each way takes longer, seen when something was heard [ns]: a longer route is no queue.
+        """Record that the directions take longer by these times [ns], as seen at heard_ns: a longer route is no queue.
 
-        Where much is lost as well it is no route but a queue that is full, of which `back_is_full` is told of the way
-        back. A way there that became longer by and by, while less is sent because it is full, has to lose less than
-        that for a route.
+        If much is lost as well, it is no route but a full queue; `back_is_full` says so for the direction to here. A
+        delay there that grew gradually, while less was sent because the line was full, is a queue already at the
+        smaller loss of a queue that is kept full.
         """
         is_kept_full = there_by_and_by and self.control.mode != "free" and self._delivery.is_kept_full()
         there_ns = 0 if is_kept_full or self._delivery.is_of_full_queue() else there_ns
@@ -125,7 +125,7 @@ class Outgoing:
             self.control.forget_queue(now_ns)
 
     def update(self, now_ns: int, round_trip_ns: int) -> None:
-        """Adapt the rate to the line, some twenty times a second."""
+        """Adapt the rate to the line; called some twenty times a second."""
         elapsed_s = (now_ns - self._seen.now_ns) * 1e-9
         if elapsed_s <= 0.0:
             return
@@ -142,7 +142,7 @@ class Outgoing:
         self._budget.limit(self.control.bytes_per_s, self._bytes_each, now_ns)
 
     def report_queue(self, now_ns: int, machine: str) -> tuple[str, str] | None:
-        """Return level and text of an event when the line to a machine becomes full, still is after long, or is not."""
+        """Return level and text of an event when the line to a machine becomes full, stays full, or is free again."""
         queue_ns, mode, reported_ns = self.line.there_ns or 0, self.control.mode, self._queue_reported_ns
         if mode != "full" or queue_ns < WARN_QUEUE_NS:
             self._full_since_ns = None
@@ -164,20 +164,20 @@ class Outgoing:
         self.repeats.adapt(expected, arrived, full=self.control.mode != "free")
 
     def send_train(self, now_ns: int, send: Callable[[bytes, int], None], first: int = TRAIN_MARK) -> bool:
-        """Send a train of datagrams, of which the other end sees how fast the line carries it; return whether it was.
+        """Send a train of datagrams, by which the other end measures the capacity of the line.
 
         Args:
             now_ns: The time now [ns].
-            send: Sends a body's samples at a time [ns].
+            send: Sends the samples of a body at a time [ns].
             first: The mark in its datagrams, which may ask for a train in return.
 
         Returns:
-            Whether the train was sent: not soon after another one.
+            Whether the train was sent, which it is not soon after another one.
         """
         if now_ns - self._train_ns < _TRAIN_PAUSE_NS:
             return False
         self._train_ns = now_ns
-        # The samples behind it do not pay for it.
+        # The samples after the train do not pay for it.
         saved = self._budget.saved
         for _ in range(TRAIN_DATAGRAMS):
             send(mark(first, bytes(_PADDING_BYTES)), now_ns)
@@ -185,7 +185,7 @@ class Outgoing:
         return True
 
     def forget_reports(self, *, new_process: bool) -> None:
-        """Forget what was reported under the keys before; of a new process also its clock."""
+        """Forget the reports under the previous keys; for a new process, which has another clock, also the line."""
         self.repeats.forget()
         self._delivery = Delivery()
         if new_process:

@@ -1,4 +1,4 @@
-"""How much is sent: a budget of bytes a second, and how many older samples each datagram repeats."""
+"""Limits of sending: a budget of bytes a second, and the number of older samples that each datagram repeats."""
 
 from collections import deque
 
@@ -6,22 +6,23 @@ from telenano_wide_area.datagram.body import MOST_SAMPLE_BYTES
 from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
 
 MOST_REPEATS = 4
-# a sample is repeated until fewer than this share of them are expected to be lost with all their copies
+# A sample is repeated until fewer than this share of samples are expected to be lost with all their copies.
 _ACCEPTED_LOSS = 1e-3
-# The headers of UDP and IPv6 are this long; IPv4 has a shorter one.
+# The length of the headers of UDP and IPv6 [bytes]; that of IPv4 is shorter.
 NETWORK_BYTES = 48
-# Repetitions leave so much of the budget to the newest message of every topic: two datagrams without any repetition.
+# Repetitions leave this part of the budget to the newest message of every topic [bytes]: two datagrams without
+# repetitions.
 RESERVE_BYTES = 1500
-# reports of losses that count: some two seconds at two a second
+# The number of reports of losses that count: some two seconds, at two a second.
 _REPORTS = 4
-# The whole budget may be saved up for this time.
+# Unused budget is saved up for this time at most [s].
 _BURST_S = 0.02
-# Of a smaller rate no more may be saved up than a datagram needs, and what comes in meanwhile from sample to sample.
+# At a smaller rate, no more is saved up than one datagram and the budget of this time between samples [s].
 _EVEN_S = 0.002
 
 
 class SendBudget:
-    """A token bucket of bytes, the headers of the network included."""
+    """A token bucket of bytes, including the headers of the network."""
 
     def __init__(self, kbit_per_s: float, now_ns: int) -> None:
         self._all = self._bytes_per_s = kbit_per_s * 125.0
@@ -30,7 +31,7 @@ class SendBudget:
         self._at_ns = now_ns
 
     def limit(self, bytes_per_s: float, bytes_each: float, now_ns: int) -> None:
-        """Allow no more than a rate from now on.
+        """Limit the rate from now on.
 
         Below the whole budget there are no bursts, so that samples of `bytes_each` are evenly spaced.
         """
@@ -41,7 +42,7 @@ class SendBudget:
         self.saved = min(self.saved, self._most)
 
     def left_bytes(self, now_ns: int) -> float:
-        """Return how many bytes a datagram sent now may have."""
+        """Return the largest size that a datagram sent now may have, without network headers [bytes]."""
         self.saved = min(self._most, self.saved + (now_ns - self._at_ns) * 1e-9 * self._bytes_per_s)
         self._at_ns = now_ns
         return self.saved - NETWORK_BYTES
@@ -52,10 +53,10 @@ class SendBudget:
 
 
 class Repeats:
-    """The newest samples that were sent, and how many of them the next datagram carries again.
+    """The newest samples that were sent, and the number of them that the next datagram repeats.
 
-    The newest alone decides the age at the other end; a repetition is for those that want each sample, such as the
-    recording, and for samples sent on change only.
+    The newest sample alone decides the age at the other end; repetitions serve readers that need each sample, such as
+    the recording, and samples that are sent on change only.
     """
 
     def __init__(self, fixed: int | None) -> None:
@@ -67,7 +68,7 @@ class Repeats:
         self._last = (0, 0)
 
     def with_repeats(self, sample: bytes, left_bytes: float) -> bytes:
-        """Return a sample with as many older ones behind it as are wanted, fit and may be sent; remember it."""
+        """Return a sample followed by older ones, as many as are wanted, fit and may be sent; remember the sample."""
         joined = sample
         if self.count:
             most = min(MOST_SAMPLE_BYTES, left_bytes - OVERHEAD_BYTES)
@@ -80,9 +81,9 @@ class Repeats:
         return joined
 
     def adapt(self, expected: int, arrived: int, *, full: bool = False) -> None:
-        """Choose the count by what the other end says: how many arrived of those expected since the keys changed.
+        """Choose the count by the other end's report: the arrivals among the expected datagrams since the keys changed.
 
-        Over a line that is full nothing is repeated: there it is the repetitions that are lost.
+        Over a full line nothing is repeated, because the repetitions themselves cause the losses there.
         """
         before = self._last
         self._last = (expected, arrived)
@@ -99,14 +100,14 @@ class Repeats:
             self.count = 0 if full else repeats_for(self.loss_share)
 
     def forget(self) -> None:
-        """Forget the samples and what was reported: the other end is a new one."""
+        """Forget the samples and the reports, because the other end is a new one."""
         self._recent.clear()
         self._reports.clear()
         self._last = (0, 0)
 
 
 def repeats_for(loss_share: float) -> int:
-    """Return the least number of repetitions after which few enough samples are lost, if losses are independent."""
+    """Return the least number of repetitions with which few enough samples are lost, if losses are independent."""
     count = 0
     while count < MOST_REPEATS and loss_share ** (count + 1) > _ACCEPTED_LOSS:
         count += 1

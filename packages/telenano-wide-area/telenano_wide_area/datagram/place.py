@@ -1,4 +1,4 @@
-"""Where an end of the link's datagrams is on the network."""
+"""The addresses of an end of the link's datagrams."""
 
 import socket
 from typing import Any, NamedTuple
@@ -9,9 +9,9 @@ Address = tuple[Any, ...]
 
 
 class Place(NamedTuple):
-    """Where an end binds, and where it finds the other one: None until something of it was received.
+    """The address that an end binds, and that of the other end: None until a datagram of it has arrived.
 
-    `relay`: the way to the other end where both can only dial out.
+    `relay`: the way to the other end if both ends can only dial out.
     """
 
     family: socket.AddressFamily

@@ -1,9 +1,9 @@
-"""Which way an end receives the samples of the other machine: as datagrams, or over TCP while none arrives.
+"""Choose how an end receives samples: as datagrams, or over TCP while no datagram arrives.
 
-Who receives decides: while datagrams arrive, only the sparse samples of the topics are subscribed over TCP; when none
-has come for a moment all are, where TCP can carry them, and datagrams are tried further on. At first none is: the keys
-come over TCP, and on a network that loses packets a thousand samples a second, which are not needed once there are
-keys, would hold them up for as long as they are sent.
+The receiver decides. While datagrams arrive, it subscribes only to the sparse samples of the topics over TCP. If none
+has arrived for a moment, it subscribes to all samples, if TCP can carry them, while datagrams are still tried. At the
+start it subscribes to none: the keys come over TCP, and on a network that loses packets a thousand samples a second
+would delay them, though the samples are not needed once there are keys.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,32 +17,32 @@ from telenano.wire import TOPICS
 from telenano_wide_area.datagram.body import DATAGRAM_TOPICS
 from telenano_wide_area.datagram.sparse import SPARSE, WANTED_NS
 
-# After a silence of this length the other way is used, and datagrams have to come for this time before they are relied
-# upon.
+# After a silence of SILENCE_NS TCP is used, and datagrams have to arrive for TRIED_NS before they are relied upon [ns].
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
-# The deadline of a sample, the shortest of those that cross.
+# The shortest deadline of the topics that cross as datagrams [ns].
 DEADLINE_NS = round(1e9 * min(row.deadline_s for row in map(TOPICS.__getitem__, DATAGRAM_TOPICS) if row.deadline_s))
-# TCP is subscribed to after a silence of half the deadline and this number of mean times between datagrams.
+# TCP is subscribed to after a silence of half the deadline plus this multiple of the mean interval of datagrams.
 _GAPS = 2.0
 # TCP is subscribed to after at most this share of the deadline, before a reader acts on the silence.
 _LATEST_SHARE = 0.9
-# All samples over TCP need this many bits of a line that has room for others as well.
+# The capacity that TCP needs for each sample, on a line that has room for other traffic as well [bit].
 _BITS_EACH = 8_000.0
-# A mean follows some twenty datagrams.
+# The share of the newest value in a mean, which follows some twenty datagrams.
 _NEWEST_SHARE = 0.05
-# The first datagrams may take this long from the first word of the other machine, or from the last change of keys.
+# The first datagrams may take this time from the first message of the other machine, or from the last change of keys
+# [ns].
 FIRST_NS = 3_000_000_000
 _UNOFFERED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
-# Datagrams are there again if the newest came within this time.
+# Datagrams arrive again if the newest is not older than this [ns].
 _LATELY_NS = 50_000_000
 
 Way = Literal["datagram", "stream"]
 
 
 class Reception:
-    """The way to receive by, and the topics that are subscribed over TCP for it."""
+    """The way of receiving, and the topics that are subscribed over TCP for it."""
 
     def __init__(
         self,
@@ -58,42 +58,42 @@ class Reception:
 
         Args:
             side: The process of the end, whose reader receives the topics over TCP.
-            topics: What crosses as datagrams to this end.
+            topics: The topics that cross as datagrams to this end.
             peer: The other machine, and the UDP port between here and there.
-            tell: Takes level and text of an event.
+            tell: Receives level and text of an event.
             falls_back: Whether TCP may carry the samples at all.
             now_ns: The time now [ns].
         """
         self.way: Way = "stream"
-        # When the newest datagram arrived, and when a silence is long enough to subscribe over TCP.
+        # The time of the newest datagram, and the time at which a silence is long enough to subscribe over TCP.
         self.arrived_ns = now_ns
         self.missed_ns = NEVER_NS
         self._subscriber, self._topics = side.reader, topics
         self._machine, self._port = peer
         self._tell = tell
         self._falls_back = falls_back
-        # It is true while the topics are subscribed over TCP, as they are when a subscriber is made.
+        # Whether the topics are subscribed over TCP, as they are when a subscriber is made.
         self._streaming = True
-        # The topics are subscribed over TCP at this time if no datagram has come by then; None until something of the
-        # other machine was received.
+        # The time at which the topics are subscribed over TCP if no datagram has arrived; None until a message of the
+        # other machine has arrived.
         self._stream_at_ns: int | None = None
         self._tried_since_ns: int | None = None
-        # When TCP was subscribed to early last, and the mean time between datagrams.
+        # The time of the last early subscription over TCP, and the mean interval of datagrams [ns].
         self._early_ns, self._gap_ns = now_ns, 0.0
-        # Whether TCP can carry all samples, and not only the sparse ones.
+        # Whether TCP can carry all samples, not only the sparse ones.
         self._roomy = True
         self._subscribed: set[bytes] = {topic.encode() for topic in topics}
         self._names = {sparse + topic.encode(): topic.encode() for sparse in SPARSE for topic in topics}
-        # What the socket of all samples carries of them, and what a connection beside it does.
+        # The sparse topics of the subscriber's socket, and those of the second connection.
         self._first, self._second = ([sparse + topic.encode() for topic in topics] for sparse in SPARSE)
         self._beside: zmq.Socket[bytes] | None = None
-        # The newest sample that came over TCP in its own right: a sparse one is sent right behind it.
+        # The newest sample that arrived over TCP under its own topic: its sparse copy is sent right after it.
         self._whole = b""
         self._next_reminder_ns = now_ns + _UNOFFERED_NS
         self._subscribe(streaming=False)
 
     def connect_beside(self, beside: "zmq.Socket[bytes]") -> None:
-        """Take the socket of a further connection to the other machine, for the sparse samples that go by it."""
+        """Use the socket of a second connection to the other machine, for its share of the sparse samples."""
         self._beside = beside
 
     def silence_ns(self, now_ns: int) -> int:
@@ -101,7 +101,7 @@ class Reception:
         return now_ns - self.arrived_ns
 
     def is_silent(self, now_ns: int) -> bool:
-        """Return whether no datagram has come for this time that the other way is used."""
+        """Return whether no datagram has arrived for so long that TCP is used."""
         return now_ns - self.arrived_ns > SILENCE_NS
 
     def record(self, now_ns: int) -> None:
@@ -115,13 +115,16 @@ class Reception:
             self.missed_ns = now_ns + round(silence_ns)
 
     def weigh(self, carried_by_tcp: float) -> None:
-        """Take what TCP can carry to here [bit/s], while datagrams arrive and so tell how many samples there are."""
+        """Update whether TCP can carry all samples; it can carry this rate to here [bit/s].
+
+        Only while datagrams arrive does their interval show the rate of samples.
+        """
         if self.way == "datagram" and self._gap_ns > 0.0:
-            # More than it has room for would only make a queue before it.
+            # More samples than that would only make a queue.
             self._roomy = carried_by_tcp >= _BITS_EACH * 1e9 / self._gap_ns
 
     def sift(self, frames: list[bytes], now_ns: int) -> list[bytes] | None:
-        """Return a message that came over TCP; a sparse sample under its topic, or None where it brings nothing new."""
+        """Return a message that came over TCP; a sparse sample under its own topic, or None if it adds nothing new."""
         topic = self._names.get(frames[0])
         if topic is None:
             self._whole = frames[-1]
@@ -133,28 +136,28 @@ class Reception:
         return [topic, *frames[1:]]
 
     def begin_keys(self, now_ns: int) -> None:
-        """Give the datagrams under new keys their time."""
+        """Allow the datagrams under new keys FIRST_NS to arrive."""
         self._stream_at_ns = now_ns + FIRST_NS
 
     def forget(self) -> None:
-        """Rely on datagrams only when they have come again."""
+        """Rely on datagrams only after they have arrived again for a while."""
         self._tried_since_ns = None
 
     def subscribe_early(self, now_ns: int) -> None:
-        """Subscribe over TCP at a short silence, before it is known what it means: the samples come a while later."""
+        """Subscribe over TCP at a short silence, before its cause is known, because samples take a while to come."""
         self.missed_ns, self._early_ns = NEVER_NS, now_ns
         self._subscribe(streaming=True)
 
     def remind(self, now_ns: int) -> None:
-        """Say at the next choice why TCP is used: more is known of it."""
+        """Report at the next choice why TCP is used, because more is known about it."""
         self._next_reminder_ns = now_ns
 
     def choose(self, now_ns: int, why: str) -> None:
-        """Choose the way to receive by, some twenty times a second.
+        """Choose the way of receiving; called some twenty times a second.
 
         Args:
             now_ns: The time now [ns].
-            why: What may be said of the UDP port while no datagram comes.
+            why: A clause on the UDP port, for the event that no datagram arrives.
         """
         silence_ns = self.silence_ns(now_ns)
         if self.is_silent(now_ns):
@@ -176,7 +179,7 @@ class Reception:
             self._warn(now_ns, f"no datagram has come from {self._machine} for {silence_ns * 1e-9:.1f} s")
         elif self.way == "datagram" and now_ns - self._early_ns >= TRIED_NS and silence_ns < _LATELY_NS:
             self._subscribe(streaming=False)
-        # Nothing is wrong yet before TCP replaces the datagrams.
+        # Before TCP replaces the datagrams, nothing is wrong.
         elif self.way == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
             self._warn(now_ns, f"UDP port {self._port} between here and {self._machine} {why}")
 

@@ -1,14 +1,14 @@
-"""The numbers of datagrams that were already accepted, so that none is accepted twice (the scheme of RFC 6479)."""
+"""A replay window: the numbers of accepted datagrams, so that none is accepted twice (the scheme of RFC 6479)."""
 
 _WORD_BITS = 64
 _WORDS = 64
-# The window has two seconds of a thousand datagrams a second, twice over: a datagram that was overtaken by more has no
-# reader left.
+# The window covers twice two seconds of a thousand datagrams a second: a datagram that more than these have overtaken
+# is of no use to a reader.
 WINDOW = _WORD_BITS * (_WORDS - 1)
 
 
 class ReplayWindow:
-    """A ring of words whose bits stand for numbers; as the newest number grows, whole words are cleared at once."""
+    """A ring of words, each bit of which stands for a number; as the newest number grows, whole words are cleared."""
 
     __slots__ = ("_words", "newest")
 
@@ -25,7 +25,7 @@ class ReplayWindow:
         return not self._words[number // _WORD_BITS % _WORDS] >> number % _WORD_BITS & 1
 
     def record(self, number: int) -> None:
-        """Record a number that `is_new`; only once its datagram has authenticated."""
+        """Record a number for which `is_new` holds, after its datagram was authenticated."""
         word = number // _WORD_BITS
         if number > self.newest:
             newest_word = self.newest // _WORD_BITS

@@ -1,4 +1,4 @@
-"""What an end reports of the network: counts, and the fate of each datagram since the last report."""
+"""The report of an end on the network: counts, and the fate of each datagram since the last report."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,14 +22,14 @@ def network_report(
     """Return the fields of link/network for the direction that an end receives.
 
     Args:
-        ways: The direction, and the ways by which it is received and the other one sent.
-        offset: What is known of the clock of the other end.
-        arrivals: The datagrams of the direction; the fates that it has kept are taken.
+        ways: The direction, and how it is received and the other one sent.
+        offset: The offset of the other end's clock.
+        arrivals: The datagrams of the direction; their fates are taken out.
         outgoing: The other direction.
-        carries: What the line to here carries, None until it is known.
+        carries: The capacity of the line to here, None until it is known.
     """
     fates, queue = arrivals.take_fates(), outgoing.line.take_back()
-    # The sender added the lead of the other clock to the time of sending.
+    # The times of sending are by the other clock, whose lead is corrected here.
     clock = offset.report()
     ahead_ns = round(clock.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
@@ -44,7 +44,7 @@ def network_report(
         "lost_flag": lost,
     }
     if ways["direction"] == "forward" and outgoing.control.mode != "free":
-        # This report crosses the line, and its rows would take a fifth of 1 Mbit/s.
+        # This report crosses the full line, and its rows would take a fifth of 1 Mbit/s.
         rows = {name: column[:0] for name, column in rows.items()}
     return {
         **ways,

@@ -1,13 +1,13 @@
-"""Keys of the datagrams, and how a datagram is sealed and opened.
+"""Keys of the datagrams, and the sealing and opening of a datagram.
 
-Both ends make an X25519 key pair for each run and each change of keys, and tell one another the public halves over the
-authenticated CURVE connection: who cannot speak for a machine there cannot agree on a key here. HKDF-SHA256 over the
-shared secret gives each direction a key of its own, so that a number is never used twice with one key. A datagram is
+Both ends make an X25519 key pair for each run and each change of keys, and exchange the public halves over the
+authenticated CURVE connection: a machine that cannot authenticate there cannot agree on a key here. HKDF-SHA256 over
+the shared secret gives each direction its own key, so that no number is used twice with one key. A datagram is
 
     tag (4 bytes) | number (8 bytes) | ChaCha20-Poly1305 of the body, 16 bytes longer than the body
 
-with the number as nonce and what precedes the body authenticated with it. The tag comes from the same derivation: it
-says which key is meant, and lets the kernel drop what strangers send. It is no secret.
+with the number as nonce, and the bytes before the body authenticated with it. The tag comes from the same derivation:
+it identifies the key and lets the kernel drop datagrams of strangers. It is not secret.
 """
 
 import struct
@@ -23,13 +23,13 @@ from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 from telenano_wide_area.sealed import RejectedError
 
 HEADER = struct.Struct("!4sQ")
-# A sealed datagram is longer than its body by so much.
+# A sealed datagram is longer than its body by this.
 OVERHEAD_BYTES = HEADER.size + 16
-# below what any network carries in one piece, the headers of a tunnel included
+# A size that every network carries in one piece, with the headers of a tunnel.
 MOST_BYTES = 1200
 TAG_BYTES = 4
 _NUMBER_LIMIT = 2**63
-# Twice what a controller with the shortest period that its settings allow sends, its reports included.
+# Twice the rate of a controller with the shortest period that its settings allow, with its reports [1/s].
 _MOST_PER_S = 25_000
 _PURPOSE = b"telenano link datagrams, version 1"
 _KEY_BYTES = 32
@@ -37,7 +37,7 @@ _NONCE_HEAD = bytes(4)
 
 
 class DirectionKeys(NamedTuple):
-    """The key of one direction, and the tag that its datagrams begin with."""
+    """The key of one direction, and the tag with which its datagrams begin."""
 
     key: bytes
     tag: bytes
@@ -51,7 +51,7 @@ class KeyPair:
         self.public: bytes = self._private.public_key().public_bytes_raw()
 
     def agree(self, peer_public: bytes, *, is_master: bool) -> tuple[DirectionKeys, DirectionKeys]:
-        """Return the keys to send and to receive with; ValueError for a public key that gives no secret."""
+        """Return the keys for sending and for receiving; ValueError for a public key that gives no shared secret."""
         secret = self._private.exchange(X25519PublicKey.from_public_bytes(peer_public))
         salt = self.public + peer_public if is_master else peer_public + self.public
         length = 2 * (_KEY_BYTES + TAG_BYTES)
@@ -78,7 +78,7 @@ class Sealer:
 
 
 class Opener:
-    """Opens the datagrams of one key, each once."""
+    """Opens the datagrams under one key, each once."""
 
     def __init__(self, keys: DirectionKeys, now_ns: int) -> None:
         self.tag = keys.tag
@@ -87,10 +87,10 @@ class Opener:
         self._decrypt = ChaCha20Poly1305(keys.key).decrypt
 
     def open(self, datagram: bytes, now_ns: int) -> tuple[int, bytes]:
-        """Return number and body; RejectedError (`replayed`, `forged`, `ahead`) for a datagram that is not to be used.
+        """Return number and body; RejectedError (`replayed`, `forged`, `ahead`) for a datagram that must not be used.
 
-        The window is asked before the cipher, which costs more, and changed after it, so that a forger cannot move it.
-        A number beyond the window that no sender can have reached since the keys were agreed is `ahead`.
+        The window is checked before the cipher, which costs more, and changed after it, so that a forger cannot move
+        it. `ahead` is a number beyond the window that no sender can have reached since the keys were agreed.
         """
         header = datagram[: HEADER.size]
         _, number = HEADER.unpack(header)

@@ -1,53 +1,53 @@
-"""A few of the samples that cross as datagrams cross over TCP as well, all the time.
+"""Sparse samples: a few of the samples that cross as datagrams also cross over TCP, all the time.
 
-A reader that finds out that UDP is blocked and then asks for the samples over TCP has the first of them a round trip
-later, or three where its request is lost. So a few are on their way always, one in `CALM_NS` of each topic, and a
-reader takes them from `WANTED_NS` after the newest datagram on. While the reader has no datagrams they come as often as
-the line allows: on a line that is narrow, or that loses packets far away, they are all that TCP can carry.
+A reader that finds UDP blocked and then subscribes over TCP gets the first sample a round trip later, or three if its
+request is lost. So a few samples are always in transit, one each `CALM_NS` of each topic, and a reader uses them once
+the newest datagram is older than `WANTED_NS`. While the reader has no datagrams, they are sent as often as the line
+allows: on a line that is narrow, or that loses packets far away, TCP can carry no more.
 
-They go over two connections by turns. What follows a packet that is lost waits in its connection until that was sent
-again, and for as long again where that is lost as well; the other connection knows nothing of it.
+They use two connections in turn. Data behind a lost packet waits in its connection until the packet was sent again, and
+for as long again if that is lost as well; the other connection is not affected.
 
-TCP with losses carries no more than 1.22 MSS / (RTT sqrt(p)) (Mathis, Semke, Mahdavi and Ott, "The macroscopic behavior
-of the TCP congestion avoidance algorithm", Computer Communication Review 27(3), 1997, with sqrt(3/2)).
+TCP with losses carries at most 1.22 MSS / (RTT sqrt(p)) (Mathis, Semke, Mahdavi and Ott, "The macroscopic behavior of
+the TCP congestion avoidance algorithm", Computer Communication Review 27(3), 1997, with sqrt(3/2)).
 """
 
 from collections.abc import Sequence
 from math import sqrt
 
-# A few samples are also sent under their topic with one of these before it, by turns, and a reader has a connection for
-# each.
+# A few samples are also sent under their topic with one of these prefixes, in turn; a reader has a connection for each.
 SPARSE = (b"sparse/", b"sparse2/")
-# the frames of a message and when it was received [ns]
+# The frames of a message and the time at which it was received [ns].
 Taken = tuple[Sequence[bytes], int]
-# A reader takes a sample over TCP when no datagram has come for this time. With two pauses, for one connection while
-# the other waits, that is within a deadline of 50 ms.
+# A reader uses a sample over TCP if no datagram has arrived for this time [ns]. With two pauses, for one connection
+# while the other one waits, that is within a deadline of 50 ms.
 WANTED_NS = 20_000_000
 CALM_NS = 12_000_000
-# The calm samples take this share of a line that is known to be narrow.
+# While datagrams arrive, sparse samples take this share of a line that is known to be narrow.
 _CALM_SHARE = 0.05
-# The calm samples are no further apart than this.
+# They are then no further apart than this [ns].
 _FURTHEST_NS = 100_000_000
-# Where a reader has no datagrams, the samples take this share of what TCP carries.
+# If a reader has no datagrams, sparse samples take this share of the capacity of TCP.
 _SHARE = 0.3
-# Those samples are no closer to one another than this.
+# They are then no closer together than this [ns].
 _CLOSEST_NS = 2_000_000
-# What a message takes on the line beside its bytes: topic, CURVE, the headers of TCP and IPv6, and the answer to it.
+# The bytes that a message takes on the line besides its own: topic, CURVE, headers of TCP and IPv6, and the
+# acknowledgement.
 _BESIDE_BYTES = 250
 _STATUS = "law/status"
-# A report of the law is a tenth of the samples at most [ns].
+# Reports of the law are no closer together than this: a tenth of the samples at most [ns].
 _STATUS_NS = 100_000_000
 _MSS_BITS = 8 * 1400.0
 _MATHIS = sqrt(1.5)
 
 
 def carried_by_tcp(capacity_bit_per_s: int, loss_share: float, round_trip_s: float) -> float:
-    """Return what TCP carries over a line [bit/s], infinite where nothing is known to limit it.
+    """Return the rate that TCP can carry over a line [bit/s], infinite if no limit is known.
 
     Args:
-        capacity_bit_per_s: What the line carries [bit/s], 0 where that is not known.
-        loss_share: The share of its packets that it loses.
-        round_trip_s: Its round trip [s], 0 where that is not known.
+        capacity_bit_per_s: The capacity of the line [bit/s], 0 if unknown.
+        loss_share: The share of packets that the line loses.
+        round_trip_s: The round trip [s], 0 if unknown.
     """
     capacity = float(capacity_bit_per_s) or float("inf")
     if loss_share <= 0.0 or round_trip_s <= 0.0:
@@ -56,17 +56,17 @@ def carried_by_tcp(capacity_bit_per_s: int, loss_share: float, round_trip_s: flo
 
 
 class SparseSamples:
-    """Which of the samples of one end are sent over TCP as well."""
+    """Selects the samples of one end that are sent over TCP as well."""
 
     def __init__(self) -> None:
-        # What TCP carries from here [bit/s], and whether the other end has no datagrams.
+        # The rate that TCP carries from here [bit/s], and whether the other end has no datagrams.
         self.carried = float("inf")
         self.alone = False
         self._next_ns: dict[str, int] = {}
         self._turns: dict[str, int] = {}
 
     def takes(self, topic: str, size_bytes: int, now_ns: int) -> bytes | None:
-        """Return by which of SPARSE a sample of a size [bytes] goes over TCP as well at a time [ns], None for most."""
+        """Return the prefix from SPARSE under which a sample is also sent over TCP at now_ns [ns]; None for most."""
         if now_ns < self._next_ns.get(topic, 0):
             return None
         needs_ns = 8e9 * (size_bytes + _BESIDE_BYTES) / self.carried

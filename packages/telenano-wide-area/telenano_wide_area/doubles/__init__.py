@@ -1,1 +1,1 @@
-"""Doubles for tests of the datagrams: two ends within one process, and what a machine with a key may send."""
+"""Test doubles for the datagrams: two ends within one process, and datagrams that any holder of a key may send."""

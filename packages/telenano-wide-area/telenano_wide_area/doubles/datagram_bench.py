@@ -1,4 +1,4 @@
-"""Two ends of the link's datagrams within one process: real sockets, virtual clocks, and a hand on what crosses."""
+"""Two ends of the link's datagrams in one process for tests: real sockets, virtual clocks, keys passed by hand."""
 
 import select
 import socket
@@ -21,7 +21,7 @@ SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller
 
 
 class Outlet:
-    """Takes what an end publishes, checked as on the wire."""
+    """Collects the messages that an end publishes, checked as on the wire."""
 
     def __init__(self, src: str) -> None:
         self.src = src
@@ -38,7 +38,7 @@ class Outlet:
 
 
 class SocketLog:
-    """Stands for the SUB socket: which topics are subscribed over TCP."""
+    """A stand-in for the SUB socket that logs which topics are subscribed over TCP."""
 
     def __init__(self, topics: list[str]) -> None:
         self.topics = set(topics)
@@ -48,7 +48,7 @@ class SocketLog:
 
     @property
     def whole(self) -> set[str]:
-        """The topics of which all is subscribed to, and not only the sparse samples."""
+        """The topics that are subscribed as a whole, not only by their sparse samples."""
         return {topic for topic in self.topics if not topic.encode().startswith(SPARSE)}
 
     def unsubscribe(self, topic: bytes) -> None:
@@ -56,7 +56,7 @@ class SocketLog:
 
 
 class Side:
-    """The process of one end, with what it received and reported."""
+    """The process of one end, with the messages that it received and reported."""
 
     def __init__(
         self, context: Any, *, is_master: bool, master_port: int, host: str, ahead_ns: int, **link: Any
@@ -97,7 +97,7 @@ class Side:
         return made
 
     def take(self) -> None:
-        """Take what has arrived, as a turn of the loop does."""
+        """Receive what has arrived, as a turn of the loop does."""
         readable = bool(select.select([self.end.descriptor], [], [], 0)[0])
         self.received += self.end.receive(signalled=readable)
 
@@ -112,7 +112,7 @@ class Side:
 
 
 class Pair:
-    """Both ends; datagrams cross the loopback of this machine, keys by hand as CURVE would carry them."""
+    """Both ends; datagrams cross the loopback interface, and keys are passed by hand, as CURVE would carry them."""
 
     def __init__(self, context: Any, host: str = "127.0.0.1", ahead_ns: int = 0, **link: Any) -> None:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -128,7 +128,7 @@ class Pair:
         return self.master, self.slave
 
     def turn(self, *, send: bool = True) -> None:
-        """Go on by 10 ms: keys cross, both send a sample, both take what has come."""
+        """Advance by 10 ms: keys cross, both ends send a sample, both receive what has arrived."""
         for side in self.sides:
             side.clock.advance_ns(STEP_NS)
         if self.keys_cross:
@@ -145,7 +145,7 @@ class Pair:
             self.turn()
 
     def joined(self) -> "Pair":
-        """Go on until both receive datagrams."""
+        """Advance until both ends receive datagrams."""
         self.turns(100)
         assert [side.end.receiving for side in self.sides] == ["datagram", "datagram"]
         return self
@@ -158,7 +158,7 @@ class Pair:
 
 @contextmanager
 def pair(host: str = "127.0.0.1", ahead_ns: int = 0, **link: Any) -> Iterator[Pair]:
-    """Make two ends and close them."""
+    """Yield two ends and close them afterwards."""
     context: Any = zmq.Context()
     made = Pair(context, host, ahead_ns, **link)
     try:

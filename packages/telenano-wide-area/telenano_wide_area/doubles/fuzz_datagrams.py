@@ -1,4 +1,4 @@
-"""Datagrams that the holder of a machine's key can send and no end of ours would, the same contents for a seed."""
+"""Datagrams that the holder of a machine's key can send and none of our ends would; a seed gives the same contents."""
 
 import random
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ from telenano_wide_area.datagram.replay_window import WINDOW
 from telenano_wide_area.datagram.sealing import Sealer
 
 MOST = 2**64 - 1
-# a jump beyond the window that is possible now and then
+# A jump of the number beyond the window that a sender can have reached now and then.
 NEXT = 5000
-# what an end may count datagrams under that come from whoever has a key, beside those of strangers
+# The causes under which an end may reject datagrams of a holder of a key, besides those of strangers.
 CAUSES = {"malformed", "time", "count", "ahead", "replayed", "forged", "truncated", "oversized", "unknown_key", "key"}
 
 
 @dataclass
 class Datagrams:
-    """Makes datagrams that are sealed as they should be; `topics` are those that cross in the sender's direction."""
+    """Makes datagrams that are properly sealed; `topics` are those that cross in the sender's direction."""
 
     seed: str
     now_ns: int
@@ -40,11 +40,11 @@ class Datagrams:
         self._frames = Frames(self.seed, self.now_ns)
 
     def sealed(self, sealer: Sealer, now_ns: int) -> bytes:
-        """Return a datagram with a number, a report and samples of which any may be extreme or broken."""
+        """Return a datagram in which number, report and samples may each be extreme or broken."""
         own = sealer.number
         sealer.number = self._number(own)
         datagram = sealer.seal(self._report(now_ns) + self._samples())
-        # A sender that went back, or on from a number that is refused, would send nothing more that is opened.
+        # A sender that continued from an older or a refused number would send nothing more that is opened.
         sealer.number = sealer.number if own < sealer.number <= own + NEXT + 1 else own + 1
         return datagram
 

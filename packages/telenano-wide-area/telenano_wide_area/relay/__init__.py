@@ -1,1 +1,1 @@
-"""The relay between two sites that can only dial out, and the process of a site that dials it."""
+"""The relay between two sites that can only dial out, and the process by which a site dials it."""

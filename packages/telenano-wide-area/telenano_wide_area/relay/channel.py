@@ -1,9 +1,9 @@
-"""A connection between a site and its relay: who dials proves its key, then both seal what they say.
+"""A sealed connection between a site and its relay: the side that dials proves its key first.
 
-The relay begins with a challenge. The side that dials sends its public key, and after that each side sends frames: a
-length of two bytes and what was sealed, bound to the challenge, the direction and the place of the frame. A frame can
-neither be said again nor be left out. Where the relay joins two connections, the bytes of CURVE follow the last frame
-as they are.
+The relay begins with a challenge. The side that dials sends its public key; after that each side sends frames: a length
+of two bytes and a sealed body, bound to the challenge, the direction and the position of the frame, so that frames can
+neither be replayed nor left out. If the relay joins two connections, the bytes of CURVE follow the last frame
+unchanged.
 """
 
 import asyncio
@@ -27,21 +27,21 @@ from telenano_wide_area.relay.protocol import (
 )
 from telenano_wide_area.sealed import RejectedError
 
-# Who has not shown its key after this long is let go.
+# A client that has not proved its key after this time is disconnected [s].
 HELLO_S = 5.0
-# A connection on which nothing is acknowledged for this time is given up; the nodes give theirs up sooner.
+# A connection without acknowledgements for this time is closed; the nodes close theirs sooner [ms].
 _UNACKNOWLEDGED_MS = 10_000
 _LENGTH = struct.Struct("!H")
 _NUMBER = struct.Struct("!?Q")
 _LARGEST_FRAME = 16_384
 CHUNK_BYTES = 65_536
 
-# What ends a connection without being a fault of this program.
+# Exceptions that end a connection without being a fault of this program.
 Gone = (OSError, EOFError, TimeoutError, RejectedError, ValueError)
 
 
 class Channel:
-    """One end of a connection, after both have the keys."""
+    """One end of a connection, after the keys of both sides are known."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Channel:
         await self.writer.drain()
 
     async def receive(self) -> dict[str, Any]:
-        """Return the next frame; RejectedError for one that the other side did not send here."""
+        """Return the next frame; RejectedError for a frame that the other side did not send at this position."""
         (length,) = _LENGTH.unpack(await self.reader.readexactly(_LENGTH.size))
         if length > _LARGEST_FRAME:
             raise RejectedError("oversized")
@@ -79,13 +79,13 @@ class Channel:
 
 
 def abort(writer: asyncio.StreamWriter) -> None:
-    """Close a connection without waiting for what was not sent."""
+    """Close a connection without waiting for unsent data."""
     transport: Any = writer.transport
     transport.abort()
 
 
 def tend(writer: asyncio.StreamWriter) -> None:
-    """Have the kernel find out when the other side of a connection is gone."""
+    """Make the kernel find out when the other side of a connection is gone."""
     stream_socket = writer.get_extra_info("socket")
     with contextlib.suppress(OSError, AttributeError):
         stream_socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -95,7 +95,7 @@ def tend(writer: asyncio.StreamWriter) -> None:
 
 
 async def dial(host: str, port: int, own: KeyPair, relay_public: bytes, request: dict[str, Any]) -> Channel:
-    """Connect to a relay, prove the own key and make a request; one of `Gone` where that fails."""
+    """Connect to a relay, prove this site's key and make a request; one of `Gone` if that fails."""
     async with asyncio.timeout(HELLO_S):
         reader, writer = await asyncio.open_connection(host, port, limit=CHUNK_BYTES)
         try:
@@ -116,9 +116,9 @@ async def dial(host: str, port: int, own: KeyPair, relay_public: bytes, request:
 async def meet(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, own: KeyPair, refuse: Callable[[bytes], None]
 ) -> tuple[bytes, Channel]:
-    """Challenge the client that has connected; return the public key that is claimed, and the channel.
+    """Challenge a client that has connected; return the public key that it claims, and the channel.
 
-    The first frame that is received proves the key. `refuse` raises RejectedError for a key that is not worth a proof.
+    Receiving the first frame proves the key. `refuse` raises RejectedError for a key whose proof is not worth checking.
     """
     challenge = os.urandom(CHALLENGE_BYTES)
     writer.write(MAGIC + challenge)
@@ -132,7 +132,7 @@ async def splice(
     other: tuple[asyncio.StreamReader, asyncio.StreamWriter],
     budget: "Budget | None" = None,
 ) -> None:
-    """Carry bytes between two connections, each way, until one of them ends; then close both."""
+    """Carry bytes between two connections in both directions until one of them ends; then close both."""
     ways = [asyncio.create_task(_carry(*pair, budget)) for pair in ((one[0], other[1]), (other[0], one[1]))]
     try:
         await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
@@ -154,14 +154,14 @@ async def _carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, bud
 
 
 class Budget:
-    """A token bucket: this number of a second, and a burst of them at once."""
+    """A token bucket: `per_s` tokens a second, and at most `burst` at once."""
 
     def __init__(self, per_s: float, burst: float, now_s: float) -> None:
         self._per_s, self._burst = per_s, burst
         self._left, self._at_s = burst, now_s
 
     def take(self, amount: float, now_s: float) -> bool:
-        """Take an amount if it is there, and return whether it was."""
+        """Take an amount if it is available; return whether it was."""
         self._refill(now_s)
         if self._left < amount:
             return False
@@ -169,7 +169,7 @@ class Budget:
         return True
 
     async def wait_for(self, amount: float) -> None:
-        """Take an amount, and wait until it would be there."""
+        """Take an amount, and wait until it would have been available."""
         self._refill(asyncio.get_running_loop().time())
         self._left -= amount
         if self._left < 0.0:

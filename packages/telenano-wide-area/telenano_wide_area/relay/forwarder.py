@@ -1,8 +1,7 @@
-"""The datagrams that a relay carries: each from the address of one end to that of the other, as it came.
+"""Forward datagrams at a relay: each from the address of one end to that of the other, unchanged.
 
-An end has a place only after it has shown its key, and that it receives at the address that it sends from: the cookie
-of the first answer has to come back. Nothing that is sent to the relay makes it send more bytes than that, to nobody
-but a known end.
+An end gets a place only after it has proved its key, and that it receives at its own address: it has to return the
+cookie of the first answer. No datagram makes the relay send more bytes than it received, except to a known end.
 """
 
 import asyncio
@@ -32,13 +31,13 @@ from telenano_wide_area.sealed import RejectedError
 Address = tuple[Any, ...]
 Pair = tuple[bytes, bytes]
 
-# An end asks every two seconds; after this time without that its place is gone.
+# An end asks every two seconds; after this time without a request its place is removed [s].
 PLACE_S = 15.0
-# A cookie is good for one to two of these.
+# A cookie is valid for one to two of these [s].
 _COOKIE_S = 120.0
-# Answers to clients without a cookie, a second in all: each is a tenth as long as the request.
+# Answers a second to all clients without a cookie together; each is a tenth as long as the request.
 _COOKIES_PER_S = 200.0
-# A machine has this many places at most, one for each other machine that it works with.
+# The most places of a machine, one for each machine that it works with.
 _MOST_PLACES = 16
 _BATCH = 64
 _BUFFER_BYTES = 1 << 21
@@ -46,7 +45,7 @@ _BUFFER_BYTES = 1 << 21
 
 @dataclass
 class Place:
-    """An end at the relay: the pair of keys (its own, that of the end it asks for), where it is, and its tag."""
+    """An end at the relay: the pair of keys (its own, that of the end it asks for), its address and its tag."""
 
     pair: Pair
     address: Address
@@ -56,7 +55,7 @@ class Place:
 
 
 class Forwarder:
-    """The places of a relay, and what is between them."""
+    """The places of a relay, and the datagrams between them."""
 
     def __init__(
         self,
@@ -69,9 +68,9 @@ class Forwarder:
 
         Args:
             own: The key pair of the relay.
-            is_allowed: Says whether the machine with a public key may use the relay.
+            is_allowed: Returns whether the machine with a public key may use the relay.
             budget_of: Returns the budget of bytes of a machine.
-            now_s: The monotonic time [s].
+            now_s: Returns the monotonic time [s].
         """
         self.carried = 0
         self.refused: dict[str, int] = {}
@@ -84,7 +83,7 @@ class Forwarder:
         self._socket: socket.socket | None = None
 
     def open(self, host: str, port: int) -> None:
-        """Bind the UDP port and begin to carry; OSError where it cannot be bound."""
+        """Bind the UDP port and begin to forward; OSError if it cannot be bound."""
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -105,7 +104,7 @@ class Forwarder:
             self._socket = None
 
     def tidy(self) -> None:
-        """Give up the places of ends that no longer ask, or are no longer allowed."""
+        """Remove the places of ends that no longer ask or are no longer allowed."""
         now_s = self._now_s()
         for place in list(self.places.values()):
             if now_s - place.asked_s > PLACE_S or not self._is_allowed(place.pair[0]):
@@ -113,7 +112,7 @@ class Forwarder:
         self._keys = {public: keys for public, keys in self._keys.items() if self._is_allowed(public)}
 
     def take(self, datagram: bytes, address: Address) -> tuple[bytes, Address] | None:
-        """Return what a datagram from an address makes the relay send, and where to; None for nothing."""
+        """Return the datagram that the relay sends for one that arrived, and its destination; None for none."""
         place = self._by_address.get(address)
         try:
             if datagram.startswith(MAGIC):
@@ -150,7 +149,7 @@ class Forwarder:
                     self.refused["send"] = self.refused.get("send", 0) + 1
 
     def outgoing(self, datagram: bytes, address: Address) -> list[tuple[bytes, Address]]:
-        """Return what to send now that a datagram has come."""
+        """Return the datagrams to send for one that arrived, with their destinations."""
         route = self.take(datagram, address)
         return [] if route is None else [route]
 
@@ -174,7 +173,7 @@ class Forwarder:
         place = Place((request.public, peer), address, request.tag, now_s, direct)
         other = None
         if peer:
-            # One that is elsewhere now, and the one that was at this address before, is forgotten.
+            # The former place of this end, and the former end at this address, are removed.
             for old in (self.places.get(place.pair), self._by_address.get(address)):
                 if old is not None:
                     self._remove(old)
@@ -193,6 +192,6 @@ class Forwarder:
             del self._by_address[place.address]
 
     def _cookie(self, address: Address, age: int) -> bytes:
-        """Return the cookie of an address, now or one period ago; it needs no memory."""
+        """Return the cookie of an address for the present period or the one before; no cookie has to be stored."""
         text = f"{address[:2]} {int(self._now_s() / _COOKIE_S) - age}"
         return hmac.digest(self._secret, text.encode(), hashlib.sha256)[:COOKIE_BYTES]

@@ -1,10 +1,9 @@
-"""Where an end of the link sends its datagrams when both ends can only dial out: to a relay, or past it.
+"""Choose where an end of the link sends its datagrams if both ends can only dial out: to a relay, or directly.
 
-The end asks the relay for a place, and is then joined with the end of the other machine that asked for it in turn. The
-relay tells each the address at which it sees the other. Both try that address at once, which opens the way through most
-routers (hole punching): the end that gets an answer of the other end to its own ping sends there after that, and goes
-back to the relay as soon as the answers stay away. The samples go through the relay until then, and nothing waits for a
-try.
+The end asks the relay for a place, and is joined with the end of the other machine that asked for this one. The relay
+tells each end the address at which it sees the other. Both ends ping that address at the same time, which opens the way
+through most routers (hole punching). An end whose ping was answered by the other end sends there from then on, and
+returns to the relay when the answers stop. Until then samples go through the relay, so that no attempt delays them.
 """
 
 import os
@@ -28,22 +27,22 @@ Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]
 
 TAG_BYTES = 4
-# Requests come at this interval until both ends have places, and while nothing comes.
+# Requests are sent at this interval until both ends have places, and while no sample arrives.
 _ASK_NS = 200_000_000
-# Requests come at this interval afterwards, which keeps the way through the routers open and finds out when the relay
-# has forgotten.
+# Requests are sent at this interval afterwards: they keep the way through the routers open, and show when the relay has
+# forgotten the place.
 _CALM_ASK_NS = 2_000_000_000
-# The other end is silent when no sample has come for this time.
+# The other end counts as silent after this time without a sample.
 _SILENCE_NS = 150_000_000
-# Pings come at this interval on the direct way, and for _EAGER_NS after something changed.
+# Pings are sent at this interval on the direct way, and for _EAGER_NS after a change.
 _PING_NS = 100_000_000
-# Pings come at this interval otherwise.
+# Pings are sent at this interval otherwise.
 _CALM_PING_NS = 5_000_000_000
-# Pings stay frequent for this time after something changed.
+# Pings stay frequent for this time after a change.
 _EAGER_NS = 5_000_000_000
-# A silent direct way is given up after this time without an answer.
+# A direct way without samples is given up after this time without an answer.
 _UNANSWERED_NS = 300_000_000
-# A direct way that brings samples is given up after this time without an answer.
+# A direct way with samples is given up after this time without an answer.
 _LOST_NS = 2_000_000_000
 _PING_BYTES = 8
 # Answers to this number of the newest pings are accepted.
@@ -51,7 +50,7 @@ _REMEMBERED_PINGS = 16
 
 
 class RelayPath:
-    """The way of one end; `peer` is where to send now, None before the relay has given a place."""
+    """The way of one end; `peer` is the address to send to now, None before the relay has given a place."""
 
     def __init__(
         self,
@@ -68,12 +67,12 @@ class RelayPath:
         Args:
             relay: The address of the relay.
             keys: The keys that this machine shares with the relay.
-            peer_keys: The keys that it shares with the other machine.
-            own_public: Its own public key, 32 bytes.
-            peer_public: That of the other machine.
+            peer_keys: The keys that this machine shares with the other machine.
+            own_public: The public key of this machine, 32 bytes.
+            peer_public: The public key of the other machine, 32 bytes.
             direct: Whether the direct way is tried; the relay then tells the other end the address of this one.
         """
-        # The kernel drops what begins with no known tag, so this stands before whatever is meant for this end.
+        # The kernel drops datagrams without a known tag, so control datagrams for this end begin with this one.
         self.tag = os.urandom(TAG_BYTES)
         self.relay = relay
         self.peer: Address | None = None
@@ -84,7 +83,7 @@ class RelayPath:
         self._cookie = bytes(COOKIE_BYTES)
         self._awaits_answer = False
         self._asked_ns = self._answered_ns = -_CALM_ASK_NS
-        # What may lead to the other end directly: the address that the relay sees, and one that a ping came from.
+        # Possible direct addresses of the other end: the one that the relay sees, and the one from which a ping came.
         self._candidates: dict[str, Address] = {}
         self._peer_tag = b""
         self._pings: list[bytes] = []
@@ -93,15 +92,15 @@ class RelayPath:
 
     @property
     def is_direct(self) -> bool:
-        """Whether samples go past the relay."""
+        """Whether samples are sent directly, not through the relay."""
         return self.peer is not None and self.peer != self.relay
 
     def maintain(self, now_ns: int, silence_ns: int) -> None:
-        """Ask for a place, try the direct way, and leave one on which nothing is answered.
+        """Ask for a place, try the direct way, and give it up if nothing is answered there.
 
         Args:
             now_ns: The time now [ns].
-            silence_ns: For how long no sample has come from the other end [ns].
+            silence_ns: The time since the last sample of the other end [ns].
         """
         self._now_ns = now_ns
         silent = silence_ns > _SILENCE_NS
@@ -120,7 +119,7 @@ class RelayPath:
                     self._say(PING, ping, address)
 
     def take(self, datagram: bytes, address: Address) -> None:
-        """Take what begins with the tag; RejectedError for what is neither of the relay nor of the other end."""
+        """Handle a datagram with the tag; RejectedError if it is neither the relay's nor the other end's."""
         kind, rest = datagram[TAG_BYTES : TAG_BYTES + 1], datagram[TAG_BYTES + 1 :]
         if kind in (PING, PONG) and not self._direct:
             raise RejectedError("unknown_key")
@@ -137,7 +136,8 @@ class RelayPath:
         elif address[:2] != self.relay[:2]:
             raise RejectedError("unknown_key")
         elif kind == COOKIE and len(rest) == COOKIE_BYTES:
-            # It is taken once for each time that the end asks by itself, so that a forger cannot make it send more.
+            # A cookie is accepted once for each request that the end makes by itself, so that a forger cannot make it
+            # send more.
             if self._awaits_answer:
                 self._cookie = rest
                 self._ask()
@@ -155,7 +155,7 @@ class RelayPath:
         self.send(request_bytes(request), self.relay)
 
     def _place(self, answer: dict[str, Any]) -> None:
-        """Take the place that the relay has given, and what it says of the other end."""
+        """Record the place that the relay has given, and its information about the other end."""
         self.peer = self.peer or self.relay
         try:
             tag, (host, port) = bytes.fromhex(answer["tag"]), answer["peer"] or ("", 0)

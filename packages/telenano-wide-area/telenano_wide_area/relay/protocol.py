@@ -1,9 +1,9 @@
-"""What two sites and their relay say to one another beside what the relay carries: keys, requests and answers.
+"""The protocol between two sites and their relay, besides the bytes that it carries: keys, requests and answers.
 
-Each pair of machines shares keys without a word: X25519 of the long-term CURVE keys that both have listed, and
-HKDF-SHA256 for a key each way. What is said under them is sealed with ChaCha20-Poly1305 and a random nonce, and bound
-to a challenge or a cookie of the other side, so that nothing can be said again later or from elsewhere. The relay knows
-none of the keys of what it carries: CURVE and the keys of the datagrams are agreed between the two sites.
+Each pair of machines derives shared keys without an exchange: X25519 of the long-term CURVE keys that both have listed,
+and HKDF-SHA256 for one key in each direction. Messages are sealed with ChaCha20-Poly1305 and a random nonce, and bound
+to a challenge or a cookie of the other side, so that none can be replayed later or from elsewhere. The relay has none
+of the keys of the data that it carries: CURVE and the keys of the datagrams are agreed between the sites.
 """
 
 import json
@@ -22,7 +22,7 @@ from telenano.runtime import AccessControl, KeyPair
 from telenano.wire import ConfigError
 from telenano_wide_area.sealed import RejectedError
 
-# the machine of the relay, by which its key is listed, and the role that the key has
+# The name of the relay's machine, under which its key is listed, and of the role of that key.
 RELAY = "relay"
 # Every connection and every request begins with this.
 MAGIC = b"tnrelay1"
@@ -33,12 +33,12 @@ TO_RELAY = b"telenano relay, version 1"
 TO_SITE = b"telenano sites behind a relay, version 1"
 _NONCE_BYTES = 12
 _KEY_BYTES = 32
-# magic, tag that the answers shall begin with, cookie, public key
+# Magic, the tag with which the answers shall begin, cookie, public key.
 _REQUEST = struct.Struct(f"!8s4s{COOKIE_BYTES}s{PUBLIC_BYTES}s")
-# Requests are as long as the longest answer, so that a forged sender's address gets no more than was sent.
+# Requests are as long as the longest answer, so that a forged source address receives no more than was sent.
 _BODY_BYTES = 192
 REQUEST_BYTES = _REQUEST.size + _NONCE_BYTES + _BODY_BYTES + 16
-# The byte behind the tag of a datagram that is no sample.
+# The byte after the tag of a datagram that is not a sample.
 COOKIE = b"\x00"
 ANSWER = b"\x01"
 PING = b"\x02"
@@ -46,10 +46,10 @@ PONG = b"\x03"
 
 
 class SharedKeys:
-    """The keys that this machine shares with another one."""
+    """The keys that this machine shares with another machine."""
 
     def __init__(self, own: KeyPair, peer_public: bytes, purpose: bytes) -> None:
-        """Derive the keys of one purpose; ValueError for a public key of 32 bytes that gives no secret."""
+        """Derive the keys for one purpose; ValueError for a public key of 32 bytes that gives no shared secret."""
         mine = raw_key(own.public)
         private = X25519PrivateKey.from_private_bytes(raw_key(own.secret))
         secret = private.exchange(X25519PublicKey.from_public_bytes(peer_public))
@@ -59,12 +59,12 @@ class SharedKeys:
         self._outgoing, self._incoming = (first, second) if mine < peer_public else (second, first)
 
     def seal(self, body: bytes, context: bytes) -> bytes:
-        """Return nonce and cipher text; they open with the same context alone."""
+        """Return nonce and cipher text, which can be opened with the same context only."""
         nonce = os.urandom(_NONCE_BYTES)
         return nonce + self._outgoing.encrypt(nonce, body, context)
 
     def open(self, sealed: bytes, context: bytes) -> bytes:
-        """Return what the other machine sealed; RejectedError (`forged`) for anything else."""
+        """Return the body that the other machine sealed; RejectedError (`forged`) for anything else."""
         try:
             return self._incoming.decrypt(sealed[:_NONCE_BYTES], sealed[_NONCE_BYTES:], context)
         except (InvalidTag, ValueError):
@@ -72,7 +72,7 @@ class SharedKeys:
 
 
 class Request(NamedTuple):
-    """A request of an end for its place at the relay."""
+    """A request of an end for a place at the relay."""
 
     tag: bytes
     cookie: bytes
@@ -81,7 +81,7 @@ class Request(NamedTuple):
 
     @property
     def context(self) -> bytes:
-        """What the sealed part, and that of the answer, is bound to."""
+        """The bytes to which the sealed parts of the request and of its answer are bound."""
         return self.tag + self.cookie
 
 
@@ -108,12 +108,12 @@ def relay_key(access: AccessControl) -> bytes:
 
 
 def pack(fields: dict[str, Any]) -> bytes:
-    """Return fields as they stand in a sealed part."""
+    """Return the body of a sealed part with these fields."""
     return json.dumps(fields, separators=(",", ":")).encode()
 
 
 def unpack(body: bytes) -> dict[str, Any]:
-    """Return the fields of a sealed part; RejectedError (`malformed`) where it has none."""
+    """Return the fields of a sealed part; RejectedError (`malformed`) if it has none."""
     try:
         document = json.loads(body)
     except (ValueError, RecursionError):
@@ -126,7 +126,7 @@ def unpack(body: bytes) -> dict[str, Any]:
 def make_request(
     keys: SharedKeys, tag: bytes, cookie: bytes, public: bytes, peer: bytes, *, direct: bool = True
 ) -> Request:
-    """Return a request to be joined with the end at the machine with the key `peer`; no key asks for no place.
+    """Return a request to be joined with the end at the machine with the key `peer`; b"" asks for no place.
 
     Without `direct` the other end does not learn the address of this one.
     """
@@ -135,12 +135,12 @@ def make_request(
 
 
 def request_bytes(request: Request) -> bytes:
-    """Return a request as it is sent."""
+    """Return the datagram of a request."""
     return _REQUEST.pack(MAGIC, *request[:3]) + request.sealed
 
 
 def parse_request(datagram: bytes) -> Request:
-    """Return the request in a datagram; RejectedError (`malformed`) where it is none."""
+    """Return the request in a datagram; RejectedError (`malformed`) if it is none."""
     if len(datagram) != REQUEST_BYTES:
         raise RejectedError("malformed")
     _, tag, cookie, public = _REQUEST.unpack_from(datagram)
@@ -148,7 +148,7 @@ def parse_request(datagram: bytes) -> Request:
 
 
 def answer_bytes(keys: SharedKeys, request: Request, fields: dict[str, Any]) -> bytes:
-    """Return the answer to a request; it is no longer than the request."""
+    """Return the datagram of the answer to a request, which is no longer than the request."""
     return request.tag + ANSWER + keys.seal(pack(fields), request.context)
 
 

@@ -1,4 +1,4 @@
-"""`telenano relay`: a relay between two sites that can only dial out, and the end of a site alone."""
+"""`telenano relay`: a relay between two sites that can only dial out, or the end of one site alone."""
 
 from typing import Annotated
 

@@ -1,8 +1,8 @@
-"""A relay between sites that can only dial out: joins their connections in pairs, and carries their datagrams.
+"""A relay between sites that can only dial out: it joins their connections in pairs, and forwards their datagrams.
 
-It has no state but who is connected from where. It opens nothing of what it carries, for which it has no keys, and it
-opens no connection itself: each connection that it joins was dialled by a site whose key it lists, to a site that named
-that key in turn.
+Its only state is which site is connected from where. It cannot decrypt the data that it carries, because it has no keys
+for it, and it opens no connection itself: each connection that it joins was dialled by a site whose key it lists, to a
+site that named that key in turn.
 """
 
 import asyncio
@@ -20,34 +20,33 @@ from telenano_wide_area.relay.protocol import key_text
 from telenano_wide_area.sealed import RejectedError
 
 DEFAULT_PORT = 5750
-# The number of strangers, which are connections that have not shown a key yet.
+# The most strangers: connections that have not proved a key yet.
 _MOST_STRANGERS = 1024
-# Both ports, what the loop itself has open, and for a moment the list of keys.
+# Descriptors of the relay itself: both ports, those of the event loop, and for a moment the list of keys.
 _FILES_OF_A_RELAY = 16
-# Two sites with one session have this number of connections here: their own, and some 25 that are joined, each of two.
+# Descriptors of two sites with one session: their own connections, and some 25 joined ones with two each.
 _FILES_OF_A_SESSION = 64
-# The number of strangers from one address. A class of ten rigs behind one address makes some 500 connections when it
-# begins.
+# The most strangers from one address. A class of ten rigs behind one address makes some 500 connections when it begins.
 _MOST_FROM_ADDRESS = 512
-# Connections of one address that show no listed key may come in a burst of this number. A listed key gives its one
-# back, and beyond the burst a connection has to claim one before its proof is looked at.
+# The burst of connections from one address without a listed key. A listed key returns its token; beyond the burst, a
+# connection has to claim a listed key before its proof is checked.
 _BURST = 600.0
 # The rate of such connections after a burst.
 _PER_S = 20.0
-# What is refused to one address or key for one reason is logged so often at the most [s].
+# The shortest interval between log entries on one reason and one address or key [s].
 _REMIND_S = 60.0
 _MOST_ADDRESSES = 4096
-# The number of connections that a site may have joined at once.
+# The most joined connections of a site at once.
 _MOST_STREAMS = 128
-# The number of connections for each site that may wait for the other one.
+# The most connections, for each connected site, that wait for the other site.
 _MOST_WAITING = 64
-# At most this number of sites are connected, and a site meets this number of others at most.
+# The most sites that are connected, and the most sites that one site wants to meet.
 _MOST_SITES = 64
-# The other site has this time to dial.
+# The time that the other site has to dial [s].
 _JOIN_S = 4.0
-# A site that sends nothing for this time is gone.
+# A site that sends nothing for this time is disconnected [s].
 _SITE_SILENCE_S = 15.0
-# The relay looks for changed keys and unused places at this interval.
+# The interval at which changed keys and unused places are looked for [s].
 _TIDY_S = 0.5
 _REFUSALS = {
     "unlisted": "the relay does not list this key: run `telenano keys allow NAME KEY --role relay` there",
@@ -59,7 +58,7 @@ _REFUSALS = {
 
 @dataclass(eq=False)
 class Site:
-    """A site that is connected: its name at the relay, its key, and the keys of the sites that it wants to meet."""
+    """A connected site: its name at the relay, its key, and the keys of the sites that it wants to meet."""
 
     name: str
     key: str
@@ -72,12 +71,12 @@ class Relay:
     """One relay; its sites are known by their public keys in hexadecimal."""
 
     def __init__(self, access: AccessControl, log: StructuredLog, mbit_per_s: float = 50.0) -> None:
-        """Begin without a site; ConfigError where this machine has no key.
+        """Begin without a site; ConfigError if this machine has no key.
 
         Args:
             access: The keys of the machines that may use the relay, in the role `relay`.
-            log: Takes who comes, goes and is refused.
-            mbit_per_s: What each site may have carried, connections and datagrams apart [Mbit/s].
+            log: Logs the sites that connect, leave or are refused.
+            mbit_per_s: The greatest rate for each site, of connections and of datagrams separately [Mbit/s].
         """
         if access.own is None:
             raise ConfigError("a relay needs a key: `telenano keys new relay`")
@@ -88,15 +87,16 @@ class Relay:
         self._access, self._log = access, log
         self._bytes_per_s = mbit_per_s * 125e3
         self._budgets: dict[tuple[str, str], Budget] = {}
-        # Connections that have shown no listed key yet, the oldest first, and the address of each.
+        # Connections that have not proved a listed key, the oldest first, with their addresses.
         self._strangers: dict[asyncio.StreamWriter, str] = {}
         self._most_strangers = _MOST_STRANGERS
         self._arrivals: dict[str, Budget] = {}
-        # Connections that wait for the other site to dial: the key of that site, and what is handed over.
+        # Connections that wait for the other site to dial, by number: the key of that site, and the future for its
+        # channel.
         self._waiting: dict[str, tuple[str, asyncio.Future[Channel]]] = {}
         self._open: dict[Channel, str] = {}
         self._server: asyncio.Server | None = None
-        # When a refusal was logged last, by its reason and who was refused.
+        # The time of the last log entry on a refusal, by its reason and the refused address or key.
         self._reported_s: dict[tuple[str, str], float] = {}
         self.forwarder: Forwarder
 
@@ -108,7 +108,7 @@ class Relay:
         """
         further = check_descriptors("a relay", _FILES_OF_A_RELAY + _FILES_OF_A_SESSION)
         if further is not None:
-            # Strangers give way to each other before they take the descriptors of sites.
+            # Strangers replace one another before they use up the descriptors of sites.
             self._most_strangers = max(1, min(_MOST_STRANGERS, further // 2))
         now_s = asyncio.get_running_loop().time
         self.forwarder = Forwarder(
@@ -125,7 +125,7 @@ class Relay:
             raise EndpointError(f"the relay cannot listen on {host} port {port}: {error.strerror}") from error
 
     async def run(self) -> None:
-        """Look after the sites until cancelled: keys that change, places that are no longer used."""
+        """Apply changed keys and remove unused places, until cancelled."""
         while True:
             await asyncio.sleep(_TIDY_S)
             try:
@@ -173,7 +173,7 @@ class Relay:
             abort(writer)
 
     def _admit(self, writer: asyncio.StreamWriter, address: str) -> bool:
-        """Add a stranger, to whom the oldest gives way; return whether its address has not had too many of them."""
+        """Add a stranger, replacing the oldest if there are too many; return whether its address is within its rate."""
         now_s = asyncio.get_running_loop().time()
         if len(self._arrivals) >= _MOST_ADDRESSES:
             self._arrivals.clear()
@@ -187,7 +187,7 @@ class Relay:
         return self._arrivals.setdefault(address, Budget(_PER_S, _BURST, now_s)).take(1.0, now_s)
 
     def _tell(self, reason: str, who: str, text: str) -> None:
-        """Log a refusal, with how many there were for that reason so far, unless it was logged lately."""
+        """Log a refusal with the number of refusals for that reason so far, unless it was logged lately."""
         now_s = asyncio.get_running_loop().time()
         if now_s - self._reported_s.get((reason, who), -_REMIND_S) >= _REMIND_S:
             if len(self._reported_s) >= _MOST_ADDRESSES:
@@ -210,7 +210,7 @@ class Relay:
             self._tell(reason, key_text(public), f"{who} is refused")
             await channel.send(refused=reason, text=_REFUSALS[reason])
             raise RejectedError(reason)
-        # A key that is listed gives its place among the strangers of its address back.
+        # With a listed key, the connection is no stranger any more, and its address gets the token back.
         self._strangers.pop(writer, None)
         if is_calm and (arrivals := self._arrivals.get(address)) is not None:
             arrivals.take(-1.0, asyncio.get_running_loop().time())
@@ -243,7 +243,7 @@ class Relay:
                 await site.channel.receive()
 
     async def _be_site(self, site: Site, request: dict[str, Any]) -> None:
-        """Keep the connection of a site, over which it learns who wants to reach it."""
+        """Keep the connection of a site, through which it learns of requests to reach it."""
         site.meets = frozenset(map(str, request["meets"][:_MOST_SITES]))
         before = self.sites.get(site.key)
         if before is None and len(self.sites) >= _MOST_SITES:
@@ -274,7 +274,7 @@ class Relay:
                 await self._tell_who_is_here()
 
     def _meeting(self, key: str) -> set[str]:
-        """Return the keys of the sites that are connected and want to meet one, which wants to meet them."""
+        """Return the keys of the connected sites that want to meet a site and that it wants to meet."""
         here = self.sites.get(key)
         wanted = frozenset[str]() if here is None else here.meets
         return {other for other in wanted if other in self.sites and key in self.sites[other].meets}
@@ -320,7 +320,7 @@ class Relay:
                 far.close()
 
     async def _accept_stream(self, site: Site, request: dict[str, Any]) -> None:
-        """Hand a connection to the one that waits for it, and keep it open until that one ends."""
+        """Pass a connection to the one that waits for it, and keep it open until that one ends."""
         target, handed = self._waiting.get(str(request["number"]), ("", None))
         if target != site.key or handed is None or handed.done():
             await site.channel.send(refused="late")

@@ -1,8 +1,8 @@
-"""The end of a site that reaches the other one through a relay: dials out, and is where the nodes here connect to.
+"""The end of a site that reaches the other one through a relay: it dials out, and the nodes here connect to it.
 
 For each node of another machine it listens on an address of this machine, which the address book gives the nodes here
-in the place of the real one. A client that connects is joined, through the relay, with the node itself. What it sees is
-what the relay sees: connections of CURVE.
+instead of the real one. It joins each client that connects, through the relay, with the node itself. Like the relay it
+sees encrypted CURVE connections only.
 """
 
 import asyncio
@@ -19,22 +19,22 @@ from telenano.wire import ConfigError, EndpointError
 from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
 from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
 
-# The relay is pinged at this interval.
+# The relay is pinged at this interval [s].
 _PING_S = 4.0
-# A relay that sends nothing for this time is lost.
+# A relay that sends nothing for this time is lost [s].
 _SILENCE_S = 12.0
-# The relay is dialled again after this time, which doubles up to _AGAIN_MOST_S.
+# The relay is dialled again after this time, which doubles up to _AGAIN_MOST_S [s].
 _AGAIN_S = 0.5
 _AGAIN_MOST_S = 5.0
-# A site end that another process has replaced dials again after this time.
+# A site end that was replaced by another process dials again after this time [s].
 _REPLACED_S = 20.0
-# A fault that stays is reported again after this time.
+# A lasting fault is reported again after this time [s].
 _REMIND_S = 60.0
-# A node that does not listen yet is tried for this time; the one that waits for it gives up a little later.
+# A node that does not listen yet is tried for this time; the node that waits for it gives up a little later [s].
 _NODE_S = 3.0
-# Such a node is tried at this interval.
+# The interval of these attempts [s].
 _NODE_AGAIN_S = 0.1
-# A node here that waits for one there gives up after 5 s and connects again: its connection is closed before that.
+# A node here that waits for one there gives up after 5 s and connects again; its connection is closed before that [s].
 _JOIN_S = 4.5
 _RELOAD_S = 0.5
 
@@ -43,7 +43,7 @@ class SiteEnd:
     """The end of one machine."""
 
     def __init__(self, book: AddressBook, machine: str, access: AccessControl, log: StructuredLog) -> None:
-        """Read what is to be reached; ConfigError where the key of the relay is not listed."""
+        """Read the nodes to reach from the address book; ConfigError if the key of the relay is not listed."""
         assert book.relay is not None
         assert access.own is not None
         self._host, self._port = split_host_port(book.relay)
@@ -59,15 +59,16 @@ class SiteEnd:
         self._there: Mapping[tuple[str, int], str] = {
             end: book.machine_of(node) for node, end in ends.items() if book.machine_of(node) != machine
         }
-        # the sites at the relay, by key; their nodes are listened for, and without them connections are refused at once
+        # The keys of the sites at the relay. This end listens for their nodes only; connections to the nodes of other
+        # sites are refused at once.
         self._present: frozenset[str] = frozenset()
         self._servers: dict[tuple[str, int], asyncio.Server] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        # What was logged last of the relay and of single connections, and when [s].
+        # The last log entry on the relay and on single connections, with its time [s].
         self._reported: dict[str, tuple[str, float]] = {}
 
     async def run(self) -> None:
-        """Listen, and keep the connection to the relay, until cancelled; EndpointError for a port that is taken."""
+        """Listen, and keep the connection to the relay, until cancelled; EndpointError if a port cannot be bound."""
         try:
             for end in self._there:
                 await self._bound(end)
@@ -94,7 +95,7 @@ class SiteEnd:
             wait_s = _AGAIN_S if lasted else min(2.0 * wait_s, _AGAIN_MOST_S)
 
     async def _stay(self) -> float:
-        """Keep one connection to the relay; return how long to wait before the next [s]."""
+        """Keep one connection to the relay until it ends; return the wait before the next one [s]."""
         meets = self._meets()
         channel = await self._dial(want="site", meets=sorted(meets))
         pinging = self._start(self._ping(channel))
@@ -103,7 +104,7 @@ class SiteEnd:
                 async with asyncio.timeout(_SILENCE_S):
                     message = await channel.receive()
                 if self._meets() != meets:
-                    # The list of keys has changed: the relay learns it by a new connection.
+                    # The list of keys has changed, which the relay learns by a new connection.
                     return 0.0
                 if "refused" in message:
                     self._tell("error", f"the relay {self._relay} refuses this machine: {message.get('text')}")
@@ -128,7 +129,7 @@ class SiteEnd:
                 await channel.send(ping=True)
 
     async def _reload(self) -> None:
-        """Read the list of keys again when it has changed."""
+        """Reload the list of keys whenever it has changed."""
         while True:
             await asyncio.sleep(_RELOAD_S)
             try:
@@ -137,11 +138,11 @@ class SiteEnd:
                 self._log.error(f"the list of keys was not reloaded: {error}")
 
     def _meets(self) -> set[str]:
-        """Return the keys of the machines that have a valid one, in hexadecimal."""
+        """Return the keys of the other machines that have a valid one, in hexadecimal."""
         return set(map(self._key, set(self._there.values()))) - {""}
 
     async def _see(self, present: frozenset[str]) -> None:
-        """Listen in the place of the sites that are at the relay, and of no other."""
+        """Listen for the nodes of the sites that are at the relay, and of no others."""
         if present == self._present:
             return
         self._present = present
@@ -155,7 +156,7 @@ class SiteEnd:
                 await self._bound(end)
 
     async def _bound(self, end: tuple[str, int]) -> None:
-        """Bind where a node is to be reached, without listening; EndpointError where that fails."""
+        """Bind the address for a node without listening; EndpointError if that fails."""
         handler = self._handler(self._there[end], end[1])
         try:
             self._servers[end] = await asyncio.start_server(handler, *end, limit=CHUNK_BYTES, start_serving=False)
@@ -164,7 +165,7 @@ class SiteEnd:
             raise EndpointError(text) from error
 
     def _key(self, machine: str) -> str:
-        """Return the valid key of a machine in hexadecimal, empty where it has none."""
+        """Return the valid key of a machine in hexadecimal; empty if it has none."""
         key = self._access.server_key(machine)
         return "" if key is None else raw_key(key).hex()
 
@@ -183,7 +184,7 @@ class SiteEnd:
         return serve
 
     async def _opened(self, machine: str, port: int) -> Channel:
-        """Return a connection to a port of another machine; TimeoutError when there is none in time."""
+        """Return a connection to a port of another machine; TimeoutError if there is none in time."""
         async with asyncio.timeout(_JOIN_S):
             while True:
                 channel = None
@@ -196,7 +197,7 @@ class SiteEnd:
                     if "text" in message:
                         self._tell("warning", f"the relay {self._relay} refuses: {message['text']}", "connection")
                 except Gone as error:
-                    # The time of all attempts is limited outside.
+                    # The time-out around this loop limits all attempts together.
                     self._tell_of_end(error)
                 finally:
                     if channel is not None:
@@ -206,7 +207,7 @@ class SiteEnd:
     # --- from there to here ---
 
     async def _accept(self, control: Channel, message: dict[str, Any]) -> None:
-        """Connect to the node that somebody there wants to reach, and dial the relay to be joined."""
+        """Connect to the node here that a client there wants to reach, and dial the relay to be joined."""
         number, port = str(message.get("open")), message.get("port")
         with contextlib.suppress(*Gone):
             if port not in self._here or message.get("source") not in self._meets():
@@ -224,7 +225,7 @@ class SiteEnd:
                     async with asyncio.timeout(_JOIN_S):
                         joined = "ok" in await channel.receive()
                 except Gone as error:
-                    # The client that waits there tries again at once, and not after its time.
+                    # The refusal lets the client there try again at once, instead of after its time-out.
                     self._tell_of_end(error)
                     await control.send(refused=number)
                     return
@@ -236,7 +237,7 @@ class SiteEnd:
                     channel.close()
 
     async def _connected(self, port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """Connect to a node of this machine, which may be about to begin; OSError, TimeoutError where there is none."""
+        """Connect to a node of this machine that may be about to start; OSError or TimeoutError if there is none."""
         async with asyncio.timeout(_NODE_S):
             while True:
                 try:
@@ -248,20 +249,20 @@ class SiteEnd:
         return await dial(self._host, self._port, self._own, self._relay_key, request)
 
     def _tell_of_end(self, error: Exception) -> None:
-        """Tell that the relay has ended a connection in the place of an answer, as it does where there are too many."""
+        """Log that the relay ended a connection without an answer, as it does if there are too many."""
         if isinstance(error, EOFError | ConnectionError) and self._present:
             text = "has ended a connection without an answer; its own log says whether it refuses this address"
             self._tell("warning", f"the relay {self._relay} {text}", "connection")
 
     def _start(self, work: Any) -> "asyncio.Task[None]":
         task = asyncio.get_running_loop().create_task(work)
-        # The loop itself keeps weak references only.
+        # The event loop keeps weak references only.
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task
 
     def _tell(self, level: str, text: str, about: str = "relay") -> None:
-        """Log a change of one matter, and what stays the same once a minute."""
+        """Log a change about one matter; an unchanged text is repeated once a minute."""
         now_s = time.monotonic()
         last_text, reported_s = self._reported.get(about, ("", 0.0))
         if text != last_text or now_s - reported_s >= _REMIND_S:
@@ -274,7 +275,7 @@ def _host_port(endpoint: str) -> tuple[str, int]:
 
 
 def until_stopped(work: Coroutine[Any, Any, None]) -> None:
-    """Run until SIGINT or SIGTERM, or until the work ends by an error, which is raised."""
+    """Run work until SIGINT or SIGTERM, or until it ends; its error is raised."""
 
     async def run() -> None:
         task = asyncio.ensure_future(work)
@@ -287,7 +288,7 @@ def until_stopped(work: Coroutine[Any, Any, None]) -> None:
 
 
 def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
-    """Return the end of a site; ConfigError where the site file has no relay, or a key is missing."""
+    """Return the end of a site; ConfigError if the site file has no relay, or a key is missing."""
     if book.relay is None:
         raise ConfigError("the site file has no `relay: host:port`")
     return SiteEnd(book, site, AccessControl(site), log)
@@ -295,9 +296,9 @@ def site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
 
 @contextlib.contextmanager
 def at_relay(book: AddressBook) -> Iterator[None]:
-    """Be the end of the master's site at the relay of the site file, if it has one, in a thread while a block runs.
+    """Run the end of the master's site at the relay of the site file, if there is one, in a thread during a block.
 
-    Where another process of this machine is that end, this one leaves it to that.
+    If another process of this machine is that end already, this one does nothing.
 
     Raises:
         ConfigError: A key is missing.
@@ -319,7 +320,7 @@ def at_relay(book: AddressBook) -> Iterator[None]:
         yield
     finally:
         loop, task = running.result()
-        # A loop that has ended by itself takes no calls.
+        # An event loop that has ended takes no calls.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(lambda: task is not None and task.cancel())
         thread.join()

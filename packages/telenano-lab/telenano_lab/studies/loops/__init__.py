@@ -1,1 +1,1 @@
-"""Cells of a closed loop in lockstep, what is asked of many of them, and the check that the bus agrees."""
+"""Cells of a closed loop in lockstep, the studies made of many cells, and the check against runs on the bus."""

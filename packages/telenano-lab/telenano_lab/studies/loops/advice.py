@@ -1,13 +1,13 @@
-"""The trials of a law on one line, one sample and one instrument, of which the advice which law to take is made.
+"""Trials of laws on one line, one sample and one instrument, from which a law is recommended.
 
 A trial runs in lockstep on the network and the instrument with several seeds and four hands: one of constant force, and
-a soft, an ordinary and a stiff arm that go where they would press with the same force if hand and sample were one. A
-law is tried as it comes, as the benchmark runs it, and in the forms that the benchmark does not run: tuned for the line
+a soft, an ordinary and a stiff arm whose paths would press with the same force if hand and sample were one. A law is
+tried with its defaults, as the benchmark runs it, and in the forms that the benchmark does not run: tuned for the line
 by one rule (`tuning`), with the force clamp off and on. A run is good if it is stable by `telenano.analysis.verdict`
-and came to rest with the force that it should, unstruck. Forms that are good in every run are ranked by a price, the
-sum of
+and came to rest with the intended force, without striking the sample. Forms that are good in every run are ranked by a
+price, the sum of
 
-- the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
+- the share by which the force at the tip in a hold differs from the intended one, with the worst of the arms,
 - the share by which the greatest force at the tip exceeds the hand's, and
 - FREE_PRICE for each time that free motion is heavier than the default of 100 N s/m.
 """
@@ -36,18 +36,18 @@ from telenano_lab.studies.option_values import (
 from telenano_lab.studies.repetitions import Statistic, share, statistic
 
 FREE_PRICE = 0.02
-# one-sided walls at the tip, in words
+# One-sided walls at the tip, by name [N/m].
 WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
-# every law as it comes, and with the force clamp off and on
+# Every law with its defaults (clamp None), and tuned with the force clamp off and on.
 CANDIDATES: tuple[tuple[str, bool | None], ...] = tuple(
     (law, clamp) for clamp in (None, False, True) for law in COMPARED_LAWS
 )
 
 
 class Question(StrictSettings):
-    """The network, the sample, and what is tried."""
+    """The network, the sample and the instrument for which a law is sought."""
 
     network: Annotated[str | None, Option(("--network",), "NAME")] = Field(
         default=None,
@@ -77,7 +77,7 @@ class Question(StrictSettings):
     @model_validator(mode="before")
     @classmethod
     def _of_network(cls, given: Any) -> Any:
-        """Take the mean round trip of a named network; ConfigError where there is neither, or both."""
+        """Fill in the mean round trip of a named network; ConfigError for neither a network nor a delay, or both."""
         name = given.get("network")
         own = [key for key in ("round_trip_ms", "jitter", "loss") if given.get(key) is not None]
         if name is None and "round_trip_ms" not in own:
@@ -98,7 +98,7 @@ class Question(StrictSettings):
 
 @dataclass(frozen=True)
 class Candidate:
-    """A law at its parameters, and what became of it; clamp: None as the law has it, which is the law as it comes."""
+    """A law with its settings and the results of its cells; clamp None is the law with its defaults."""
 
     law: str
     clamp: bool | None
@@ -110,7 +110,7 @@ class Candidate:
         return self.law if self.clamp is None else f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
 
     def as_flags(self) -> str:
-        """Return the options with which `telenano up` runs this law so."""
+        """Return the options with which `telenano up` runs this law with these settings."""
         keys = [("law", self.law), *self.settings]
         values = ((key, str(value).lower() if isinstance(value, bool) else value) for key, value in keys)
         return " ".join(f"--set controller.{key}={value}" for key, value in values)
@@ -121,13 +121,13 @@ class Candidate:
 
     @property
     def free_n_s_per_m(self) -> float:
-        """Return the damping of free motion at the hand: B_v over the gain of the hand's force."""
+        """The damping of free motion at the hand [N s/m]: B_v over the gain of the hand's force."""
         section = self.results[0].cell.controller().law_config()
         gain = getattr(section, "force_gain", 1.0) or 1.0
         return float(section.damping_n_s_per_m / gain)
 
     def force_share(self) -> float:
-        """Return the force at the tip in a hold, as a share of what it should be, that is furthest from 1."""
+        """Return the force at the tip in a hold over the intended one, of the run in which it is furthest from 1."""
         shares = [(r.tip_n or 0.0) / _LEVELS_N[r.cell.environment] for r in self.results]
         return max(shares, key=lambda share: abs(share - 1.0))
 
@@ -139,14 +139,14 @@ class Candidate:
         return min(result.lowest_energy_j for result in self.results)
 
     def price(self) -> float:
-        """Return the price by which suited laws are ranked; infinite for one that is not suited."""
+        """Return the price by which suited laws are ranked; infinite for a law with a run that is not good."""
         if self.failed:
             return math.inf
         free = FREE_PRICE * (self.free_n_s_per_m / _FREE_N_S_PER_M - 1.0)
         return abs(self.force_share() - 1.0) + max(self.peak_share() - 1.0, 0.0) + free
 
     def over_seeds(self) -> dict[str, Statistic]:
-        """Return the figures over the seeds of a random network, of each seed the worst of its hands; empty for one."""
+        """Return statistics over the seeds, of each seed the worst of its hands; empty for a single seed."""
         seeds = dict.fromkeys(result.cell.seed for result in self.results)
         if len(seeds) < 2:
             return {}
@@ -190,7 +190,7 @@ def cells_of(question: Question, law: str, clamp: bool | None) -> list[Cell]:
     Args:
         question: The network, the sample and the instrument.
         law: The law.
-        clamp: Whether the force clamp is on, with the law tuned for the network; None: the law as it comes.
+        clamp: Whether the force clamp is on, with the law tuned for the network; None for the law with its defaults.
     """
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
@@ -219,7 +219,7 @@ def cells_of(question: Question, law: str, clamp: bool | None) -> list[Cell]:
 
 
 def try_all(question: Question, sweep: Sweep) -> list[Candidate]:
-    """Try every candidate on the line, in the order of CANDIDATES, without those that are their law as it comes."""
+    """Try every candidate, in the order of CANDIDATES, except those that equal their law with its defaults."""
     prepared = [(law, clamp, cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
     prepared = [one for one in prepared if one[1] is None or not _is_as_it_comes(one[2][0])]
     results = iter(sweep.run([cell for *_, cells in prepared for cell in cells]))
@@ -229,6 +229,6 @@ def try_all(question: Question, sweep: Sweep) -> list[Candidate]:
 
 
 def _is_as_it_comes(cell: Cell) -> bool:
-    """Return whether the settings of a cell change nothing of its law."""
+    """Return whether the settings of a cell leave its law as it is by default."""
     changed, plain = cell.controller(), cell.model_copy(update={"settings": ()}).controller()
     return (changed.params(), changed.clamp_params()) == (plain.params(), plain.clamp_params())

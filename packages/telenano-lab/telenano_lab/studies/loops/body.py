@@ -2,12 +2,12 @@
 
     m y'' + b y' + K y = F,    F = k max(x_s - L - y, 0)
 
-y is how far the body has been pushed from its place L [m], k the cantilever. It is a part, in the place of
-cantilever and sample. Time is discrete as in the arm of `telenano.hand.operator`: every quantity is that
-of the middle of the step, and the force the mean that the spring of the contact has over its way,
-(V(z1) - V(z0)) / (z1 - z0). Force times motion of the base is then exactly the energy that goes into springs, mass and
-damper: the body is passive at every period. For the instrument's period to show its motion, it has to be slower than
-FASTEST_HZ in contact.
+y is the displacement of the body from its place L [m], and k the stiffness of the cantilever. It is a part that
+replaces cantilever and sample. Time is discrete as in the arm of `telenano.hand.operator`: every quantity is taken at
+the middle of the step, and the force is the mean of the contact spring over its way, (V(z1) - V(z0)) / (z1 - z0). Force
+times motion of the base is then exactly the energy that goes into springs, mass and damper: the body is passive at
+every period. The body must swing more slowly than FASTEST_HZ in contact, so that the period of the instrument can show
+its motion.
 """
 
 import math
@@ -18,8 +18,8 @@ from telenano.extend.samples import AfmSample, PlantInputs
 from telenano.numerics import compiled
 
 FASTEST_HZ = 150.0
-# The fixed point of a step that makes or breaks contact takes at most this number of passes; each leaves a quarter of
-# the error at most.
+# The most passes for the fixed point of a step that makes or breaks contact; each pass leaves at most a quarter of the
+# error.
 _PASSES = 30
 
 
@@ -34,7 +34,7 @@ class BodyParams(NamedTuple):
 
 
 class BodyState(NamedTuple):
-    """Base x_s [m], y [m], y' [m/s]."""
+    """Base x_s [m], displacement y of the body [m], its velocity y' [m/s]."""
 
     base_m: float
     pushed_m: float
@@ -69,7 +69,7 @@ def body_params(
 def pushed(
     params: BodyParams, base_m: tuple[float, float], y_m: float, v_m_per_s: float, dt: float
 ) -> tuple[float, float]:
-    """Return y [m] and y' [m/s] after dt [s] in which the base went from base_m[0] to base_m[1] [m]."""
+    """Return y [m] and y' [m/s] after dt [s] in which the base moved from base_m[0] to base_m[1] [m]."""
     k, stiffness, damping = params.cantilever_n_per_m, params.stiffness_n_per_m, params.damping_n_s_per_m
     before = base_m[0] - params.rest_distance_m - y_m
     middle = 0.5 * (base_m[0] + base_m[1]) - params.rest_distance_m - y_m
@@ -91,7 +91,7 @@ def pushed(
 
 @compiled
 def step(params: BodyParams, state: BodyState, inputs: PlantInputs, dt: float) -> tuple[BodyState, AfmSample]:
-    """Advance cantilever and body by dt [s]; at dt = 0 nothing has moved, and the force is measured."""
+    """Advance cantilever and body by dt [s]; dt = 0 moves nothing and only measures the force."""
     base_m, y_m, velocity = inputs.base_m, state.pushed_m, state.velocity_m_per_s
     if dt > 0.0:
         y_m, velocity = pushed(params, (state.base_m, base_m), y_m, velocity, dt)

@@ -1,8 +1,8 @@
-"""One cell of a study: a law over a link against an environment, run in lockstep and judged.
+"""A cell of a study: a law over a link against an environment, run in lockstep and judged.
 
-A cell is plain data, so that it can be keyed, kept in a journal and sent to another machine. The hand presses with a
-force that rises in steps and is then held: 1 N against the spring; 1 N, then 2 N in the contact (the forces of
-Fig. 12). The last hold is judged.
+A cell is plain data, so that it can be identified by a key, stored in a journal and sent to another machine. The hand
+presses with a force that rises in steps and is then held: 1 N against the spring; 1 N, then 2 N in the contact (the
+forces of Fig. 12). The last hold is judged.
 """
 
 import functools
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 else:
     # The environments include the samples of installed packages.
     Environment = Literal[(*ENVIRONMENTS, *SAMPLES.found)]
-# K of the theory's examples; in the contact it is the cantilever's k of Table 2
+# K of the theory's examples [N/m]; in the contact it is the cantilever's k of Table 2.
 DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "spring": (10.0, 20.0, 38.0),
     "wall": (10.0, 38.0),
@@ -49,32 +49,32 @@ _LEVELS_N: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(DEFAULT_STIFFNESS, (1.0,)),
     "tip_sample": (1.0, 2.0),
 }
-# Wall and body only push, and the tip meets them from here [m].
+# Wall and body only push; the tip meets them at this base position [m].
 WALL_DISTANCE_M = 3e-9
-# the cantilever that touches the body, and that reads the force of whatever has none of its own, of Table 2 [N/m]
+# The cantilever of Table 2, which touches the body and through which environments without one are read [N/m].
 CANTILEVER_N_PER_M = 40.0
-# A steady contact with the sample of Table 2 begins at this base.
+# The base position at which a steady contact with the sample of Table 2 begins [m].
 _CONTACT_M = 1.05e-8
-# The base goes this much further for each newton at the hand.
+# The further way of the base for each newton at the hand [m/N].
 _CONTACT_M_PER_N = 0.65e-9
-# The hand rests for this time before the first ramp.
+# The time for which the hand rests before the first ramp [s].
 _QUIET_S = 0.2
-# A ramp of the hand's force to its next level takes this time.
+# The duration of a ramp of the hand's force to its next level [s].
 _RAMP_S = 0.4
-# The hand approaches for this time at least.
+# The shortest duration of the approach [s].
 _APPROACH_S = 2.4
-# The approach takes longer by this number of round trips, as every time of a cell grows with the round trip, so that a
-# slow loop gets the same number of its own periods.
+# The approach is longer by this number of round trips. All times of a cell grow with the round trip, so that a slow
+# loop gets the same number of its own periods.
 _APPROACH_ROUND_TRIPS = 10.0
-# near its onset a limit cycle of the contact takes seconds to reach its size
+# The length of the hold [s]: near its onset, a limit cycle of the contact takes seconds to reach its size.
 _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sample": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
-# The instrument of every cell has these limits, and no further to go than from where they retract the tip.
+# The limits of every cell's instrument.
 _LIMITS = AfmConfig().to_guard()
-# the first part of a hold is the answer to the step before it
+# The first part of a hold, which is not judged, is the response to the step before it.
 _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
-# A tip of which one of these is true came to rest, and not as the hand meant it to.
+# Facts of a hold that came to rest, but not as the hand meant it to.
 WRONG_RESTS: tuple[str, ...] = ("nothing_moved", "off_force", "struck")
 
 
@@ -122,7 +122,7 @@ class Conditions(Settings):
 
 
 class Cell(Conditions):
-    """What one cell runs."""
+    """The law, the link and the sample of one run."""
 
     law: str = Field(description="Name of the law")
     round_trip_ms: float = Field(ge=0.0, le=1e5, description="Round trip of the link [ms], half of it each way; >= 0")
@@ -144,28 +144,28 @@ class Cell(Conditions):
 
     @property
     def key(self) -> str:
-        """A digest of the cell and of every source its outcome depends on: a changed model is a different cell."""
+        """A digest of the cell and of all sources on which its outcome depends: a changed model gives another key."""
         text = self.model_dump_json() + sources()
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     @property
     def has_random_link(self) -> bool:
-        """Return whether another seed gives another session."""
+        """Whether another seed of the link gives another session."""
         return self.jitter_ms > 0.0 or self.loss > 0.0 or self.network is not None
 
     @property
     def round_trip_s(self) -> float:
-        """Round trip [s], jitter or unevenness at its widest and the devices included."""
+        """The round trip [s] with the latency of the devices, at the greatest jitter or unevenness."""
         widest_ms = self.uneven_ms if self.uneven else self.jitter_ms
         return (self.round_trip_ms + self.device_latency_ms + 2.0 * widest_ms) * 1e-3
 
     @property
     def felt_stiffness_n_per_m(self) -> float:
-        """Return the greatest stiffness that the base can meet [N/m]: a body is met through its cantilever."""
+        """The greatest stiffness that the base can meet [N/m]; a body is met through its cantilever."""
         return CANTILEVER_N_PER_M if self.environment == "body" else self.stiffness_n_per_m
 
     def stiffness_doubts(self) -> str:
-        """Return why the sample is too stiff for law and link, all latency taken to be the instrument's; else empty."""
+        """Return why the sample is too stiff for law and link, else ''; device latency counts as the instrument's."""
         even = not (self.has_random_link or self.uneven)
         return self.controller().stiffness_doubts(self.felt_stiffness_n_per_m, 1e-3 * self.device_latency_ms, even=even)
 
@@ -182,7 +182,7 @@ class Cell(Conditions):
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
     def hold_s(self) -> tuple[float, float]:
-        """Return start and end of the hold that is judged, in session time [s]; ConfigError if it is too short."""
+        """Return start and end of the judged hold in session time [s]; ConfigError if it is too short."""
         start = _QUIET_S + _RAMP_S * len(_LEVELS_N[self.environment])
         start += (_APPROACH_S + _APPROACH_ROUND_TRIPS * self.round_trip_s) * (len(_LEVELS_N[self.environment]) - 1)
         if self.session_s is None:
@@ -195,7 +195,7 @@ class Cell(Conditions):
         return start, self.session_s
 
     def hand_points(self) -> tuple[tuple[float, float], ...]:
-        """Return the corners (time [s], force [N]) of what the hand does."""
+        """Return the corners (time [s], force [N]) of the hand's programme."""
         levels = _LEVELS_N[self.environment]
         points, time, before = [], _QUIET_S, 0.0
         for level in levels:
@@ -205,11 +205,11 @@ class Cell(Conditions):
         return tuple(points)
 
     def instrument(self) -> Any:
-        """Return the constants of what the tip meets; ConfigError for a body that cannot be simulated."""
+        """Return the constants of the environment and its guard; ConfigError for a body that cannot be simulated."""
         return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
 
     def disturbed_instrument(self, duration_s: float) -> Any:
-        """Return the same with its disturbances, for a run of that length [s]; ConfigError names the key at fault."""
+        """Return the instrument with its disturbances for a run of duration_s [s]; ConfigError names a wrong key."""
         instrument = self.instrument()
         if not self.disturbances:
             return instrument
@@ -222,9 +222,9 @@ class Cell(Conditions):
         return instrument._replace(plant=noisy)
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
-        """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).
+        """Return the section `haptic_node.operator` for a programme: corners (time [s], force [N]).
 
-        An arm goes where it would press with that force if hand and sample were one.
+        The path of an arm leads to where it would press with that force if hand and sample were one.
         """
         arm = arm_of(self.hand)
         if arm is None:
@@ -249,18 +249,18 @@ class Cell(Conditions):
 
 @dataclass(frozen=True)
 class CellResult:
-    """What became of a cell.
+    """The outcome of a cell.
 
-    verdict: see `telenano.analysis.verdict`; reason: why the outcome is what it is, in words; growth_per_s [1/s] or
-    None; peak_to_peak_n of alpha_f F_s at the end of the hold [N]; out_of_contact_share: part of the judged hold that
-    the tip was off the surface; hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed;
-    lowest_energy_j: the least that the hand had put into the two-port, at its device, more than it gave to the tip, at
-    the hand's scale [J]: below zero two-port and device have made energy; guarded: whether the instrument's safety
-    chain ended the session; peak_n: greatest alpha_f F_s of the session [N], None if it never began. In the later half
-    of the hold, on average: tip_n, alpha_f F_s [N]; hand_n, F_m [N]; apart_m, how far the hand is ahead of the tip,
-    x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J]. guarded_share: part of the session in which a guard had
-    taken over: the instrument did not follow, or the motor was off. facts: what else is true of the hold, by
-    `telenano.analysis.holds.FactKind`.
+    verdict: see `telenano.analysis.verdict`. reason: the reason for the outcome, in words. growth_per_s: [1/s] or None.
+    peak_to_peak_n: of alpha_f F_s at the end of the hold [N]. out_of_contact_share: the share of the judged hold in
+    which the tip was off the surface. hold_ratio: the mean of F_m / (alpha_f F_s), None if the tip was not pressed.
+    lowest_energy_j: the least value of the energy that the hand had put into the two-port, at its device, minus the
+    energy given to the tip, at the hand's scale [J]; below zero two-port and device have generated energy. guarded:
+    whether the instrument's safety chain ended the session. peak_n: the greatest alpha_f F_s of the session [N], None
+    if it never began. Means over the later half of the hold: tip_n, alpha_f F_s [N]; hand_n, F_m [N]; apart_m, the lead
+    of the hand over the tip, x_m - x_s / alpha_p [m]. hand_work_j: the work of the hand [J]. guarded_share: the share
+    of the session in which a guard had taken over: the instrument did not follow, or the motor was off. facts: further
+    facts of the hold, by `telenano.analysis.holds.FactKind`.
     """
 
     cell: Cell
@@ -282,7 +282,7 @@ class CellResult:
 
     @property
     def outcome(self) -> str:
-        """The verdict, or, where the cell came to rest in another way than it should, the fact that says how."""
+        """The verdict; for a cell that came to rest in a wrong way, the fact that says how."""
         wrong = next((fact for fact in self.facts if fact in WRONG_RESTS), "stable")
         return wrong if self.verdict == "stable" else self.verdict
 
@@ -297,7 +297,7 @@ class CellResult:
 
 
 class _Judgement(NamedTuple):
-    """What a hold is judged to be: verdict, growth [1/s], force from peak to peak [N], reason, and facts."""
+    """The judgement on a hold: verdict, growth [1/s], force from peak to peak [N], reason, and facts."""
 
     verdict: str
     growth_per_s: float | None
@@ -306,28 +306,28 @@ class _Judgement(NamedTuple):
     facts: tuple[str, ...]
 
 
-# A hold in which the hand does not press and the tip does not touch is none, and the law brought neither there.
+# The judgement without a hold: the hand does not press and the tip does not touch, and the law is not the cause.
 _UNTOUCHED = _Judgement("stable", None, 0.0, "the hand does not press, and the tip does not touch", ("nothing_moved",))
 
 
 class Energies(NamedTuple):
-    """At the hand's scale: put in by the hand [J], given to the tip [J], shape (n,) each."""
+    """Energies at the hand's scale: put in by the hand [J], and given to the tip [J], shape (n,) each."""
 
     hand_j: Series
     tip_j: Series
 
     @property
     def stored_j(self) -> Series:
-        """What the two-port holds [J]; below zero it has made energy."""
+        """The energy stored in the two-port [J]; below zero it has generated energy."""
         return np.subtract(self.hand_j, self.tip_j)
 
 
 def run_cell(cell: Cell, run: Callable[[], Trajectory] | None = None) -> CellResult:
-    """Run and judge a cell; one whose tip was never placed is guarded.
+    """Run and judge a cell; a cell whose tip was never placed is guarded.
 
     Args:
         cell: The cell.
-        run: Gives its course; default: `trajectory_of`.
+        run: Returns its course; None takes `trajectory_of`.
 
     Raises:
         ConfigError: The cell cannot be run.
@@ -340,12 +340,12 @@ def run_cell(cell: Cell, run: Callable[[], Trajectory] | None = None) -> CellRes
 
 
 def never_placed(cell: Cell, error: RigError) -> CellResult:
-    """Return the result of a cell whose session never began: a stall of the link made the guard withdraw the tip."""
+    """Return the result of a cell whose session never began, because a stall of the link made the guard withdraw."""
     return CellResult(cell, "guarded", None, 0.0, 1.0, None, 0.0, True, str(error))
 
 
 def trajectory_of(cell: Cell) -> Trajectory:
-    """Run a cell and give the whole course of its session; RigError if the tip was never placed."""
+    """Return the course of a cell's whole session; RigError if the tip was never placed."""
     return course_of(cell, cell.hand_points(), cell.hold_s()[1])
 
 
@@ -355,7 +355,7 @@ def course_of(
     end_s: float,
     measured: tuple[LinkSettings, Path] | None = None,
 ) -> Trajectory:
-    """Run a cell with another programme of the hand: corners (time [s], force [N]) of it, and its length [s].
+    """Return the course of a cell with another programme of the hand.
 
     Args:
         cell: The cell.
@@ -375,7 +375,7 @@ def course_of(
     elif cell.network is not None:
         schedule = _network_schedule(cell.network, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
     else:
-        # a constant delay is the same to the loop wherever it is
+        # The position of a constant delay in the loop makes no difference.
         delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
         jitter_s = cell.jitter_ms * 1e-3
         link = (delay_s, jitter_s, cell.loss, cell.seed, cell.burst)
@@ -384,7 +384,7 @@ def course_of(
 
 
 def settle_s(cell: Cell) -> float:
-    """Return the time before the session [s], in which the instrument is armed and comes to its reference."""
+    """Return the time before the session [s] in which the instrument is armed and moves to its reference."""
     return AfmConfig().time_to_place_s(cell.round_trip_s)
 
 
@@ -397,22 +397,22 @@ def settle_ticks(cell: Cell, period_s: float) -> int:
 def _schedule(
     link: tuple[float, float, float, int, float | None], ticks: int, period_s: float, *, play_out: bool
 ) -> Schedule:
-    """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
+    """Return the arrivals over a link; cached, because laws and hands share it, and drawing a random one is slow."""
     return Schedule.of(symmetric_link(*link), ticks, period_s, play_out=play_out)
 
 
 @functools.lru_cache(maxsize=16)
 def _network_schedule(network: str, seed: int, ticks: int, period_s: float, *, play_out: bool) -> Schedule:
-    """Return the arrivals over a named network, with the draws of a seed."""
+    """Return the arrivals over a named network, with the draws of a seed; cached as `_schedule`."""
     return Schedule.of(LinkSettings.of({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:
-    """Return the verdict on a session of this cell, with its figures."""
+    """Return the result of a session of a cell: the verdict with its figures."""
     controller = cell.controller()
     scales = scales_of(controller)
     start_s, end_s = cell.hold_s()
-    # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
+    # A pause in the commands makes the instrument hold for a moment; only a retraction ends the session.
     lost = ~(course.follows | course.held)
     ended = int(np.argmax(lost)) if lost.any() else len(lost)
     force = scales.force_scale * course.tip_force_n
@@ -427,7 +427,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         (found,) = holds
         facts = tuple(fact.kind for fact in found.facts)
         wrong = next((fact for fact in found.facts if fact.kind in WRONG_RESTS), None)
-        # A hold that rests otherwise than it should has that for its reason; the verdict's reason says why it rests.
+        # If a hold rests in a wrong way, that is the reason; the reason of the verdict would only say why it rests.
         reason = wrong.text if wrong is not None and found.verdict == "stable" else found.reason
         judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
@@ -479,9 +479,10 @@ def scales_of(controller: ControllerConfig) -> Scales:
 
 
 def energies_of(course: Trajectory, scales: Scales) -> Energies:
-    """Return the energy that crossed the two ports of the law since the session began, by the trapezoidal rule.
+    """Return the energy through the two ports of the law since the session began, by the trapezoidal rule.
 
-    The hand's port is F_m with the position x_m of the device, its servo included; the tip's is F_s with the base x_s.
+    The hand's port has F_m and the position x_m of the device, so it includes the device's servo; the tip's port has
+    F_s and the base x_s.
     """
     to_hand = scales.force_scale / scales.position_scale
     tip_j = to_hand * _work(course.tip_force_n, course.base_position_m)
@@ -497,7 +498,7 @@ def _work(force_n: Series, position_m: Series) -> Series:
 def _instrument(environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float) -> Any:
     if environment == "tip_sample":
         return AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": stiffness_n_per_m}}).to_params()
-    # The spring also pulls, so it is met at its rest position and not from a retracted base.
+    # The spring also pulls, so the session begins at its rest position, not at a retracted base.
     section: dict[str, Any] = {"environment": environment, "safety": {"retract_position_m": 0.0}}
     if environment in SAMPLES.found:
         section[environment] = sample_config(environment, stiffness_n_per_m)
@@ -515,19 +516,19 @@ def _instrument(environment: Environment, stiffness_n_per_m: float, mass_kg: flo
 
 
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
-    """Return the settings of the sample of another package, with a stiffness [N/m] where they have one."""
+    """Return the settings of a package's sample, with a stiffness [N/m] if they have one."""
     config = SAMPLES.found[environment].config
     settings = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
     return validate(config, settings, "--stiffness", environment)
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: float = 0.0) -> Rig:
-    """Prepare the rig of a cell and its hand.
+    """Return the rig of a cell with its hand.
 
     Args:
         cell: The cell.
         hand_points: The corners of the hand's programme: time [s], force [N].
-        duration_s: The length of the run [s], for which the disturbances are made.
+        duration_s: The length of the run [s], for which the disturbances are drawn.
 
     Raises:
         ConfigError: The rig cannot be built.
@@ -538,6 +539,6 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: f
 
 @functools.lru_cache(maxsize=1)
 def sources() -> str:
-    """Return a digest of every source that the outcome of a cell depends on."""
+    """Return a digest of all sources on which the outcome of a cell depends."""
     own = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     return source_digest() + hashlib.sha256(own).hexdigest()

@@ -1,11 +1,12 @@
-"""Felt stiffness: what a hand feels of a sample under a law, by sample, frequency, instrument and line, with intervals.
+"""Felt stiffness: the stiffness that a hand feels under a law, by sample, frequency, instrument and line.
 
-A cell is measured in several sessions that differ in what no table can hold: the force with which the hand presses, how
-far it swings, and the noise of the instrument. In each the hand presses on a spring K and swings; with X and F complex
-amplitudes of the swing beside a trend, the hand feels Re(F_m / X_m), and K alpha_f alpha_p is there. What is stated of
-a cell is the mean of the ratio over its sessions, and the interval in which one further session lies 95 times in 100.
+A cell is measured in several sessions that differ in quantities that the table does not list: the force with which the
+hand presses, the amplitude of its swing, and the noise of the instrument. In each session the hand presses on a spring
+K and swings. With the complex amplitudes X and F of the swing beside a trend, the hand feels Re(F_m / X_m), while the
+true stiffness is K alpha_f alpha_p. The result of a cell is the mean of their ratio over its sessions, and the interval
+in which a further session lies 95 times in 100.
 
-A cell has no figure where a session of it is not stable, was ended by the guard, or moved otherwise than the hand
+A cell has no figure if one of its sessions is not stable, was ended by the guard, or moved otherwise than the hand
 swung. It then has the reason, which is counted.
 """
 
@@ -26,12 +27,12 @@ from telenano_lab.studies.loops.cells import Cell, run_cell, scales_of
 from telenano_lab.studies.loops.sweep import Kind
 from telenano_lab.studies.loops.transparency import followed, swing, tone
 
-# A session presses with a force out of this range, and swings with an amplitude out of the other one.
+# The ranges from which the force and the amplitude of a session are drawn [N].
 _PRESSES_N = (0.8, 1.3)
 _SWINGS_N = (0.2, 0.45)
-# What is left of the motion beside swing and trend, as a share of the swing (both RMS), with which there is no figure.
+# The greatest motion beside swing and trend with which a session has a figure, as a share of the swing (both RMS).
 _OTHER_MOTION = 0.7
-# A ratio is kept with this number of digits: those after them differ from processor to processor.
+# The number of digits of a ratio: further digits differ from processor to processor.
 _DIGITS = 6
 
 
@@ -45,16 +46,16 @@ class FeltCell(Cell):
 
     @property
     def key(self) -> str:
-        """A digest of the cell and of every source that its outcome depends on."""
+        """A digest of the cell and of all sources on which its outcome depends."""
         return hashlib.sha256(f"felt {super().key}".encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)
 class Felt:
-    """What the hand feels of the spring of a cell, over what is there.
+    """The stiffness that the hand feels in a cell, relative to the true one.
 
-    ratio: the mean of the sessions; low, high: the interval in which one further session lies, of 95 %; all None where
-    there is no figure, and then `refused` says why, and `refusals` in how many of the sessions.
+    ratio: the mean over the sessions; low, high: the interval of 95 % for a further session. All are None if there is
+    no figure; `refused` then has the reason, and `refusals` the number of sessions without a figure.
     """
 
     cell: FeltCell
@@ -69,7 +70,7 @@ class Felt:
         return {**asdict(self), "cell": self.cell.model_dump(mode="json")}
 
     def row(self) -> dict[str, Any]:
-        """Return it as a row of a table, refusals in words."""
+        """Return the result as a row of a table."""
         cell = self.cell
         return {
             "law": cell.law,
@@ -110,7 +111,7 @@ def felt(cell: FeltCell) -> Felt:
 
 
 def felt_once(cell: FeltCell, number: int) -> float | str:
-    """Return what the hand feels in one session over what is there, or in a word why there is no figure."""
+    """Return the ratio of felt and true stiffness in one session, or a word for the reason why there is none."""
     draw = random.Random(f"felt {number}")
     mean_n, amplitude_n = draw.uniform(*_PRESSES_N), draw.uniform(*_SWINGS_N)
     own = cell.model_copy(update={"seed": cell.seed + number})
@@ -134,18 +135,18 @@ def felt_once(cell: FeltCell, number: int) -> float | str:
 
 @functools.lru_cache(maxsize=256)
 def _outcome(cell: Cell) -> str:
-    """Return what becomes of a hold in a cell, which its swings have in common."""
+    """Return the outcome of the hold of a cell, which all its swings share."""
     return run_cell(cell).outcome
 
 
 def refusals(results: Sequence[Felt]) -> dict[str, int]:
-    """Return how many cells have no figure, by the reason."""
+    """Return the number of cells without a figure by reason."""
     reasons = [result.refused for result in results if result.refused]
     return {reason: reasons.count(reason) for reason in sorted(set(reasons))}
 
 
 def _further(values: Sequence[float]) -> tuple[float, float]:
-    """Return the mean of values, and half the interval around it in which one further value lies 95 times in 100."""
+    """Return the mean of values, and half the interval around it in which a further value lies 95 times in 100."""
     n, mean = len(values), math.fsum(values) / len(values)
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (n - 1))
     return mean, student(n - 1) * deviation * math.sqrt(1.0 + 1.0 / n)

@@ -42,7 +42,7 @@ Way = dict[str, Any]
 
 
 class Variant(NamedTuple):
-    """Group and name of a variant, and its two ways: settings of the link, and the delay over time [s] in a file."""
+    """A variant: its group, its name, and the settings of both directions, with the delay over time [s] in a file."""
 
     group: str
     name: str
@@ -51,10 +51,10 @@ class Variant(NamedTuple):
 
 
 def half_of(link: dict[str, Way]) -> Way:
-    """Return the settings of one way of a line with half of all that its round trips have, and half as many stalls.
+    """Return the settings of one direction with half of the variation and half as many stalls as the round trips have.
 
     Args:
-        link: The settings of both ways: alike, or all that varies forward and a delay alone backward.
+        link: The settings of both directions: alike, or all variation forward and a constant delay backward.
     """
     way, back = link["forward"], link.get("backward", {})
     if back.keys() - {"delay_s"}:
@@ -70,14 +70,14 @@ def half_of(link: dict[str, Way]) -> Way:
 
 
 def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path) -> Iterator[Variant]:
-    """Give the variants of a line whose two ways are alike; traces are written into the folder.
+    """Yield the variants of a line whose two directions are alike; traces are written into the folder.
 
     Args:
-        way: The settings of one way, with jitter.quantiles and perhaps outage and losses.
-        period_s: The time between two messages of the log that it is from [s].
-        seed: Which draws.
-        length_s: How long it is used [s].
-        folder: Where the traces go.
+        way: The settings of one direction, with jitter.quantiles and perhaps outage and losses.
+        period_s: The time between two messages of the underlying log [s].
+        seed: The seed of the draws.
+        length_s: The time for which the line is used [s].
+        folder: The folder for the traces.
     """
     shares, usual_s = np.array([pair.split(":") for pair in way["jitter"]["quantiles"].split(",")], dtype=float).T
     rest: Way = {key: way[key] for key in ("queue", "outage", "gilbert_elliott", "order") if key in way}
@@ -125,7 +125,7 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
 
 
 def _time_of_neighbours_s(jitter: Way, period_s: float) -> float:
-    """Return the correlation time [s] with which neighbours have the correlation that the times of a line give them."""
+    """Return the correlation time [s] of one process whose neighbours correlate as those of the line do."""
     share = jitter.get("second_correlation_share", 0.0)
     rho = (1.0 - share) * math.exp(-period_s / jitter["correlation_time_s"])
     if share:
@@ -134,13 +134,13 @@ def _time_of_neighbours_s(jitter: Way, period_s: float) -> float:
 
 
 def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]:
-    """Return the stalls of both ways together, (begin, length) [s], as the link's model of outages draws them."""
+    """Return stalls of both directions together, (begin, length) [s], as the link's model of outages draws them."""
     forward = {"outage": {**outage, "mean_up_s": 0.5 * outage["mean_up_s"]}}
     settings = LinkSettings.of({"forward": forward}).forward.outage
     model = Outages(settings, 0, stream(seed, "both ways", "outage"))
     stalls, end_ns = [], 0
     while end_ns < 1e9 * length_s:
-        # The model draws until it knows an outage that is not over, which is the next one after this end.
+        # The model draws until it has an outage that ends later than this time.
         model.end_ns(end_ns)
         begin_ns, end_ns = model.state.random[-1]
         stalls.append([1e-9 * begin_ns, 1e-9 * (end_ns - begin_ns)])
@@ -148,10 +148,10 @@ def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]
 
 
 def between(time_s: float, period_s: float, seed: int, length_s: float) -> dict[str, np.ndarray[Any, Any]]:
-    """Return normal scores of each tick by the way in which they continue between the messages of a log.
+    """Return the normal scores of each tick, by the way in which they continue between the messages of a log.
 
-    All have the same correlation at the lag of a period. Those that continue exponentially, in a line or not at all
-    also have the same values there; of those with a part that flickers the rest has twice the time of correlation.
+    All have the same correlation at the lag of a period. The exponential, linear and kept ones also have the same
+    values at the messages; in the one with a part that flickers, the rest has twice the correlation time.
     """
     ticks = round(length_s / _TICK_S) + 1
     step = max(1, round(period_s / _TICK_S))
@@ -213,7 +213,7 @@ def _run(chosen: argparse.Namespace) -> None:
 def _results(
     name: str, laws: list[str], seed: int, period_s: float, hold_s: float
 ) -> Iterator[tuple[tuple[str, str, str], CellResult]]:
-    """Run all variants with the draws of a seed; give group, variant and law, and the result."""
+    """Run all variants with the draws of a seed; yield group, variant and law with the result."""
     profile = profile_named(name)
     jitter = profile.link.get("forward", {}).get("jitter", {})
     if not {"quantiles", "correlation_time_s"} <= jitter.keys():

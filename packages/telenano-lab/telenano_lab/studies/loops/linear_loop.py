@@ -1,13 +1,13 @@
-"""The linear loop of a law against a spring, for a control engineer: transfer functions, margins, roots, two-port.
+"""The linear loop of a law against a spring, for control engineers: transfer functions, margins, roots, two-port.
 
-A law is a two-port (F_m, -v_s) = H (v_m, F_s) at the hand's scale (`theory`). Its slave port ends in the spring,
-F_s = k v_s / s with k = alpha_f alpha_p K, and its master port in a hand that gives a constant force, or in an arm Z_a
+A law is a two-port (F_m, -v_s) = H (v_m, F_s) at the hand's scale (`theory`). Its slave port is terminated by the
+spring, F_s = k v_s / s with k = alpha_f alpha_p K, and its master port by a hand of constant force, or by an arm Z_a
 behind the device D, F_m = -Z_a D v_m / s. Broken at F_s, the loop is
 
     L(s) = k/s (h22 - h12 h21 / (h11 + Z_a D / s)),
 
-and the closed loop has its roots where 1 + L(s) = 0. For the laws that send position and force as they are that is
-G e^(-sT) / (Z_v + g Z_a D) with the whole delay in one place; between wave variables it is in both directions.
+and the closed loop has its roots where 1 + L(s) = 0. For laws that send position and force unchanged, this is G e^(-sT)
+/ (Z_v + g Z_a D) with the whole delay in one place; between wave variables the delay is in both directions.
 """
 
 import functools
@@ -39,16 +39,16 @@ from telenano_lab.studies.loops.theory import (
     transfer_function,
 )
 
-# a hand of constant force, or one of the arms of `haptic_node.operator.arm`
+# A hand of constant force, or one of the arms of `haptic_node.operator.arm`.
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
-# Newton's method begins on a grid of the region with this number of growth rates, and of frequencies.
+# The start of Newton's method: a grid of the region with this number of growth rates, and of frequencies.
 _STARTS = (16, 96)
-# Newton's method ends after at most this number of steps.
+# The most steps of Newton's method.
 _STEPS = 40
-# Roots are sought up to this growth rate.
+# The greatest growth rate of a root that is sought [1/s].
 _MOST_PER_S = 40.0
-# Roots are sought up to this frequency.
+# The greatest frequency of a root that is sought [Hz].
 _HIGHEST_HZ = 16.0
 
 
@@ -72,14 +72,15 @@ class LinearLoop:
 
     @property
     def delay_s(self) -> float:
-        """The delay in the loop [s]: the round trip, and the hold of the force, which is worth half a period."""
+        """The delay in the loop [s]: the round trip, and half a period for the hold of the force."""
         return self.round_trip_s + 0.5 * self.period_s
 
     @property
     def margin(self) -> Margin:
-        """The delay that the loop tolerates in all (T_c), infinite where any; the rest holds without delay.
+        """The margin of the loop: the total delay that it tolerates (T_c), infinite if it tolerates any.
 
-        The line of `wave` is passive at every constant delay, and so is the loop through it.
+        The phase and the crossover are those without delay. The line of `wave` is passive at every constant delay, and
+        so is the loop through it.
         """
         if self._direct is None:
             return Margin(math.inf, math.inf, math.nan)
@@ -89,14 +90,14 @@ class LinearLoop:
 
     @property
     def critical_delay_s(self) -> float:
-        """T_c [s]: the loop is stable where `delay_s` is less."""
+        """T_c [s]: the loop is stable if `delay_s` is less."""
         return self.margin.delay_s
 
     @property
     def critical_link_delay_s(self) -> float:
-        """T_d [s]: the round trip of link and devices that the loop tolerates as it is sampled.
+        """T_d [s]: the round trip of link and devices that the sampled loop tolerates.
 
-        With an arm, which is not sampled, the hold is taken to be worth half a period.
+        A loop with an arm is not sampled; for it the hold counts as half a period.
         """
         if self._direct is not None and self.arm is None:
             return critical_link_delay_s(self._direct, self.period_s)
@@ -110,7 +111,7 @@ class LinearLoop:
         """Return H of the law over the round trip, shape (n, 2, 2), as (F_m, -v_s) = H (v_m, F_s) at the hand's scale.
 
         Raises:
-            ValueError: K_f is 0, so that there is no two-port in hybrid form.
+            ValueError: K_f is 0, so that no two-port in hybrid form exists.
         """
         omega = np.asarray(omega_rad_per_s, dtype=np.float64)
         hybrid = hybrid_of(self.law, self.parameters, self.round_trip_s, omega)
@@ -129,7 +130,7 @@ class LinearLoop:
         return np.asarray(self._spring / (b * s) * (b + hand * line) / (hand + b * line))
 
     def transfer_function(self, pade_order: int = 6) -> Any:
-        """Return L(s) as a `control.TransferFunction`, its delay as Padé's fraction of an order; 0 leaves it out."""
+        """Return L(s) as a `control.TransferFunction`; the delay is a Padé approximation of this order, 0 omits it."""
         import control
 
         up: Any
@@ -148,12 +149,12 @@ class LinearLoop:
         return control.tf(self._spring / b * whole[:-1], inner)
 
     def sampled(self) -> Any:
-        """Return the loop that really runs, as a `control.StateSpace` of whole periods: exact, the delay in its states.
+        """Return the sampled loop, which really runs, as an exact `control.StateSpace` with the delay in its states.
 
-        A fraction of z of so high an order as the delay has periods would lose its poles to rounding.
+        As a fraction in z, whose order is the number of periods in the delay, it would lose its poles to rounding.
 
         Raises:
-            ConfigError: The law is `wave`, whose halves sample a filter each, or there is an arm, which is not sampled.
+            ConfigError: The law is `wave`, whose halves each sample a filter, or there is an arm, which is not sampled.
         """
         import control
 
@@ -168,7 +169,7 @@ class LinearLoop:
         return control.ss(np.eye(count, k=-1), first, last, 0.0, self.period_s) * loop
 
     def roots(self, least_per_s: float = -100.0) -> Complex:
-        """Return the roots of 1 + L(s) = 0 in a region, the least damped first; those below 0 Hz are their mirror.
+        """Return the roots of 1 + L(s) = 0 in a region, the least damped first; those below 0 Hz mirror these.
 
         Args:
             least_per_s: The least growth rate [1/s].
@@ -182,7 +183,7 @@ class LinearLoop:
         )
         s = (real + 1j * imaginary).ravel() + 1e-3
         with np.errstate(all="ignore"):
-            # the zeros of 1 + 1/L, which has no poles where the law sends position and force as they are
+            # The zeros of 1 + 1/L, which has no poles for laws that send position and force unchanged.
             for _ in range(_STEPS):
                 value, step = 1.0 + 1.0 / self.at(s), 1e-6 * (1.0 + np.abs(s))
                 slope = (1.0 / self.at(s + step) - 1.0 / self.at(s - step)) / (2.0 * step)
@@ -212,7 +213,7 @@ class LinearLoop:
         return float(self._values.get("force_gain", 1.0))
 
     def _rational(self) -> tuple[Any, Any]:
-        """Return numerator and denominator of L without delay; of `wave`, of what is on the master's side of the line.
+        """Return numerator and denominator of L without delay; for `wave`, those of the part on the master's side.
 
         The latter is the force of mass, damper, spring and arm over their velocity.
         """
@@ -253,7 +254,7 @@ def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_tr
     """Return the linear loop of the law in force against a spring.
 
     Args:
-        controller: The configuration of both halves, its force clamp left out.
+        controller: The configuration of both halves, without its force clamp.
         stiffness_n_per_m: K of the spring [N/m].
         round_trip_s: The round trip of link and devices [s].
         hand: `force`, a constant force, or the name of an arm.
@@ -268,7 +269,7 @@ def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_tr
 
 
 def not_linear(controller: ControllerConfig) -> str:
-    """Return why the loop of a law against a spring is not linear; empty where it is."""
+    """Return why the loop of a law against a spring is not linear; empty if it is."""
     if controller.law not in LINEAR_LAWS:
         return f"{controller.law} has no linear loop; {', '.join(LINEAR_LAWS)} have"
     if controller.clamp.enabled:
@@ -277,7 +278,7 @@ def not_linear(controller: ControllerConfig) -> str:
 
 
 class _Given(Settings):
-    """What `theory` is asked for, in the ranges of the studies."""
+    """The arguments of `theory`, in the ranges of the studies."""
 
     stiffness_n_per_m: float = Field(gt=0.0, le=1e6)
     round_trip_ms: float = Field(ge=0.0, le=1e5)
@@ -297,7 +298,7 @@ def theory(
 
     Args:
         law: The law: `virtual_impedance`, `position_force` or `wave`.
-        environment: `spring`, which is linear.
+        environment: `spring`, the only linear environment.
         stiffness_n_per_m: K of the spring [N/m].
         round_trip_ms: The round trip of the link [ms].
         hand: `force`, a constant force, or an arm: `soft`, `ordinary`, `stiff`.
@@ -307,7 +308,7 @@ def theory(
         The loop, whose margins are those of `telenano study stability`.
 
     Raises:
-        ConfigError: There is no such law, hand or key, or the loop is not linear; the message says which is.
+        ConfigError: The law, hand or key is unknown, or the loop is not linear; the message says which.
     """
     if law not in LAWS:
         raise ConfigError(f"unknown law {law!r}, {known_names(law, LAWS)}")

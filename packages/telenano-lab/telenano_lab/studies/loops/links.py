@@ -1,4 +1,4 @@
-"""The links of the studies: two directions that are alike, and links that let signals out in no even flow."""
+"""The links of the studies: with two directions alike, or with an uneven flow of signals."""
 
 from typing import Literal
 
@@ -10,18 +10,18 @@ from telenano.settings import LinkSettings
 
 Times = npt.NDArray[np.int64]
 
-# How a link lets signals out in no even flow; `uneven_ns` says what each is.
+# The kinds of an uneven flow of signals; `uneven_ns` describes them.
 Uneven = Literal["slots", "outages", "bursts", "sawtooth"]
 
 
 def uneven_ns(sent_ns: Times, kind: Uneven, size_ns: int) -> Times:
-    """Return when each signal is let out of a link that is uneven in time [ns].
+    """Return the times at which a link with an uneven flow releases signals [ns].
 
     Args:
-        sent_ns: When each is sent [ns].
-        kind: slots: at the end of each slot, together; outages: a fifth of the time is an outage that holds, and all
-            come together at its end; bursts: as slots, but one after another in a tenth of the time; sawtooth: the
-            delay rises by the time that goes by, and falls back, so that signals are overtaken.
+        sent_ns: The times at which they are sent [ns].
+        kind: slots: signals are released together at the end of each slot; outages: for a fifth of the time the link
+            holds signals, and releases them together at the end; bursts: like slots, but one after another within a
+            tenth of the time; sawtooth: the delay rises with time and falls back, so that signals are overtaken.
         size_ns: The length of a slot, an outage, a pause or a tooth [ns].
     """
     phase_ns = sent_ns % (5 * size_ns if kind == "outages" else size_ns)
@@ -34,7 +34,7 @@ def uneven_ns(sent_ns: Times, kind: Uneven, size_ns: int) -> Times:
 
 
 def uneven_schedule(round_trip_s: float, kind: Uneven, size_s: float, ticks: int, period_s: float) -> Schedule:
-    """Return the arrivals over a link whose two directions are uneven alike: see `uneven_ns`; times in [s]."""
+    """Return the arrivals over a link with the same uneven flow in both directions (`uneven_ns`); times in [s]."""
     period_ns, one_way_ns, size_ns = round(period_s * 1e9), round(0.5e9 * round_trip_s), round(size_s * 1e9)
 
     def crossed(sent_ns: Times) -> tuple[Times, Times]:
@@ -52,8 +52,8 @@ def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | 
         one_way_s: The delay of the direction [s].
         jitter_s: The half-width of its uniform random part [s].
         loss: The share of the messages lost, 0..1.
-        burst: The mean number of messages that are lost in a row (E. N. Gilbert, Bell System Technical Journal 39,
-            1960); None if each is lost by itself.
+        burst: The mean number of messages lost in a row (E. N. Gilbert, Bell System Technical Journal 39, 1960); None
+            if losses are independent.
     """
     direction: dict[str, object] = {"delay_s": one_way_s}
     if jitter_s != 0.0:
@@ -70,7 +70,7 @@ def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | 
 def symmetric_link(
     round_trip_s: float, jitter_s: float, loss: float, seed: int, burst: float | None = None
 ) -> LinkSettings:
-    """Return a link whose two directions are alike, each with half of the round trip [s]; the rest as `direction_of`.
+    """Return a link with equal directions, each with half of the round trip [s]; other arguments as `direction_of`.
 
     Raises:
         ConfigError: A value is out of range; the message names its key.

@@ -1,4 +1,4 @@
-"""What each law does over a network as it was measured: in lockstep, on the recorded delays and losses."""
+"""Run each law in lockstep over a measured network, with the recorded delays and losses."""
 
 import functools
 import json
@@ -12,13 +12,13 @@ from telenano.wire import ConfigError
 from telenano_lab.studies.loops.cells import Cell, CellResult, course_of, run_cell
 from telenano_lab.studies.loops.tuning import tuned
 
-# k of the cantilever of Table 2, in the contact of Fig. 12
+# k of the cantilever of Table 2, in the contact of Fig. 12 [N/m].
 CONTACT_N_PER_M = 40.0
 
 
 @dataclass(frozen=True)
 class MeasuredNetwork:
-    """The link's settings that replay a measurement, the folder of its files, and its figures both ways."""
+    """The link settings that replay a measurement, the folder of its files, and its figures over both directions."""
 
     settings: LinkSettings
     folder: Path
@@ -27,10 +27,10 @@ class MeasuredNetwork:
 
 
 def measured_network(folder: Path) -> MeasuredNetwork:
-    """Return the network of a folder of `telenano link probe`.
+    """Return the network in a folder of `telenano link probe`.
 
     Raises:
-        ConfigError: The folder has no probe, or not a whole one.
+        ConfigError: The folder has no complete probe.
     """
     file = folder / "probe.json"
     try:
@@ -48,7 +48,7 @@ def measured_network(folder: Path) -> MeasuredNetwork:
 
 
 def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, CellResult]]:
-    """Run each law in the contact of Fig. 12, with its defaults and tuned for the round trip; tuned is True there."""
+    """Run each law in the contact of Fig. 12, with its defaults (False) and tuned for the round trip (True)."""
     rows = []
     for law in laws:
         for is_tuned in (False, True):

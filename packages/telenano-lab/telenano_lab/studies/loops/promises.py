@@ -1,11 +1,11 @@
-"""What the laws promise over bad links, tried on drawn cells: passivity at the device, a stable hold, the whole force.
+"""Test the promises of the laws over bad links on drawn cells: passivity at the device, a stable hold, the full force.
 
-Every seed has a link of its own, a round trip of 0 to 500 ms with jitter of half the delay and a loss of 0, 5 or 20 %,
+Every seed has a link of its own, with a round trip of 0 to 500 ms, jitter of half the delay and a loss of 0, 5 or 20 %,
 and over it a hand for every sample: a constant force or an arm of 300 or 1000 N/m, on springs of 5 to 200 N/m and in
 the contact. In bursts, 5, 20 or 50 % are lost, a mean number of messages in a row. An uneven link has slots, outages
-that hold, bursts or delays in a sawtooth both ways instead of jitter and loss. The laws are as they come, with the
-clamp that each has. The energy at the device is what the hand has put in more than the tip was given, with the servo of
-the device in the sum; LEAST_J below zero is what rounding and the trapezoid leave.
+that hold, bursts or a sawtooth delay in both directions instead of jitter and loss. The laws have their defaults, each
+with its own clamp. The energy at the device is the energy that the hand put in minus the energy given to the tip, with
+that of the device's servo; LEAST_J below zero is left by rounding and the trapezoidal rule.
 """
 
 import itertools
@@ -33,20 +33,20 @@ SAMPLES: tuple[tuple[Environment, float], ...] = (
 )
 UNEVEN: tuple[Uneven, ...] = ("slots", "outages", "bursts", "sawtooth")
 UNEVEN_MS = (15.0, 30.0, 60.0, 120.0)
-# half of the delay each way, as a share of the round trip
+# The half-width of the jitter: half of the delay of each direction, as a share of the round trip.
 _JITTER = 0.25
 LEAST_J = -1e-6
-# the laws that promise passivity over any link
+# The laws that promise passivity over any link.
 PASSIVE_LAWS = tuple(name for name, law in OWN_LAWS.items() if law.passive)
 _INTENDED_N: dict[str, float] = {"spring": 1.0, "tip_sample": 2.0}
 
 
 class Outcome(NamedTuple):
-    """What became of a law at a round trip [ms]: runs, those with energy >= LEAST_J and the least [J], and stable ones.
+    """The results of a law at a round trip [ms]: runs, runs with energy >= LEAST_J, the least energy [J], stable runs.
 
-    share, least_share: median and least force at the tip over the intended one, and apart_m, the median of how far the
-    hand is ahead of the tip [m], of the runs that were stable and came to rest as they should; None where none was.
-    failed: what became of the others.
+    share, least_share: median and least force at the tip over the intended one; apart_m: the median lead of the hand
+    over the tip [m]. These are of the runs that were stable and came to rest properly, None without any. failed: the
+    count of each outcome of the others.
     """
 
     law: str
@@ -63,15 +63,15 @@ class Outcome(NamedTuple):
 
 
 def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None, *, uneven: bool = False) -> list[Cell]:
-    """Return a link for every seed with a hand drawn for every sample on it; every law gets the same ones.
+    """Return a link for every seed with a hand drawn for every sample on it, the same ones for every law.
 
-    What runs over one link comes together: to draw a random one takes longer than to run over it.
+    Cells over one link follow one another, because drawing a random link takes longer than a run over it.
 
     Args:
         laws: The laws.
         seeds: The number of seeds.
-        burst: The mean number of messages that are lost in a row; None if each is lost by itself.
-        uneven: Whether the link is uneven in time, without jitter and loss.
+        burst: The mean number of messages lost in a row; None if losses are independent.
+        uneven: Whether the link has an uneven flow, without jitter and loss.
     """
     return [cell for seed in range(seeds) for cell in _drawn(laws, seed, burst, uneven=uneven)]
 
@@ -104,7 +104,7 @@ def _drawn(laws: Sequence[str], seed: int, burst: float | None, *, uneven: bool)
 def outcomes(
     laws: Sequence[str], seeds: int, sweep: Sweep, burst: float | None = None, *, uneven: bool = False
 ) -> list[Outcome]:
-    """Run the drawn cells; a row for every law and round trip, of a constant force and of the arms."""
+    """Run the drawn cells; return a row for every law and round trip, of the constant force and of the arms."""
     results = sweep.run(drawn_cells(laws, seeds, burst, uneven=uneven))
     rows = []
     for law, round_trip_ms in itertools.product(laws, ROUND_TRIPS_MS):
@@ -139,10 +139,10 @@ def _row(law: str, hand: str, round_trip_ms: float, results: Sequence[CellResult
 
 
 def broken(rows: Sequence[Outcome]) -> list[Outcome]:
-    """Return the rows in which a law that promises passivity made energy."""
+    """Return the rows in which a law that promises passivity generated energy."""
     return [row for row in rows if row.law in PASSIVE_LAWS and row.passive < row.runs]
 
 
 def as_dict(row: Outcome) -> dict[str, Any]:
-    """Return a row as plain data, and whether its law promises passivity."""
+    """Return a row as plain data, with whether its law promises passivity."""
     return {**row._asdict(), "promised": row.law in PASSIVE_LAWS}

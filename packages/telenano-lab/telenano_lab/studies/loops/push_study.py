@@ -1,9 +1,9 @@
-"""How a delayed hand places a particle: trials in lockstep over links, under each law for the normal direction.
+"""Placing of a particle by a delayed hand: trials in lockstep over links, under each law for the normal direction.
 
-A trial is a particle 1 um from its goal, a link, and a hand (`telenano_lab.assembly.push_hand`) with a reaction time.
-The hand presses with a constant force by the law under study, as in every study, and steers the tip over the sample by
-rate: the rate goes with the forward signals of the law, and place and lateral force with the answers. Where a signal is
-lost the last rate counts on, at most to the deadline of the loop.
+A trial has a particle 1 um from its goal, a link, and a hand (`telenano_lab.assembly.push_hand`) with a reaction time.
+The hand presses with a constant force through the law under study, as in every study, and steers the tip over the
+sample by rate: the rate is sent with the forward signals of the law, and place and lateral force return with the
+answers. If a signal is lost, the last rate continues to count, up to the deadline of the loop.
 """
 
 import functools
@@ -26,19 +26,19 @@ from telenano_lab.studies.loops.cells import sources
 from telenano_lab.studies.loops.links import symmetric_link
 from telenano_lab.studies.loops.sweep import Kind
 
-# A particle is placed within this distance of its goal.
+# A particle is placed if it is within this distance of its goal.
 PLACED_M = 50e-9
 WAY_M = 1e-6
-# Eq. 14 with steps of 10 nm at 30 Hz
+# Eq. 14 with steps of 10 nm at 30 Hz.
 SPEED_M_PER_S = 300e-9
 REACTION_S = 0.2
 PRESSES_N = 1.2
-# A trial ends after at most this time.
+# A trial ends after at most this time [s].
 _LONGEST_S = 40.0
-# The hand begins to steer this long after the start, when the tip has touched the sample.
+# The time from the start until the hand steers, when the tip has touched the sample [s].
 _TOUCHED_S = 1.0
 
-# At the hand this cantilever is 1500 N/m, for which the paper's loop tolerates 95 ms.
+# At the hand this cantilever has 1500 N/m, for which the paper's loop tolerates 95 ms.
 _STIFFNESS_N_PER_M = 10.0
 
 
@@ -54,16 +54,16 @@ class Trial(Settings):
 
     @property
     def key(self) -> str:
-        """A digest of the trial and of every source its outcome depends on."""
+        """A digest of the trial and of all sources on which its outcome depends."""
         return hashlib.sha256((self.model_dump_json() + sources()).encode()).hexdigest()[:24]
 
 
 class Outcome(NamedTuple):
-    """What became of a trial.
+    """The outcome of a trial.
 
-    error_m: how far the particle really is from its goal at the end [m]; done: whether the hand was content with that;
-    time_s: how long it took from the touch on [s], the longest where it was not done; losses: how often the particle
-    was lost; peak_n, press_n: the largest force across the tip and along it [N].
+    error_m: the true distance of the particle from its goal at the end [m]. done: whether the hand accepted the place.
+    time_s: the time from the touch to that [s], the longest time of a trial if it was not done. losses: how often the
+    particle was lost. peak_n, press_n: the greatest forces across the tip and along it [N].
     """
 
     cell: Trial
@@ -89,7 +89,7 @@ def read(data: dict[str, Any]) -> Outcome:
 
 
 def check(trial: Trial) -> None:
-    """Raise ConfigError for a law that is not known."""
+    """Raise ConfigError for an unknown law."""
     if trial.law not in LAWS:
         raise ConfigError(f"--law: unknown law {trial.law!r}, {known_names(trial.law, LAWS)}")
 
@@ -110,12 +110,12 @@ def _rig(law: str) -> Rig:
 
 @functools.lru_cache(maxsize=4)
 def _schedule(round_trip_s: float, loss: float, seed: int, ticks: int, period_s: float) -> Schedule:
-    """Return the arrivals of a link; the laws are tried over the same one."""
+    """Return the arrivals over a link; cached, because the laws are tried over the same one."""
     return Schedule.of(symmetric_link(round_trip_s, 0.0, loss, seed), ticks, period_s)
 
 
 def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
-    """Run a trial, of at most longest_s [s] after the touch."""
+    """Run a trial, which ends at most longest_s [s] after the touch."""
     rig, random = _rig(trial.law), np.random.Generator(np.random.PCG64(trial.seed))
     plant, period_s = rig.instrument.plant, rig.period_s
     round_trip_s = 1e-3 * trial.round_trip_ms
@@ -147,7 +147,7 @@ PUSHES = Kind(check, run, read)
 
 
 class Row(NamedTuple):
-    """All trials of a law over a link: how many were placed, with the interval of 95 %, and medians of the rest."""
+    """All trials of a law over a link: the number placed, its share's interval of 95 %, and medians of the rest."""
 
     law: str
     round_trip_ms: float
@@ -164,7 +164,7 @@ class Row(NamedTuple):
 
 
 def trials_of(laws: Sequence[str], round_trips_ms: Sequence[float], losses: Sequence[float], seeds: int) -> list[Trial]:
-    """Return all trials; those over one link come together, because a random link takes longer than a run over it."""
+    """Return all trials; those over one link follow one another, because drawing a random link is slow."""
     return [
         Trial(law=law, round_trip_ms=trip_ms, loss=loss, seed=seed)
         for trip_ms in round_trips_ms

@@ -1,8 +1,8 @@
-"""The link of a recording for the lockstep loop: the losses and delays that the messages of a session really had.
+"""The link of a recording for the lockstep loop: the true losses and delays of a session's messages.
 
-Over a random link the bus is one draw of the losses, and the same seed gives lockstep another, because the session
+Over a random link the bus is one draw of the losses, and the same seed gives lockstep another draw, because the session
 starts at another message. The recording has the ground truth of every message that crossed the link (`link/fates`), so
-lockstep can run over that draw: what then differs is the bus and not the link.
+lockstep can run over that same draw; remaining differences are then due to the bus and not to the link.
 """
 
 from pathlib import Path
@@ -25,7 +25,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
         period_s: The period of the hand [s].
 
     Raises:
-        RecordingError: The file lacks something; the message names the file and what it lacks.
+        RecordingError: Something is missing in the file; the message names the file and what is missing.
     """
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
@@ -33,11 +33,11 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     running = last_force_profile(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's force profile never ran in it")
-    # Each sample says how many periods it is after the one before, which gives its tick, however late it was.
+    # Each sample states the periods since the one before, which gives its tick, however late it was.
     stamps, tick_of = hand["t_ns"], np.cumsum(np.round(hand["step_s"] / period_s)).astype(np.int64)
     first = running[0]
     tick_of += settle + round(hand["session_s"][first] / period_s) - tick_of[first]
-    # the grid is that of the sample that was least late
+    # The grid follows the sample that was least late.
     origin_ns = int((stamps - tick_of * period_ns)[running].min())
 
     forward_ns, forward_hand_ns = _crossed(recording, "forward", "teleop/forward")
@@ -45,7 +45,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     forward_ns, forward_of = _within(forward_ns - origin_ns, _ticks(forward_hand_ns, stamps, tick_of), ticks)
     # No message arrives before its tick.
     forward_ns = np.maximum(forward_ns, forward_of * period_ns)
-    # an answer is that to the forward message of the same sample
+    # An answer belongs to the forward message of the same sample.
     answered_tick = _ticks(backward_hand_ns, stamps, tick_of)
     backward_ns, answered_tick = _within(backward_ns - origin_ns, answered_tick, ticks)
     place = np.searchsorted(forward_of, answered_tick)
@@ -53,24 +53,24 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     is_recorded[is_recorded] = forward_of[place[is_recorded]] == answered_tick[is_recorded]
 
     def answers(sent_ns: Times) -> tuple[Times, Times]:
-        # there is one answer to forward messages that come together
+        # Forward messages that arrive together have one answer.
         times_ns, answered = Schedule.newest(
             backward_ns[is_recorded], np.searchsorted(sent_ns, forward_ns[place[is_recorded]])
         )
-        # an answer comes after its question
+        # An answer comes after its forward message.
         return np.maximum(times_ns, sent_ns[answered]), answered
 
     return Schedule.over(lambda sent_ns: (forward_ns, forward_of), answers, ticks, period_ns)
 
 
 def _ticks(hand_ns: Times, stamps: Times, tick_of: Times) -> Times:
-    """Return the ticks of samples of the hand by their stamps [ns]; -1 for one that the recording does not have."""
+    """Return the ticks of samples of the hand by their stamps [ns]; -1 for a sample that is not in the recording."""
     place = np.minimum(np.searchsorted(stamps, hand_ns), len(stamps) - 1)
     return np.where(stamps[place] == hand_ns, tick_of[place], -1)
 
 
 def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, Times]:
-    """Return when the link let each message of a topic out, and the stamp of its sample of the hand, by time [ns]."""
+    """Return the sorted times at which the link released a topic's messages, and the stamps of their samples [ns]."""
     crossings = []
     for message in recording.messages(("link/fates",)):
         fates = message.fields()
@@ -96,6 +96,6 @@ def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, T
 
 
 def _within(times_ns: Times, tick_of: Times, ticks: int) -> tuple[Times, Times]:
-    """Return what belongs to the run and was not overtaken: readers take the newest sample only."""
+    """Return the messages of the run that were not overtaken, because readers use the newest sample only."""
     inside = (tick_of >= 0) & (tick_of < ticks)
     return Schedule.newest(times_ns[inside], tick_of[inside])

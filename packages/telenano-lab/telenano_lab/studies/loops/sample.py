@@ -1,4 +1,4 @@
-"""A drawn sample of cells: laws, networks, hands and environments in any combination, decided by one seed."""
+"""Draw a sample of cells: laws, networks, hands and environments in any combination, decided by one seed."""
 
 import random
 from typing import get_args
@@ -8,24 +8,25 @@ from telenano_lab.studies.loops.tuning import Settings, tuned
 from telenano_lab.studies.option_values import COMPARED_LAWS
 
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
-# The bus can run these environments.
+# The environments that the bus can run.
 _ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "tip_sample")
-# A good link is as frequent as a random one in both lists. Jitter is given as a share of the one-way delay.
+# Each list has the good value twice, so that a good link is as frequent as a random one. Jitter is a share of the
+# one-way delay.
 _JITTER_SHARES = (0.0, 0.0, 0.25)
-# Loss is given as a share of the messages.
+# Losses as a share of the messages.
 _LOSSES = (0.0, 0.0, 0.05, 0.2)
-# The stiffness of an environment is one of these, but for that of a tip and a sample.
+# The stiffnesses of environments without a tip and a sample.
 _STIFFNESSES_N_PER_M = (5.0, 10.0, 20.0, 38.0, 80.0)
 # The stiffness of a cell with a tip and a sample.
 _CONTACT_N_PER_M = 40.0
-# the hold that is judged, short enough to be run in real time [s]
+# The length of the judged hold, short enough to be run in real time [s].
 HOLD_S = 4.0
 
 
 def drawn_cells(number: int, seed: int) -> list[Cell]:
-    """Draw this number of different cells: a seed gives the same ones on every machine.
+    """Draw this number of different cells; a seed gives the same ones on every machine.
 
-    One cell in two has its law tuned for its delay (`tuning`); the clamp is off, on, or as the law has it.
+    In half of the cells the law is tuned for its delay (`tuning`); the clamp is off, on, or as the law has it.
     """
     source, cells = random.Random(seed), list[Cell]()
     while len(cells) < number:

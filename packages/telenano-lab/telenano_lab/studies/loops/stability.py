@@ -1,4 +1,4 @@
-"""Stability maps: which delay each law tolerates, on a grid and to a fraction of a sample, beside the theory."""
+"""Stability maps: the delay that each law tolerates, on a grid and to a fraction of a sample, beside the theory."""
 
 import itertools
 import math
@@ -48,13 +48,13 @@ class Axes(Conditions):
     )
 
     def lines(self) -> list["Line"]:
-        """Return every combination of what is not the delay."""
+        """Return a line for every combination of all values except the delay."""
         springs = self.stiffnesses_n_per_m or DEFAULT_STIFFNESS[self.environment]
         combinations = itertools.product(self.laws, springs, self.gains, self.jitters, self.losses)
         return [Line(self, *values) for values in combinations]
 
     def check(self) -> list[str]:
-        """Return what makes a cell doubtful, each text once; raise ConfigError for an option that cannot be run."""
+        """Return the doubts about the cells, each text once; raise ConfigError for an option that cannot be run."""
         for field, option in (("mass_kg", "--mass"), ("damping_n_s_per_m", "--body-damping")):
             if field in self.model_fields_set and self.environment != "body":
                 raise ConfigError(f"{option}: {self.environment} has none; give --environment body")
@@ -74,7 +74,7 @@ class Axes(Conditions):
 
 @dataclass(frozen=True)
 class Line:
-    """One law under one set of conditions: a line of the map along the delay."""
+    """One law under one set of conditions: the cells of the map along the delay."""
 
     axes: Axes
     law: str
@@ -96,7 +96,7 @@ class Line:
 
     @property
     def is_random(self) -> bool:
-        """Return whether another seed gives another map."""
+        """Whether another seed gives another map."""
         return bool(self.jitter.value or self.loss or self.axes.disturbances)
 
     @property
@@ -112,14 +112,14 @@ class Line:
 
 @dataclass(frozen=True)
 class LineResult:
-    """A line of the map and where it turns unstable.
+    """A line of the map and the delay at which it becomes unstable.
 
-    critical_delay_ms: round trip of the loop that is neutral, the half period of the hold and the declared latency of
-    the devices included: what compares with T_c of the theory; critical_link_ms: what the link alone may add. Both are
-    None when no cell up to the longest delay is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law
-    has no such loop, and where no delay makes it neutral (`theory_unlimited`). Of several seeds, `cells` have the first
-    verdict that is not stable at each delay, `stable_shares` how many were, and the critical delays are the means of
-    those seeds that have one, with the statistic of that of the link in `seeds`.
+    critical_delay_ms: the round trip of the loop that is neutral, with half a period of hold and the stated latency of
+    the devices; compare it with T_c of the theory. critical_link_ms: the part that the link may add. Both are None if
+    no cell up to the longest delay is unstable. theory_ms, theory_link_ms: T_c and T_d, None if the law has no such
+    loop, or if no delay makes it neutral (`theory_unlimited`). With several seeds, `cells` have the first verdict that
+    is not stable at each delay, `stable_shares` the share of stable seeds, and the critical delays are the means over
+    the seeds that have one, with the statistic of that of the link in `seeds`.
     """
 
     line: Line
@@ -164,7 +164,7 @@ class LineResult:
 
 
 def run_stability(axes: Axes, sweep: Sweep) -> list[LineResult]:
-    """Run the grid, then close in on the critical delay of each line; where something is random, for each seed."""
+    """Run the grid, then refine the critical delay of each line; for each seed, if anything is random."""
     seeded = [axes.model_copy(update={"seed": axes.seed + number}).lines() for number in range(axes.seeds)]
     runs = [draws if draws[0].is_random else draws[:1] for draws in zip(*seeded, strict=True)]
     results = iter(_run([line for draws in runs for line in draws], sweep))
@@ -181,7 +181,7 @@ def _run(lines: Sequence[Line], sweep: Sweep) -> list[LineResult]:
 
 
 def _over_seeds(draws: Sequence[LineResult]) -> LineResult:
-    """Return what the draws of a line have in common."""
+    """Return the common result of the draws of a line."""
     first = draws[0]
     if len(draws) == 1:
         return first
@@ -200,21 +200,21 @@ def _over_seeds(draws: Sequence[LineResult]) -> LineResult:
 
 @dataclass(frozen=True)
 class Edge:
-    """Numbers of samples of delay: `low` is stable (-1: none is known to be), `high` is not."""
+    """Delays in samples: `low` is stable (-1: no stable one is known), `high` is not."""
 
     low: int
     high: int
 
     @property
     def middle(self) -> int | None:
-        """Return the next delay to compute; None when nothing lies between."""
+        """The next delay to compute; None if there is none between."""
         return (self.low + self.high) // 2 if self.high - self.low > 1 else None
 
 
 def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sweep: Sweep) -> list[float | None]:
     """Return for each line the round trip of the link [ms] at which the loop is neutral; None if no cell is unstable.
 
-    A constant delay acts in whole samples, so the search goes over those; between the last stable and the first
+    A constant delay acts in whole samples, so the search goes over samples. Between the last stable and the first
     unstable number the growth rate is taken as linear in the delay, and its zero is the edge.
     """
     edges = {i: edge for i, row in enumerate(rows) if (edge := _bracket(lines[i], row)) is not None}
@@ -232,8 +232,8 @@ def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sw
 def neutral(edge: Edge, low_growth_per_s: float | None, high_growth_per_s: float | None) -> float:
     """Return the number of samples, with its fraction, at which the growth rate passes zero.
 
-    Beyond either end by a sample at most: near neutral a small motion counts as stable while it still grows a little,
-    and an end that counts as a limit cycle may still die out very slowly.
+    It may lie up to one interval beyond either end: near neutral a small motion counts as stable while it still grows a
+    little, and an end that counts as a limit cycle may still die out very slowly.
     """
     if edge.low < 0:
         return 0.0
@@ -258,9 +258,9 @@ def _ms(line: Line, samples: int) -> float:
 
 
 def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:
-    """Put a line, its cells and the edge that was found [ms] beside what theory says."""
+    """Return a line with its cells and its edge, which was found at link_ms [ms], beside the theory."""
     theory_s, theory_link_s = theory_of(line)
-    # the loop's gain never reaches 1: no delay makes it neutral
+    # The gain of the loop never reaches 1, so that no delay makes it neutral.
     unlimited = theory_s is not None and math.isinf(theory_s)
     inside_ms = 0.5 * _ms(line, 1) + line.axes.device_latency_ms
     return LineResult(
@@ -275,12 +275,12 @@ def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None
 
 
 def theory_of(line: Line) -> tuple[float | None, float | None]:
-    """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
+    """Return T_c and T_d [s] of a line; None unless law and environment form a linear loop with a constant delay."""
     cell = line.cell(0.0)
     if loop_model(line.law, cell.controller().law_config(), line.stiffness_n_per_m) is None:
         return None, None
     if line.jitter.value or line.loss or not_linear(cell):
         return None, None
     loop = linear_loop(cell)
-    # the round trip of the loop at no delay of the link is that of the devices
+    # Without a delay of the link, the round trip of the loop is that of the devices.
     return loop.critical_delay_s, max(0.0, loop.critical_link_delay_s - loop.round_trip_s)

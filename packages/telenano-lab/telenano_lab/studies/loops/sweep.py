@@ -1,7 +1,7 @@
-"""Many cells: on every core or on a Dask cluster, with a journal that an interrupted sweep continues from.
+"""Run many cells: on every core or on a Dask cluster, with a journal from which an interrupted sweep continues.
 
-The journal holds a line of JSON for each finished cell. Its key includes a digest of all model sources, so a changed
-model is computed again while everything else is taken from the file.
+The journal holds a line of JSON for each finished cell. Its key includes a digest of all model sources, so that cells
+of a changed model are computed again while all others are taken from the file.
 """
 
 import contextlib
@@ -22,10 +22,10 @@ from telenano.wire import ConfigError, RigError
 from telenano_lab.studies.loops.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"
-# cells handed over together: one takes about 20 ms, a message to a process or a machine a good part of that
+# The number of cells in a batch: a cell takes about 20 ms, and a message to a process or a machine a good part of that.
 _BATCH = 8
-# A cluster without a worker for this time [s] is said to have none, and one without a result, where it has the work of
-# others, to be busy with that.
+# After this time without a worker a cluster is reported to have none; after this time without a result, if it has other
+# work, it is reported to be busy [s].
 _WORKER_S = 5.0
 _CONTINUES = "finished cells are in the journal; start a scheduler there and repeat the command to continue"
 
@@ -37,7 +37,7 @@ def silent(done: int, total: int) -> None:
 
 
 def unheard(text: str) -> None:
-    """Show no text."""
+    """Ignore a text."""
 
 
 def _none(cell: Any) -> str:
@@ -45,10 +45,11 @@ def _none(cell: Any) -> str:
 
 
 class Kind(NamedTuple):
-    """A kind of cells: what checks one before anything starts, what runs it, and what reads its result from plain data.
+    """A kind of cells: the check of a cell before anything starts, its run, and the reading of its result.
 
-    A cell has a `key`; a result has its `cell`, and `as_dict` for the journal. `doubts` is what to warn of at a cell;
-    `batch`, how many cells that follow one another are handed over together.
+    A cell has a `key`; a result has its `cell`, and `as_dict` for the journal, whose plain data `result` reads.
+    `doubts` returns a warning about a cell, or ''; `batch` is the number of consecutive cells that are handed over
+    together.
     """
 
     check: Callable[[Any], object]
@@ -67,7 +68,7 @@ HOLDS = Kind(_check, run_cell, CellResult.from_dict, Cell.stiffness_doubts)
 
 
 def run_batch(cells: Sequence[Any], run: Callable[[Any], Any] = run_cell) -> list[Any]:
-    """Run some cells one after the other: what a worker is asked to do."""
+    """Run some cells one after the other: the task of a worker."""
     return [run(cell) for cell in cells]
 
 
@@ -95,7 +96,7 @@ class Journal:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         lines = [json.dumps({"key": key, "result": result.as_dict()}, allow_nan=False) for key, result in entries]
         content = "".join(line + "\n" for line in lines).encode()
-        # Another sweep into this folder may be reading, and takes a line that is not whole out of the file.
+        # Another sweep into this folder may be reading, and removes an incomplete line from the file.
         with locked(self.path, mode=0o666):
             try:
                 size = self.path.stat().st_size if self.path.exists() else 0
@@ -108,7 +109,7 @@ class Journal:
         self.results.update(entries)
 
     def _whole_lines(self) -> list[bytes]:
-        """Return the lines that were written to their end; one that was cut off is taken out of the file."""
+        """Return the complete lines; an incomplete last line is removed from the file."""
         data = self.path.read_bytes() if self.path.exists() else b""
         if data and not data.endswith(b"\n"):
             with locked(self.path, mode=0o666):
@@ -120,9 +121,9 @@ class Journal:
 
 @dataclass
 class Sweep:
-    """Runs cells and remembers them. `workers`: processes on this machine; `scheduler`: a Dask cluster instead.
+    """Runs cells and keeps their results. `workers`: processes on this machine; `scheduler`: a Dask cluster instead.
 
-    `warn` gets a sentence, once, for each sample that is too stiff for its law.
+    `warn` receives a sentence, once, for each sample that is too stiff for its law.
     """
 
     journal: Journal
@@ -143,7 +144,7 @@ class Sweep:
         missing = [cell for cell, key in keys.items() if key not in self.journal.results]
         done = len(keys) - len(missing)
         self.progress(done, len(keys))
-        # The generator is closed here, because an interruption must not wait for the work of the workers.
+        # Close the generator here, because an interruption must not wait for the workers.
         with contextlib.closing(self._computed(missing)) as computed:
             for results in computed:
                 self.journal.record(results)
@@ -155,7 +156,7 @@ class Sweep:
     def _computed(self, cells: list[Any]) -> Generator[list[Any], None, None]:
         kind = self.journal.kind
         for cell in cells:
-            # The check comes before anything is started: a cell that cannot be run is the caller's mistake.
+            # Check all cells before anything is started: a cell that cannot be run is the caller's mistake.
             kind.check(cell)
         batches = [cells[i : i + kind.batch] for i in range(0, len(cells), kind.batch)]
         if self.scheduler is not None:
@@ -167,10 +168,10 @@ class Sweep:
 
 
 def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterator[list[Any]]:
-    """Run on processes of this machine, which end with what reads their results."""
+    """Run on processes of this machine, which end when the reader of their results ends."""
     # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
-    # The pool itself starts a process, which tracks its semaphores.
+    # The pool starts a further process itself, which tracks its semaphores.
     with spawning_workers():
         pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
@@ -179,7 +180,7 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
         for future in as_completed(futures):
             yield future.result()
     except BaseException:
-        # The work in progress is of no use any more, and may take seconds.
+        # The work in progress is useless now, and may take seconds.
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(active_children()) - others:
             process.terminate()
@@ -189,13 +190,13 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
 
 
 def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callable[[str], None]) -> Iterator[list[Any]]:
-    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer, or is lost.
+    """Run on a cluster whose workers have this project installed; ConfigError if it does not answer, or is lost.
 
-    `warn` gets a sentence where the work waits: for a first worker, or for the work of others.
+    `warn` receives a sentence if the work has to wait for a first worker, or for the work of others.
     """
-    # dask has types for a part of itself only
+    # dask has types for some of its parts only.
     cluster: Any = import_module("dask.distributed")
-    # It writes a traceback of each connection that is lost, beside what is said of it here.
+    # It would write a traceback for each lost connection, besides the message here.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = cluster.Client(address, timeout="10s")
@@ -225,7 +226,7 @@ def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callab
                     yield results
         except cluster.KilledWorker as error:
             raise ConfigError(f"--scheduler {address}: cells ended one worker after the other: {error}") from error
-    # What a scheduler had is cancelled when it is lost, and comes no more.
+    # When a scheduler is lost, its work is cancelled and gives no results.
     if came < len(batches):
         lost = f"{len(batches) - came} of {len(batches)} batches of cells have no result"
         raise ConfigError(f"--scheduler {address}: the Dask scheduler was lost, {lost}: {_CONTINUES}")

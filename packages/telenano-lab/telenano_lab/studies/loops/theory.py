@@ -7,10 +7,10 @@
 and the delay margin is the phase margin over the crossover frequency, T_c = phi / omega_c.
 
 **The sample period.** The law integrates with the force held over a period Ts, so the loop that really runs is the
-exact discretisation of L at T = 0, with the delay counted in whole samples. Its own margin, T_d = phi_d / omega_d of
-the sampled loop, is how much delay the link may add. The hold is worth half a period: T_d = T_c - Ts/2 to first order
-in omega_c Ts, so what a link may add is 0.5 ms less than the continuous loop tolerates at 1 kHz. T_d + Ts/2 of the
-sampled loop is therefore what compares with T_c.
+exact discretisation of L at T = 0, with the delay in whole samples. Its own margin, T_d = phi_d / omega_d of the
+sampled loop, is the delay that the link may add. The hold counts as half a period: T_d = T_c - Ts/2 to first order in
+omega_c Ts, so at 1 kHz a link may add 0.5 ms less than the continuous loop tolerates. Therefore T_d + Ts/2 of the
+sampled loop is to be compared with T_c.
 
 **Two-ports.** A teleoperator is written in hybrid form at the hand's scale, (F_m, -v_s) = H (v_m, F_s), with
 F_s -> alpha_f F_s and v_s -> v_s / alpha_p. Llewellyn: it stays stable between any passive hand and any passive
@@ -46,7 +46,7 @@ class Margin(NamedTuple):
 
 
 class LoopModel(NamedTuple):
-    """L(s) at T = 0: gain / (mass s^2 + damping s + stiffness), at the hand's scale: all over [N/m], kg, N s/m."""
+    """L(s) at T = 0: gain / (mass s^2 + damping s + stiffness), at the hand's scale, in N/m, kg, N s/m and N/m."""
 
     gain_n_per_m: float
     mass_kg: float
@@ -63,14 +63,14 @@ class Arm(NamedTuple):
 
 
 class Device(NamedTuple):
-    """The position servo of Eq. 2: a^2 [1/s^2] and b_d [1/s]."""
+    """The position servo of Eq. 2, with a^2 [1/s^2] and b_d [1/s]."""
 
     square: float
     damping_per_s: float
 
 
 def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> LoopModel | None:
-    """Return the loop of a law against a linear environment K [N/m]; None for a law whose loop is not of this form.
+    """Return the loop of a law against a linear environment K [N/m]; None for a law without a loop of this form.
 
     virtual_impedance: (K_f + 1) alpha_f alpha_p K over its impedance. position_force: alpha_f alpha_p K over its mass.
     """
@@ -104,7 +104,8 @@ def delay_margin(loop: Any) -> Margin:
     """Return the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1.
 
     The frequencies are the roots of |L| = 1 on (0, pi/Ts) of a sampled loop and on (0, inf) of a continuous one,
-    bracketed on a grid of _GRID a decade. The margin is infinite, and the crossover not a number, where there is none.
+    bracketed on a grid with _GRID points a decade. Without such a frequency, the margin is infinite and the crossover
+    NaN.
     """
     if loop.isdtime(strict=True):
         return margin_of(lambda omega: complex(loop(np.exp(1j * omega * loop.dt))), math.pi / loop.dt * (1.0 - 1e-9))
@@ -131,11 +132,11 @@ def margin_of(response: Callable[[float], complex], highest_rad_per_s: float = _
 
 
 def arm_response(loop: LoopModel, hand_gain: float, arm: Arm, device: Device) -> Callable[[float], complex]:
-    """Return L(j omega) at T = 0 with an arm on the device in place of a hand of constant force.
+    """Return L(j omega) at T = 0 with an arm on the device instead of a hand of constant force.
 
-    The arm holds x_m against its intended path with F_m = -Z_a x_m, Z_a = m s^2 + b s + k, and the device is where
-    x_m = D x_mr, D = a^2 / (s^2 + b_d s + a^2) (Eq. 2). With Z_v x = g F_m - G F_s / K, where g is `hand_gain` (K_f, or
-    1 for direct reflection) and G the gain of the loop, L = G / (Z_v + g Z_a D).
+    The arm holds x_m against its intended path with F_m = -Z_a x_m, Z_a = m s^2 + b s + k, and the device is at x_m = D
+    x_mr, D = a^2 / (s^2 + b_d s + a^2) (Eq. 2). With Z_v x = g F_m - G F_s / K, where g is `hand_gain` (K_f, or 1 for
+    direct reflection) and G the gain of the loop, L = G / (Z_v + g Z_a D).
     """
 
     def response(omega: float) -> complex:
@@ -154,15 +155,15 @@ def critical_delay_s(loop: LoopModel) -> float:
 
 
 def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
-    """Return T_d [s]: what the link may add to the loop that is sampled every period_s [s]."""
+    """Return T_d [s]: the delay that the link may add to a loop that is sampled every period_s [s]."""
     return delay_margin(sampled_loop(transfer_function(loop), period_s)).delay_s
 
 
 def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
-    """Return H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
+    """Return H of a law with its parameters over a constant round trip [s], half of it each way, at [rad/s].
 
     Returns:
-        H, shape (n, 2, 2); None for a law that is not linear, or has no such form here.
+        H, shape (n, 2, 2); None for a law that is not linear or has no such form here.
     """
     values = parameters.model_dump()
     half_s = 0.5 * round_trip_s
@@ -180,7 +181,7 @@ def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_pe
 def direct_hybrid(
     impedance: Complex, force_gain: float | None, forward_s: float, backward_s: float, omega_rad_per_s: Series
 ) -> Complex:
-    """Return H of a law that sends position forward and force back as they are, over one-way delays [s].
+    """Return H of a law that sends position forward and force back unchanged, over one-way delays [s].
 
     Z v = K_f (F_m - F_s e^(-s T2)) - F_s e^(-s T2), v_s = v e^(-s T1): h11 = Z / K_f, h12 = (1 + 1/K_f) e^(-s T2),
     h21 = -e^(-s T1), h22 = 0. force_gain None is direct reflection: Z v = F_m - F_s e^(-s T2), h11 = Z and
@@ -229,8 +230,8 @@ def _matrices(h11: Complex, h12: Complex, h21: Complex, h22: Complex) -> Complex
 def llewellyn(hybrid: Complex) -> Series:
     """Return the least of Llewellyn's three conditions at each frequency: absolutely stable where it is >= 0.
 
-    The conditions are scaled to be pure numbers: Re h11 / |h11|, Re h22 / |h22|, (2 Re h11 Re h22 - Re h12 h21) / |h12
-    h21| - 1; one without anything to divide by is 0, at its bound.
+    The conditions are scaled to be dimensionless: Re h11 / |h11|, Re h22 / |h22|, (2 Re h11 Re h22 - Re h12 h21) / |h12
+    h21| - 1; a condition with a zero divisor is 0, at its bound.
 
     Args:
         hybrid: The hybrid matrix H, shape (n, 2, 2).

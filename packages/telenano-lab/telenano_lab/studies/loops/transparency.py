@@ -1,24 +1,25 @@
-"""Transparency: how much of the environment reaches the hand, law by law, over the delay and over frequency.
+"""Transparency: how much of the environment reaches the hand, for each law, over the delay and over frequency.
 
 The hand presses on a spring with a constant force and a small sine on top, once on the spring of the study, once on
-nothing. After the transient the fundamental of each signal is fitted over whole periods beside a trend, so that neither
-drift nor creep is taken for a part of the swing. With X, F complex:
+nothing. After the transient, the fundamental of each signal is fitted over whole periods together with a trend, so that
+neither drift nor creep is counted as swing. With X, F complex:
 
 - tracking error: RMS of x_s / alpha_p - x_m without their means, over the RMS of x_m, [%]
-- rendered stiffness: Re(F_m / X_m), what the hand feels of a spring [N/m], against the true alpha_f alpha_p K
-- perceived delay: the time by which the force that the law renders lags behind the hand's motion,
-  arg(X_m / F_r) / omega
+- rendered stiffness: Re(F_m / X_m), the stiffness that the hand feels of a spring [N/m], against the true alpha_f
+  alpha_p K
+- perceived delay: the time by which the force that the law renders lags behind the hand's motion, arg(X_m / F_r) /
+  omega
 - contrast: |F_m / V_m| on the spring over that on nothing, in dB. It is no Z-width: a hand that is stuck has the
   greatest contrast
 - hybrid matrix (B. Hannaford, IEEE Trans. Robotics and Automation 5, 1989), (F_m, -V_s) = H (V_m, F_s) at the hand's
-  scale: h11 and h21 from the run on nothing, h12 and h22 from the run on the spring. Ideal: h11 = h22 = 0, h12 = 1,
-  h21 = -1. Of a law that is not linear it is the matrix for this amplitude and this spring
+  scale: h11 and h21 from the run on nothing, h12 and h22 from the run on the spring. Ideal: h11 = h22 = 0, h12 = 1, h21
+  = -1. For a law that is not linear it is the matrix for this amplitude and this spring
 - Z-width (J. E. Colgate and J. M. Brown, Proc. IEEE Int. Conf. Robotics and Automation, 1994), the range of impedances
-  that the device can render passively: from free motion to the stiffest spring, up to STIFFEST_N_PER_M, on which
-  Re(F_m / V_m) >= 0 at every frequency measured. Only the band of the hand's motion is asked for, up to 10 Hz: from
-  26 Hz on the lag of the servo makes even free motion active, with every law
+  that the device can render passively: from free motion to the stiffest spring, up to STIFFEST_N_PER_M, on which Re(F_m
+  / V_m) >= 0 at every measured frequency. It covers only the band of the hand's motion, up to 10 Hz: from 26 Hz on the
+  lag of the servo makes even free motion active, with every law
 
-What is unstable has no such numbers: they are None.
+An unstable case has no such numbers: they are None.
 """
 
 import math
@@ -37,31 +38,31 @@ FREQUENCY_HZ = 0.5
 FREQUENCIES_HZ = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 STIFFEST_N_PER_M = 400.0
 _SOFTEST_N_PER_M = 0.5
-# Activity below this share of |Z| counts as passive, because the sums of a run leave so much.
+# Activity below this share of |Z| counts as passive, because the sums of a run leave an error of that size.
 _PASSIVE_SHARE = 2e-3
 _HALVINGS = 7
-# The hand presses with this mean force, and swings about it by _AMPLITUDE_N.
+# The mean force of the hand, and the amplitude of its swing [N].
 _MEAN_N = 1.0
 _AMPLITUDE_N = 0.3
-# The ramp to the mean force takes this time.
+# The duration of the ramp to the mean force [s].
 _RAMP_S = 0.5
-# corners of the sine: straight lines between 200 points a period differ from it by 1e-4 of its amplitude
+# The corners of the sine in a period: straight lines between 200 points differ from it by 1e-4 of its amplitude.
 _POINTS_PER_PERIOD = 200
-# At FREQUENCY_HZ this number of periods pass before the measurement.
+# The periods before the measurement at FREQUENCY_HZ.
 _SETTLE_PERIODS = 3
-# At FREQUENCY_HZ this number of periods are measured.
+# The measured periods at FREQUENCY_HZ.
 _MEASURED_PERIODS = 3
-# At any other frequency the loop settles for this time at least.
+# The least time before the measurement at any other frequency [s].
 _LEAST_SETTLE_S = 2.0
-# At any other frequency the measurement lasts this long at least.
+# The least duration of the measurement at any other frequency [s].
 _LEAST_MEASURED_S = 2.0
-# a spring that is not felt: its force over the motion of a run stays below a piconewton
+# A spring that is not felt: over the motion of a run its force stays below a piconewton.
 _NOTHING_N_PER_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Transparency:
-    """The numbers of one law at one delay; see the module's text. `verdict` is that of the hold on the spring."""
+    """The figures of one law at one delay, as the module defines them; `verdict` is that of the hold on the spring."""
 
     law: str
     round_trip_ms: float
@@ -77,7 +78,7 @@ class Transparency:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """A law at one delay over frequency. Every value is None at a frequency where the law did not hold.
+    """The figures of a law at one delay over frequency; None at frequencies at which the law was not stable.
 
     hybrid: h11 [N s/m], h12, h21, h22 [m/(N s)]; rendered_n_per_m: Re(F_m / X_m) on the spring; free_n_s_per_m:
     Re(F_m / V_m) on nothing; passive_n_per_m: stiffest spring at the tip that is rendered passively, None if none is;
@@ -95,7 +96,7 @@ class Spectrum:
     z_width_db: float | None
 
     def rows(self) -> list[dict[str, float | str | None]]:
-        """Return one flat row a frequency."""
+        """Return a flat row for each frequency."""
         table: list[dict[str, float | str | None]] = []
         for n, frequency in enumerate(self.frequencies_hz):
             row: dict[str, float | str | None] = {
@@ -130,7 +131,7 @@ class _Tones(NamedTuple):
 
 
 def measure(cell: Cell) -> Transparency:
-    """Measure the law of a cell against its spring.
+    """Measure the transparency of a cell's law against its spring.
 
     Raises:
         ConfigError: The cell cannot be run.
@@ -146,7 +147,7 @@ def measure(cell: Cell) -> Transparency:
         impedance = abs(pressed.hand_n / (1j * omega * pressed.hand_m))
         width = 20.0 * math.log10(impedance / free_impedance) if free_impedance else None
         stiffness = (pressed.hand_n / pressed.hand_m).real
-        # within half a period either way; a law that leads has a negative delay
+        # The delay is within half a period either way, and negative for a law that leads.
         delay = 1e3 * float(np.angle(pressed.hand_m / pressed.rendered_n)) / omega if pressed.rendered_n else None
         error = 100.0 * pressed.error_rms_m / pressed.motion_rms_m
     return Transparency(
@@ -164,7 +165,7 @@ def measure(cell: Cell) -> Transparency:
 
 
 def spectrum(cell: Cell, frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ) -> Spectrum:
-    """Measure hybrid matrix, impedances and Z-width of the law of a cell with its spring."""
+    """Measure hybrid matrix, impedances and Z-width of a cell's law with its spring."""
     free = [_tones(_on_nothing(cell), 0.0, frequency) for frequency in frequencies_hz]
     stable = run_cell(cell).verdict == "stable"
     pressed = [_tones(cell, _MEAN_N, frequency) if stable else None for frequency in frequencies_hz]
@@ -196,7 +197,7 @@ def spectrum(cell: Cell, frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ) -> 
 
 
 def passive_stiffness(cell: Cell, frequencies_hz: tuple[float, ...]) -> float | None:
-    """Return the stiffest spring [N/m] that the law of a cell renders passively; None if it does so with none."""
+    """Return the stiffest spring [N/m] that a cell's law renders passively; None if it renders none so."""
 
     def passive(stiffness: float) -> bool:
         pressed = cell.model_copy(update={"stiffness_n_per_m": stiffness})
@@ -239,13 +240,13 @@ def hand_force_profile(
     cycles: int = _MEASURED_PERIODS,
     amplitude_n: float = _AMPLITUDE_N,
 ) -> tuple[list[tuple[float, float]], float]:
-    """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s].
+    """Return the corners (time [s], force [N]) of a ramp followed by a sine, and the begin of the measurement [s].
 
     Args:
         mean_n: The force at the end of the ramp [N].
-        settle_s: The time that the rig has to settle [s].
+        settle_s: The time for the rig to settle after the ramp [s].
         frequency_hz: The frequency of the sine [Hz].
-        cycles: The number of periods that are measured.
+        cycles: The number of measured periods.
         amplitude_n: The amplitude of the sine [N].
     """
     begin = _RAMP_S + settle_s
@@ -266,7 +267,7 @@ def _settle_periods(frequency_hz: float) -> int:
 
 
 def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
-    """Run and demodulate; None when the instrument's guard ended it."""
+    """Run a cell with a swing and demodulate it; None if the instrument's guard ended the run."""
     course, begin_s = swing(cell, mean_n, frequency_hz)
     return _demodulated(course, begin_s, cell, frequency_hz) if followed(course) else None
 
@@ -274,7 +275,7 @@ def _tones(cell: Cell, mean_n: float, frequency_hz: float) -> _Tones | None:
 def swing(
     cell: Cell, mean_n: float, frequency_hz: float, amplitude_n: float = _AMPLITUDE_N
 ) -> tuple[Trajectory, float]:
-    """Run a cell with a hand that swings about a mean force, and return its course and when it is measured from [s].
+    """Run a cell with a hand that swings about a mean force; return its course and the begin of the measurement [s].
 
     Raises:
         RigError: The tip was never placed.
@@ -287,15 +288,15 @@ def swing(
 
 
 def followed(course: Trajectory) -> bool:
-    """Return whether the instrument followed throughout; a pause in the commands makes it hold for a moment."""
+    """Return whether the instrument followed throughout, except for short holds at pauses in the commands."""
     return bool((course.follows | course.held).all())
 
 
 def tone(time_s: Series, values: Series, frequency_hz: float) -> tuple[complex, Series]:
-    """Return the complex amplitude of a swing beside its mean and a trend, and what these leave, shape (n,).
+    """Return the complex amplitude of a swing fitted with its mean and a trend, and the residuals, shape (n,).
 
     Args:
-        time_s: When the values were taken [s], shape (n,).
+        time_s: The times of the values [s], shape (n,).
         values: The values, shape (n,).
         frequency_hz: The frequency of the swing [Hz].
     """

@@ -1,9 +1,9 @@
-"""Parameters of a law for a delay, by one stated rule, so that what is compared is the law and not its tuning.
+"""Tune a law for a delay by one stated rule, so that a comparison is one of laws and not of their tuning.
 
-The rule: on the given sample, with a hand of constant force, the law's loop tolerates twice the delay that the link has
-at its longest. For the two laws whose loop passes the link (virtual impedance, position-force) that sets the damping
-B_v; where inertia does not matter it is B_v = 4 G T / pi, G the gain of the loop. No less than the default is taken.
-The others close no linear loop through the link, and keep their defaults at every delay.
+The rule: on the given sample, with a hand of constant force, the law's loop tolerates twice the longest delay of the
+link. For the two laws whose loop passes the link (virtual impedance, position-force) this determines the damping B_v;
+where inertia does not matter, B_v = 4 G T / pi, with G the gain of the loop. It is never less than the default. The
+other laws close no linear loop through the link, and keep their defaults at every delay.
 """
 
 import functools
@@ -21,7 +21,7 @@ Settings = tuple[tuple[str, float | int | str | bool], ...]
 
 @functools.lru_cache(maxsize=256)
 def tuned(law: str, stiffness_n_per_m: float, longest_delay_s: float) -> Settings:
-    """Return the dotted keys of the section `controller` that differ from their defaults.
+    """Return the dotted keys of section `controller` in which the tuned law differs from its defaults.
 
     Args:
         law: The law.

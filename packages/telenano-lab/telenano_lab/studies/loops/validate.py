@@ -1,22 +1,22 @@
-"""The bus agrees: chosen cells on real processes over the link, beside the same cells in lockstep.
+"""Check that the bus agrees with lockstep: chosen cells are run on real processes over the link, and in lockstep.
 
 Each cell becomes a scenario file, `telenano up` runs it in a process of its own, and the recording is judged by the
-same function as the lockstep run. Two things are compared: the verdict, and, where the cell is stable, the course of
-the tip's force: the RMS of the difference over the session, as a share of the hand's force. Past the edge the phase of
-an oscillation depends on fractions of a millisecond, so there the verdict alone is compared.
+same function as the lockstep run. Two things are compared: the verdict, and, if the cell is stable, the course of the
+tip's force: the RMS of the difference over the session, as a share of the hand's force. Past the edge the phase of an
+oscillation depends on fractions of a millisecond, so there only the verdict is compared.
 
 Over a link with jitter or loss the bus is one draw of its randomness: the same seed gives it other losses, because the
-session starts at another message. The recording has what became of every message, so lockstep also runs over these very
-losses and delays (`recorded_link`), and the bus has to have the verdict of that run. SEEDS draws of the link
-tell how much depends on the draw: its course has to be as near to that run, or to one of them, as they are to each
-other. Where the draws differ in the verdict, what decides it is as small as the tolerance (a ripple of 0.05 or 0.06 of
-the hand's force): there the bus may have another verdict than the recorded link, if its course is within
-TOLERANCE_SHARE of that run. Where nothing is known of the recorded link, such a cell is undecided.
+session starts at another message. The recording has the fate of every message, so lockstep also runs over these same
+losses and delays (`recorded_link`), and the bus must have the verdict of that run. SEEDS draws of the link show how
+much depends on the draw: the course on the bus has to be as near to that run, or to one of the draws, as these are to
+each other. If the draws differ in the verdict, it is decided by something as small as the tolerance (a ripple of 0.05
+or 0.06 of the hand's force): then the bus may have another verdict than the recorded link, if its course is within
+TOLERANCE_SHARE of that run. If nothing is known of the recorded link, such a cell is undecided.
 
-Lockstep knows what the link did and not what the machine did. Where a process of the session reports that it was held
-up, by other processes of real-time priority or by the kernel, which lets these run for 950 ms of each second, a cell
-that disagrees is run again, at most TRIES times in all; the last one counts, with the longest time for which a process
-was held up.
+Lockstep knows the behaviour of the link but not that of the machine. If a process of the session reports that it was
+held up, by other processes of real-time priority or by the kernel, which lets these run for 950 ms of each second, a
+cell that disagrees is run again, at most TRIES times in all; the last run counts, with the longest time for which a
+process was held up.
 """
 
 import sys
@@ -53,13 +53,13 @@ from telenano_lab.studies.loops.recorded_link import recorded_schedule
 Series = npt.NDArray[np.float64]
 
 RECORDING_NAME = "session.mcap"
-# the bus adds about half a millisecond to the loop, and its session starts anywhere within a tick of the hand
+# The bus adds about half a millisecond to the loop, and its session starts anywhere within a tick of the hand.
 TOLERANCE_SHARE = 0.05
-# draws of a random link in lockstep
+# The draws of a random link in lockstep.
 SEEDS = 8
-# runs of a cell in which the machine held a process up
+# The most runs of a cell while the machine holds a process up.
 TRIES = 3
-# The rig needs this long to come up and down around the session.
+# The time that the rig needs to start and stop around the session [s].
 _OVERHEAD_S = 120.0
 
 
@@ -71,10 +71,11 @@ class StudyError(TelenanoError):
 class Agreement:
     """One cell on the bus and in lockstep.
 
-    lockstep: the verdict over the recorded losses and delays of a random link, else of most of its draws;
-    lockstep_verdicts: of how many draws each; recorded: whether the former; difference_share: of the run in lockstep
-    nearest to the bus, None where the cell is not stable; tolerance_share: what it may be at most; stalled_s: for how
-    long a process was held up at the longest [s], 0 if none reports it; runs: how often the cell was run.
+    lockstep: the verdict over the recorded losses and delays of a random link (`recorded`), otherwise that of most of
+    its draws. lockstep_verdicts: the number of draws with each verdict. difference_share: the difference to the nearest
+    run in lockstep, None if the cell is not stable. tolerance_share: the greatest difference that is allowed.
+    stalled_s: the longest time for which a process was held up [s], 0 if none reports any. runs: the number of runs of
+    the cell.
     """
 
     law: str
@@ -99,24 +100,24 @@ class Agreement:
 
     @property
     def undecided(self) -> bool:
-        """Return whether the draws of the link differ in lockstep, stable in some, and none is that of the bus."""
+        """Whether the draws in lockstep differ in their verdicts, stable among them, and the bus's draw is unknown."""
         return not self.recorded and "stable" in self.lockstep_verdicts and len(self.lockstep_verdicts) > 1
 
     @property
     def near_an_edge(self) -> bool:
-        """Return whether bus and recorded link have different verdicts, as the draws do, on one course."""
+        """Whether only one of bus and recorded link is stable, though their courses agree; the draws differ as well."""
         return self.recorded and self.agree and (self.lockstep == "stable") != (self.bus == "stable")
 
     @property
     def draws(self) -> str:
-        """Return how many draws of a random link had which verdict; empty for a constant one."""
+        """The number of draws of a random link with each verdict, in words; empty for a constant link."""
         counts = self.lockstep_verdicts
         several = sum(counts.values()) > 1
         return ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in counts.items()) if several else ""
 
 
 class Bus(NamedTuple):
-    """How to start a rig: the site file, if not the usual one, and where its sessions are kept."""
+    """The rig for a study: its site file, None for the usual one, and the folder of its sessions."""
 
     site_file: Path | None
     out: Path
@@ -165,7 +166,7 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
 def validate_cells(
     cells: Sequence[Cell], bus: Bus, report: Callable[[str], None] = lambda text: None
 ) -> list[Agreement]:
-    """Run cells on the bus, one after the other, and compare.
+    """Run cells on the bus one after the other, and compare them with lockstep.
 
     Raises:
         StudyError: A rig does not run.
@@ -178,7 +179,7 @@ def validate_cells(
 
 
 def _compare_with_retries(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
-    """Run a cell and compare it, and once more where that fails or disagrees while the machine held a process up."""
+    """Run and compare a cell; repeat it if it fails or disagrees while the machine held a process up."""
     draws, path = draws_of(cell), bus.recording_of(cell)
     for run in range(1, TRIES + 1):
         outcome: Agreement | StudyError
@@ -196,7 +197,7 @@ def _compare_with_retries(cell: Cell, bus: Bus, report: Callable[[str], None]) -
 
 
 def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
-    """Run a cell on the bus and compare; a recording that lacks messages which crossed the link agrees with nothing."""
+    """Run a cell on the bus and compare it; a recording that lacks messages which crossed the link never agrees."""
     course, path = run_on_bus(cell, bus), bus.recording_of(cell)
     try:
         recorded = over_recorded_link(cell, path) if cell.has_random_link else None
@@ -207,7 +208,7 @@ def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
 
 
 def _held_up_s(path: Path) -> float:
-    """Return the longest stall [s]; 0 where no recording can be read, and why the rig did not run is what counts."""
+    """Return the longest stall [s]; 0 if no recording can be read, because then the failure of the rig counts."""
     try:
         return longest_stall_s(path) if path.is_file() else 0.0
     except RecordingError:
@@ -215,12 +216,12 @@ def _held_up_s(path: Path) -> float:
 
 
 def longest_stall_s(path: Path) -> float:
-    """Return the longest time that a process of a recorded session was held up while the force profile ran [s]."""
+    """Return the longest time for which a process of a session was held up since the force profile began [s]."""
     recording = Recording(path)
     events = [event.fields() for event in recording.messages(("session/event",))]
     hand = recording.columns("haptic/state", ("t_ns", "session_s"))
     running = hand["t_ns"][last_force_profile(hand["session_s"], hand["t_ns"])]
-    # A rig that could not be started has no force profile, and all of its time counts.
+    # A rig that did not start has no force profile; then all of its time counts.
     start_ns = int(running[0]) if running.size else 0
     profile_events = [event["data"] for event in events if event["t_ns"] >= start_ns]
     stalls_s = [float(data["stalled_s"]) for data in profile_events if "stalled_s" in data]
@@ -228,13 +229,13 @@ def longest_stall_s(path: Path) -> float:
 
 
 def draws_of(cell: Cell) -> list[Trajectory]:
-    """Run a cell in lockstep: once over a constant link, with SEEDS draws of a random one, its own seed first."""
+    """Run a cell in lockstep: once over a constant link, else over SEEDS draws of a random link, its own seed first."""
     seeds = range(cell.seed, cell.seed + SEEDS) if cell.has_random_link else (cell.seed,)
     return [trajectory_of(cell.model_copy(update={"seed": seed})) for seed in seeds]
 
 
 def over_recorded_link(cell: Cell, path: Path) -> Trajectory:
-    """Run a cell in lockstep over the losses and delays that a recording of it had."""
+    """Run a cell in lockstep over the losses and delays in a recording of it."""
     rig = rig_of(cell, cell.hand_points())
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
@@ -246,7 +247,7 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     recording = bus.recording_of(cell)
     folder = recording.parent
     folder.mkdir(parents=True, exist_ok=True)
-    # A rig that does not start leaves no recording, and that of an earlier study says nothing of it.
+    # A rig that does not start leaves no recording, and that of an earlier study would be misleading.
     recording.unlink(missing_ok=True)
     scenario = folder / "cell.yaml"
     document = scenario_of(cell)
@@ -255,7 +256,7 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     command += ["--overwrite", "--headless", "--json"]
     command += ["--site-file", str(bus.site_file)] if bus.site_file is not None else []
     try:
-        # The hold decides whether it matters what the recording lacks.
+        # Whether missing data in the recording matters is decided by the hold.
         run_session(command, document["duration_s"] + _OVERHEAD_S)
     except TimeoutError as error:
         raise StudyError(f"{error}, see {folder}") from error
@@ -268,10 +269,10 @@ _MODE_NUMBERS = {"retracted": 0, "follow": 1, "hold": 2, "retracting": 3, "estop
 
 
 def read_course(path: Path) -> Trajectory:
-    """Read the last session of a recording as lockstep would give it, the tip's values at the hand's times.
+    """Read the last session of a recording as a course like that of lockstep, the tip's values at the hand's times.
 
     Raises:
-        RecordingError: The file lacks something; the message names the file and what it lacks.
+        RecordingError: Something is missing in the file; the message names the file and what is missing.
         StudyError: The operator's force profile never ran in the recording.
     """
     recording = Recording(path)
@@ -306,16 +307,16 @@ def read_course(path: Path) -> Trajectory:
         in_contact=tip["in_contact"][at_tip].astype(bool),
         instrument_mode=np.array([_MODE_NUMBERS[mode] for mode in tip["mode"][at_tip]], dtype=np.int64),
         hand_following=hand["mode"] != "off",
-        # a recording says it in events, of which nothing is asked here
+        # A recording has the reason in events, which are not needed here.
         instrument_reason=np.zeros(len(running), dtype=np.int64),
         withdrawn_s=np.full(len(running), np.nan),
     )
 
 
 def lacking_of(cell: Cell, path: Path) -> str:
-    """Return in words what a recording lacks of the hold that is judged; empty where it lacks too little to matter.
+    """Return in words what is missing in a recording of the judged hold; empty if it is too little to matter.
 
-    `read_course` repeats the last sample for every tick, so that a course does not show it.
+    A course does not show it, because `read_course` repeats the last sample for every tick.
     """
     return "; ".join(map(str, Session.of(Recording(path)).lacks(cell.hold_s())))
 
@@ -328,14 +329,14 @@ def compare(
     *,
     lacking: str = "",
 ) -> Agreement:
-    """Compare verdicts and, where both are stable, the course of the tip's force.
+    """Compare verdicts and, if both are stable, the course of the tip's force.
 
     Args:
         cell: The cell.
         lockstep: The runs in lockstep, one for each draw of the link; one if the link is constant.
         bus: The run on the bus.
-        recorded: The run in lockstep over the losses and delays that the bus had, with which the bus then is compared.
-        lacking: What the recording of the bus has no data of.
+        recorded: The run in lockstep over the losses and delays of the bus, with which the bus is then compared.
+        lacking: The data that are missing in the recording of the bus, in words.
     """
     drawn, measured = [judged(cell, course) for course in lockstep], judged(cell, bus)
     if lacking and not measured.guarded:
@@ -351,7 +352,7 @@ def compare(
     same = undecided or expected == (measured.verdict == "stable")
     difference, tolerance = None, TOLERANCE_SHARE
     if not same and recorded is not None and 0 < len(stable_draws) < len(drawn):
-        # The draws differ too, so the course of the recorded link decides, within the tolerance of the verdict.
+        # The draws differ as well, so the course over the recorded link decides, within the tolerance of the verdict.
         difference = course_difference(cell, recorded, bus)
         same = difference <= tolerance
     elif undecided or (expected and measured.verdict == "stable"):
@@ -383,7 +384,7 @@ def compare(
 
 
 class BusEdge(NamedTuple):
-    """Round trip [ms] at which the motion on the bus neither grows nor dies, half a sample included as in lockstep."""
+    """The round trip [ms] at which motion on the bus neither grows nor decays, with half a sample as in lockstep."""
 
     law: str
     environment: str
@@ -392,10 +393,10 @@ class BusEdge(NamedTuple):
 
 
 def bus_edges(agreements: Sequence[Agreement], period_s: float) -> list[BusEdge]:
-    """Find the edge on the bus of every line of cells that has one cell on each side of it.
+    """Find the edge on the bus of every line of cells that has a cell on each side of it.
 
-    Between the last cell in which the motion dies out and the first in which it grows, the growth rate is taken to be
-    linear in the delay; half a sample period is added, as for lockstep, so that it compares with the continuous theory.
+    Between the last cell in which the motion decays and the first in which it grows, the growth rate is taken as linear
+    in the delay. As for lockstep, half a sample period is added for comparison with the continuous theory.
     """
     lines: dict[tuple[str, str, float], list[Agreement]] = {}
     for agreement in agreements:

@@ -1,1 +1,1 @@
-"""Figures and pages that the studies write."""
+"""Figures and pages of the studies."""

@@ -18,7 +18,7 @@ COMMAND = (
     "telenano study transparency --frequency 0.3,0.8,2 --stiffness 10,20,40,80 --delay 0,20,60,150"
     " --instrument ideal,real --table csv --out out/felt"
 )
-# What is felt is far from what is there beyond these.
+# A ratio of felt and true stiffness is far off beyond these.
 TOO_HARD, TOO_SOFT = 1.5, 0.6
 _NUMBERS = ("round_trip_ms", "stiffness_n_per_m", "frequency_hz", "felt", "low", "high", "sessions", "refusals")
 _PAGE = """# Felt stiffness, measured
@@ -59,7 +59,7 @@ def _read(row: Mapping[str, str]) -> dict[str, Any]:
 
 
 def cell_words(row: Mapping[str, Any]) -> str:
-    """Return what a cell holds in words: ratio and interval, or why there is none."""
+    """Return the text of a cell: ratio and interval, or the reason why there is none."""
     if row["felt"] is None:
         return f"{row['refused'].replace('_', ' ')}, {row['refusals']:.0f} of {row['sessions']:.0f}"
     if row["high"] - row["low"] < 0.005:
@@ -68,7 +68,7 @@ def cell_words(row: Mapping[str, Any]) -> str:
 
 
 def write_felt(page: Page, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Add the table of felt stiffness to the page of a study."""
+    """Add the table of felt stiffness to a study's page."""
     page.heading("Felt stiffness")
     page.table(_OVERVIEW, list(_overview(rows)))
     for instrument in dict.fromkeys(row["instrument"] for row in rows):
@@ -135,7 +135,7 @@ def markdown() -> str:
     return text
 
 
-# The command took so much time of one processor [min].
+# The time that the command took on one processor [min].
 MINUTES = 8
 
 

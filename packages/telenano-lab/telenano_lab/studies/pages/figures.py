@@ -1,4 +1,4 @@
-"""Figures of transparency for print: every law has a colour of Okabe and Ito, a mark and a line of its own."""
+"""Figures of transparency for print: every law has its own colour of Okabe and Ito, mark and line."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# A law that has moved into a package keeps its look.
+# `model_mediated` has moved into a package and keeps its look.
 _NAMED = tuple(dict.fromkeys((*OWN_LAWS, "model_mediated", *LAWS)))
 LAW_LOOKS: dict[str, Look] = dict(zip(_NAMED, looks(len(_NAMED)), strict=True))
 
 
 def impedance_figure(spectra: Sequence[Spectrum]) -> "Figure":
-    """Draw rendered stiffness and free damping over frequency, a row a delay, a line a law."""
+    """Draw rendered stiffness and free damping over frequency, with a row for each delay and a line for each law."""
     from matplotlib.figure import Figure
 
     delays = sorted({spectrum.round_trip_ms for spectrum in spectra})
@@ -42,7 +42,7 @@ def impedance_figure(spectra: Sequence[Spectrum]) -> "Figure":
 
 
 def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
-    """Draw the size of the four entries of the hybrid matrix over frequency at one delay, a line a law."""
+    """Draw the magnitudes of the hybrid matrix's four entries over frequency at one delay, with a line for each law."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.4), layout="constrained")
@@ -55,7 +55,7 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
         axis.set_title(title, loc="left", fontsize="small")
         axis.set_yscale("log")
         axis.tick_params(which="both", labelsize="small")
-    # Below what the hand can feel, the entries are only the rest of the sums of a run.
+    # Smaller entries cannot be felt, and are only rounding errors in the sums of a run.
     axes[1, 1].set_ylim(bottom=1e-6)
     _finish(figure, axes, spectra)
     return figure

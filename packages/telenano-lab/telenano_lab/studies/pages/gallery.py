@@ -1,8 +1,8 @@
-"""What a delay does to each law, for one slider: Nyquist curve, characteristic roots, course and energy of a session.
+"""The effect of delay on each law, for one slider: Nyquist curve, characteristic roots, course and energy of a session.
 
 The courses are those of the laws' own steps in lockstep, as in `study stability`: a hand presses with 1 N on a spring
-of 20 N/m. Curve and roots are those of the linear theory (`linear_loop.py`) for the laws that are linear.
-The data and what draws them lie in `services/viz_node/web/gallery`, so that the page of `telenano view` shows the same.
+of 20 N/m. Curve and roots come from the linear theory (`linear_loop.py`), for the laws that are linear. The data and
+the code that draws them are in `services/viz_node/web/gallery`, so that the page of `telenano view` shows the same.
 """
 
 import json
@@ -19,36 +19,36 @@ from telenano_lab.studies.option_values import COMPARED_LAWS
 
 STIFFNESS_N_PER_M = 20.0
 DELAYS_MS = tuple(5.0 * i for i in range(41))
-# The courses have this length from the session's first sample on.
+# The length of the courses from the session's first sample [s].
 _LENGTH_S = 3.0
-# The force and the energy are sampled at these intervals.
+# The intervals at which force and energy are sampled.
 _FORCE_STEP_S = 0.01
 _ENERGY_STEP_S = 0.02
-# A unit of a number for a force in the file is this.
+# The unit of forces in the file.
 _FORCE_N = 1e-3
-# The picture shows forces up to this.
+# The greatest force in the picture.
 _MOST_N = 6.0
-# A unit of a number for an energy in the file is this.
+# The unit of energies in the file.
 _ENERGY_J = 1e-6
-# The picture shows energies up to this.
+# The greatest energy in the picture.
 _MOST_J = 0.02
-# A unit of a number for a point of the Nyquist curve in the file is this.
+# The unit of points of the Nyquist curve in the file.
 _CURVE = 1e-2
-# The picture shows the Nyquist curve up to this magnitude.
+# The greatest magnitude of the Nyquist curve in the picture.
 _MOST_CURVE = 9.0
-# The Nyquist curve is computed at these frequencies.
+# The frequencies at which the Nyquist curve is computed.
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
 FOLDER = web_folder() / "gallery"
 
 
 def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS_N_PER_M) -> Cell:
-    """Return what is run for a law at a round trip [ms] on a spring [N/m]."""
+    """Return the cell of a law at a round trip [ms] on a spring [N/m]."""
     return Cell(law=law, environment="spring", stiffness_n_per_m=stiffness_n_per_m, round_trip_ms=round_trip_ms)
 
 
 def shown(cell: Cell) -> dict[str, Any]:
-    """Return what is drawn of a cell; series are differences from number to number."""
+    """Return the data that are drawn of a cell; a series has the difference of each number from the one before."""
     course, scales = trajectory_of(cell), scales_of(cell.controller())
     hold = judged(cell, course)
     force = scales.force_scale * course.tip_force_n
@@ -64,7 +64,7 @@ def shown(cell: Cell) -> dict[str, Any]:
     if not not_linear(cell):
         loop = linear_loop(cell)
         curve = loop.response(2.0 * np.pi * _FREQUENCIES_HZ)
-        # what is far away keeps its direction
+        # Points that are far away keep their direction.
         curve = curve * np.minimum(1.0, _MOST_CURVE / np.abs(curve))
         drawn["nyquist"] = [_kept(curve.real, _CURVE, _MOST_CURVE), _kept(curve.imag, _CURVE, _MOST_CURVE)]
         drawn["roots"] = [[round(root.real, 4), round(root.imag, 4)] for root in loop.roots().tolist()]
@@ -74,7 +74,7 @@ def shown(cell: Cell) -> dict[str, Any]:
 def gallery(
     stiffness_n_per_m: float = STIFFNESS_N_PER_M, progress: Callable[[int, int], None] = lambda n, of: None
 ) -> dict[str, Any]:
-    """Return the document that the gallery draws: conditions, units, and each law at each delay on a spring [N/m]."""
+    """Return the document for the gallery: conditions, units, and each law at each delay on a spring [N/m]."""
     laws, total = [], len(COMPARED_LAWS) * len(DELAYS_MS)
     for number, law in enumerate(COMPARED_LAWS):
         first, cells = cell_of(law, 0.0, stiffness_n_per_m), []
@@ -100,9 +100,9 @@ def gallery(
 
 
 def fragment_of(document: dict[str, Any]) -> str:
-    """Return the gallery as a part of a page, with its style, its data and its code in it."""
+    """Return the gallery as a part of a page, including its style, its data and its code."""
     style, code = ((FOLDER / name).read_text(encoding="utf-8") for name in ("gallery.css", "gallery.js"))
-    # nothing in a script may end it
+    # No data may contain the end tag of the script.
     data = json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'<style>{style}</style>\n<div id="delay-gallery"></div>\n'
@@ -114,7 +114,7 @@ def fragment_of(document: dict[str, Any]) -> str:
 
 
 def page_of(document: dict[str, Any]) -> str:
-    """Return the gallery as one HTML file with everything in it."""
+    """Return the gallery as one self-contained HTML file."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width"><title>What a delay does</title></head>\n'
@@ -123,7 +123,7 @@ def page_of(document: dict[str, Any]) -> str:
 
 
 def write_data(document: dict[str, Any], path: Path) -> None:
-    """Write the document, a law at a delay in each line."""
+    """Write the document with one line for each law and delay."""
     head = json.dumps({key: value for key, value in document.items() if key != "laws"})[:-1]
     rows = []
     for law in document["laws"]:
@@ -136,11 +136,11 @@ def write_data(document: dict[str, Any], path: Path) -> None:
 
 def _every(time_s: Any, values: Any, step_s: float) -> Any:
     at = np.arange(0.0, _LENGTH_S, step_s)
-    # a guard that acted early leaves a session that ends there
+    # A session that a guard ended early is shorter; its last value is repeated.
     return values[np.minimum(np.searchsorted(time_s, at), len(values) - 1)]
 
 
 def _kept(values: Any, unit: float, most: float) -> list[int]:
-    """Return whole numbers of units, each less the one before."""
+    """Return values in whole units, each as the difference from the one before."""
     whole = np.rint(np.clip(values, -most, most) / unit).astype(int)
     return [int(one) for one in np.diff(whole, prepend=0)]

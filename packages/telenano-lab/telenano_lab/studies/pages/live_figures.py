@@ -1,4 +1,4 @@
-"""Fig. 10 and 12 of the paper, from a running rig: each is its scenario, and its recording is read."""
+"""Fig. 10 and 12 of the paper from a running rig: run the scenario of each, and read its recording."""
 
 import sys
 from collections.abc import Callable
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 RECORDING_NAME = "session.mcap"
-# The processes may take this long to start and to end, beyond the session.
+# The longest time for the processes to start and end, beyond the session [s].
 _OVERHEAD_S = 120.0
-# They usually take this long.
+# Their usual time [s].
 _USUAL_OVERHEAD_S = 8.0
 
 
@@ -41,7 +41,7 @@ class TactilePath(NamedTuple):
 
     @property
     def rms_m(self) -> float:
-        """Return the RMS difference of the hand and the scaled surface, at the hand [m]."""
+        """The RMS difference of the hand and the scaled surface, at the hand's scale [m]."""
         return float(np.sqrt(np.mean((self.hand_m - self.surface_m / self.position_scale) ** 2)))
 
 
@@ -51,7 +51,7 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
     Args:
         name: The name of the scenario.
         out: The folder of the recording.
-        progress: Called with the seconds so far and those that the whole usually takes.
+        progress: Called with the seconds so far and the usual total.
 
     Raises:
         RigError: The rig did not run; the message says why.
@@ -63,7 +63,7 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
     duration_s = LoadedScenario.load(find_scenario(name)).scenario.duration_s
     usual = round(duration_s + _USUAL_OVERHEAD_S)
     try:
-        # The figure shows what the recording lacks.
+        # Missing data in the recording are visible in the figure.
         run_session(command, duration_s + _OVERHEAD_S, lambda spent_s: progress(min(round(spent_s), usual), usual))
     except TimeoutError as error:
         raise RigError(f"{name}: {error}, see {folder}") from error
@@ -76,7 +76,7 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
 
 
 def tactile_path(recording_file: Path) -> TactilePath:
-    """Return what the hand felt along the line, from the first touch to the end of the line.
+    """Return the path that the hand felt, from the first touch to the end of the line.
 
     Raises:
         RigError: The tip never went along a line in contact.
@@ -103,7 +103,7 @@ def tactile_path(recording_file: Path) -> TactilePath:
     ]
     time_ns = tip["t_ns"][felt].astype(np.int64)
     hand_m = np.interp(time_ns, hand["t_ns"].astype(np.int64), hand["position_m.2"].astype(float))
-    # The hand is at its origin where the surface is level at the beginning.
+    # Heights are relative to the beginning of the path.
     return TactilePath(
         way[felt],
         hand_m - hand_m[0],
@@ -114,7 +114,7 @@ def tactile_path(recording_file: Path) -> TactilePath:
 
 
 def tactile_figure(path: TactilePath) -> "Figure":
-    """Draw Fig. 10: the hand x_m solid, the surface at the hand's scale dashed."""
+    """Draw Fig. 10: x_m of the hand solid, the surface at the hand's scale dashed."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -13,7 +13,7 @@ def closed_loop_poles(params: MotorParams) -> tuple[complex, complex]:
         w = math.sqrt(-discriminant)
         return complex(-0.5 * b, w), complex(-0.5 * b, -w)
     fast = -0.5 * b - math.sqrt(discriminant)
-    # The product of the poles is a^2: the difference form would lose the digits of a slow pole.
+    # The slower pole is computed by the product a^2 of the poles, because a difference would lose its digits.
     return complex(a2 / fast), complex(fast)
 
 
@@ -22,6 +22,6 @@ def bandwidth_hz(params: MotorParams) -> float:
     a2, b = params.closed_loop_coefficients()
     p = 2.0 * a2 - b * b
     root = math.hypot(p, 2.0 * a2)
-    # Both forms are the positive root of w^4 - p w^2 - a^4 = 0; each is used where it does not cancel.
+    # Both forms are the positive root of w^4 - p w^2 - a^4 = 0; each is used where no digits cancel.
     w2 = 0.5 * (p + root) if p >= 0.0 else 2.0 * a2 * a2 / (root - p)
     return math.sqrt(w2) / (2.0 * math.pi)

@@ -1,7 +1,7 @@
-"""What the equations of the paper give for device, cantilever and control, as rows of the table of `reproduce`.
+"""The results of the paper's equations for device, cantilever and control, as rows of the table of `reproduce`.
 
-A row: what, where in the paper with its erratum, ours and the expected value, in the unit that follows. The expected
-values were computed from the equations independently of this project, with the errata mended.
+A row has the quantity, its place in the paper with the erratum, our value and the expected value, and their unit. The
+expected values were computed from the equations independently of this project, with the errata corrected.
 """
 
 import math
@@ -17,7 +17,7 @@ from telenano_lab.studies.pages.motor_theory import bandwidth_hz, closed_loop_po
 
 
 class Row(NamedTuple):
-    """One number: what and where in the paper, with its erratum; ours and the expected one, in one unit."""
+    """One quantity: its name, its place in the paper with the erratum, our value, the expected one, and the unit."""
 
     name: str
     where: str
@@ -27,7 +27,7 @@ class Row(NamedTuple):
 
 
 def device_rows() -> list[Row]:
-    """Return poles and bandwidth of the haptic device (Eq. 1-2)."""
+    """Return rows for poles and bandwidth of the haptic device (Eq. 1-2)."""
     printed = HapticConfig.model_validate({"device": {"preset": "paper_gain"}}).device.to_params()
     ours = HapticConfig().device.to_params()
     slow, fast = (pole.real for pole in closed_loop_poles(printed))
@@ -40,8 +40,8 @@ def device_rows() -> list[Row]:
 
 
 def cantilever_rows() -> list[Row]:
-    """Return mass and damping of the cantilever (Eq. 4), the Hamaker constant, and the meniscus both ways (Eq. 6)."""
-    # a viscosity of 1 Pa s makes the coefficient visible; Table 2 has none
+    """Return rows for the cantilever's mass and damping (Eq. 4), the Hamaker constant, and the meniscus (Eq. 6)."""
+    # Table 2 has no viscosity; 1 Pa s makes the damping coefficient visible.
     wet = AfmConfig.model_validate(
         {"tip_sample": {"liquid_viscosity_pa_s": 1.0, "sample_viscosity_pa_s": 1.0}}
     ).to_dynamic()
@@ -51,7 +51,7 @@ def cantilever_rows() -> list[Row]:
     as_printed = AfmConfig.model_validate({"mode": "as_printed", "tip_sample": {"break_distance_m": 4e-9}})
     printed = as_printed.to_params().plant.tip.bridge(a0, retracting=True)[0]
     return [
-        # expected of silica, water and mica, with 4, 0.37 and 1.35e-19 J
+        # Expected for silica, water and mica, with 4, 0.37 and 1.35e-19 J.
         Row("Hamaker constant across water", "Eq. 5", AfmConfig().tip_sample.hamaker_j * 1e20, 18.861, "1e-20 J"),
         Row("effective mass m", "Eq. 4", wet.mass_kg * 1e12, 45.032, "ng"),
         Row("damping 2 m b in air", "Eq. 4", wet.damping_kg_per_s * 1e9, 424.41, "nN s/m"),
@@ -66,7 +66,7 @@ def cantilever_rows() -> list[Row]:
 
 
 def contact_rows() -> list[Row]:
-    """Return pull-off forces of Maugis and Dugdale's contact without dimensions, between DMT and JKR."""
+    """Return rows for the pull-off force of the dimensionless Maugis-Dugdale contact, between DMT and JKR."""
     published = ((0.1, -1.9506), (0.5, -1.7182), (1.0, -1.6007), (5.0, -1.5063))
     return [
         Row(f"pull-off for lambda = {value:g}, in pi omega R", "Eq. 7-11, E6",
@@ -83,7 +83,7 @@ def _servo_gain(frequency_hz: float) -> float:
 
 
 def _felt_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
-    """Return the fastest scan at which features of a length are felt (Eq. 14)."""
+    """Return the fastest scan at which features of a length [m] are felt through a bandwidth [Hz] (Eq. 14)."""
     path = {"program": "tactile", "tactile": {"feature_m": feature_m, "bandwidth_hz": bandwidth_hz}}
     begin = AfmConfig.model_validate({"begin": path}).begin
     assert begin is not None
@@ -91,14 +91,14 @@ def _felt_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
 
 
 def _scaled_n_per_m(scale: float, stiffness_n_per_m: float) -> float:
-    """Return the stiffness that the hand feels of a cantilever at an impedance scale (Eq. 13)."""
+    """Return the stiffness of a cantilever that the hand feels at an impedance scale (Eq. 13)."""
     tactile = {"scaling": "impedance", "impedance_scale": scale, "cantilever_stiffness_n_per_m": stiffness_n_per_m}
     controller = ControllerConfig.model_validate({"law": "tactile", "tactile": tactile})
     return float(controller.params().spring_n_per_m)
 
 
 def control_rows() -> list[Row]:
-    """Return scaling, scan speed, and the bilateral loop: its delay margins, and Fig. 12 in lockstep."""
+    """Return rows for scaling, scan speed, and the bilateral loop: its delay margins, and Fig. 12 in lockstep."""
     law = LAWS["virtual_impedance"].config()
     values = law.model_dump()
     scale, force = values["position_scale"], values["force_scale"]
@@ -121,10 +121,10 @@ def control_rows() -> list[Row]:
 
 
 def _fig12_rows(session: SimulatedSession) -> list[Row]:
-    """Return the numbers of Fig. 12, of a session in simulated time."""
+    """Return rows for Fig. 12 from a session in simulated time."""
     time, hand = session["time_s"], session["operator_force_n"]
     tip = session["scaled_tip_force_n"]
-    # the last half second of the second hold, and the end of the session, long after the release
+    # The last half second of the second hold; the end of the session is long after the release.
     held = (time > 4.0) & (time < 4.5)
     ratio = float(np.mean(hand[held]) / np.mean(tip[held]))
     return [

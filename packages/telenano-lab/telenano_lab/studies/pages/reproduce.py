@@ -1,4 +1,4 @@
-"""Figures of the paper made again, and its equations with the numbers of Table 2, on one page."""
+"""Reproduce figures of the paper, and evaluate its equations with the numbers of Table 2, on one page."""
 
 import json
 import re
@@ -21,9 +21,9 @@ from telenano_lab.studies.pages.paper_equations import cantilever_rows, contact_
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
-# 1000 points each way are then samples of a millisecond [m/s]
+# With this speed, 1000 points each way are samples of a millisecond [m/s].
 _FIG6_SPEED_M_PER_S = 45e-9
-# The statement of the paper for each figure, and where this one differs.
+# The paper's statement on each figure, and differences here.
 _BESIDE_THE_PAPER = {
     "fig5": "The paper: the tip contacts with the sample at C and leaves it at D during retracting; the hysteresis is"
     " energy that is lost. The same here, where C is the forming of the meniscus, as a cantilever of 40 N/m does not"
@@ -46,7 +46,7 @@ _BESIDE_THE_PAPER = {
 
 
 class Value(NamedTuple):
-    """One number: what and where in the paper, with its erratum; ours and the expected one, in one unit."""
+    """One quantity: its name, its place in the paper with the erratum, our value, the expected one, and the unit."""
 
     name: str
     where: str
@@ -56,18 +56,18 @@ class Value(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """Return the difference, as a share of the expected value."""
+        """The difference as a share of the expected value."""
         return self.ours / self.expected - 1.0
 
 
 def equations() -> list[Value]:
-    """Return what the equations give for Table 2, computed by the models, beside independently computed values."""
+    """Return the results of the equations for Table 2, computed by the models, with independently computed values."""
     config = AfmConfig()
     t = config.tip_sample
     humid = AfmConfig.model_validate({"tip_sample": {"relative_humidity": 0.638}}).tip_sample
     tip = config.to_params().plant.tip
     a0 = tip.contact_distance_m
-    # the strongest attraction of Eq. 5
+    # The distance of the strongest attraction by Eq. 5.
     least = (8.0 / 60.0) ** (1.0 / 6.0) * t.sigma_m
     onset = tip.contact_onset_m
     volts = config.to_params().plant.volts_per_m
@@ -99,7 +99,7 @@ def equations() -> list[Value]:
 
 
 def _equation_number(where: str) -> int:
-    """Return the number of the first equation that a place of the paper names.
+    """Return the number of the first equation in a place of the paper; 0 without one.
 
     >>> _equation_number("Eq. 7-11, E6")
     7
@@ -109,15 +109,15 @@ def _equation_number(where: str) -> int:
 
 
 def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress) -> dict[str, object]:
-    """Write reproduce.html into a folder with the chosen figures; return their numbers.
+    """Write reproduce.html with the chosen figures into a folder; return their numbers.
 
-    A figure whose rig did not run is replaced by the reason, which is also under `failed` in the numbers.
+    If the rig of a figure did not run, the reason takes its place, and is listed under `failed` in the numbers.
 
     Args:
         figures: The figures, of FIGURES.
         out: The folder.
         pixels: The pixels of a line, and the lines, of the image of Fig. 8.
-        progress: Called with the figure, how much of it is done, and its whole.
+        progress: Called with the figure, the amount that is done, and its total.
     """
     page = Page("The paper, made again")
     summary: dict[str, object] = {}

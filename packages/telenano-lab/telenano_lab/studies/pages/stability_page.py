@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 # The colours of curves; those of the verdicts are for areas, and too light for lines.
 _CURVES = (("#0072b2", "-"), ("#d55e00", "--"), ("#000000", ":"))
-# growth rates are drawn on a scale that is linear near zero, where the edge is
+# Growth rates are drawn on a scale that is linear below this, around zero, where the edge is [1/s].
 _LINEAR_PER_S = 0.5
-# The widths of the lines of the measured edge, and of the one by theory.
+# The line widths of the edge in lockstep and of the edge by theory.
 _EDGE_PT = 4.0
 _THEORY_PT = 1.4
-# The ticks of the axis of growth rates.
+# The ticks of the axis of growth rates [1/s].
 _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 VERDICT_WORDS = (
@@ -58,7 +58,7 @@ def write_stability(
     options: FigureOptions = ON_SCREEN,
     tables: Sequence[str] = ("parquet",),
 ) -> dict[str, Any]:
-    """Write stability.png, tables, .json and .html into a folder and give the summary that the JSON file holds."""
+    """Write stability.png, tables, .json and .html into a folder; return the summary in the JSON file."""
     summary = summarise(results)
     with options.styled():
         figures = {"stability": map_figure(results), "growth": growth_figure(results)}
@@ -78,8 +78,8 @@ def write_stability(
 def summarise(results: Sequence[LineResult]) -> dict[str, Any]:
     """Return the object that --json prints.
 
-    critical_delay_ms: stiffness -> round trip [ms] of the first conditions given, half a period included, null when
-    nothing up to the longest delay was unstable; by law, where there are several.
+    critical_delay_ms: stiffness -> round trip [ms] of the first conditions given, with half a period; null if no delay
+    was unstable. With several laws it is by law.
     """
     laws = list(dict.fromkeys(result.line.law for result in results))
     by_law = {law: _by_stiffness([result for result in results if result.line.law == law]) for law in laws}
@@ -125,10 +125,10 @@ def _by_law(results: Sequence[LineResult]) -> dict[str, list[LineResult]]:
 
 
 def map_figure(results: Sequence[LineResult]) -> "Figure":
-    """Draw delay against conditions, a panel a law: the verdict of each cell, the edge found, the edge of theory."""
+    """Draw delay against conditions in a panel for each law: verdicts of the cells, found edge, edge by theory."""
     from matplotlib.colors import to_rgb
 
-    # Each verdict has one colour, because shades of it could not be distinguished.
+    # Each verdict has one colour, because shades of one could not be distinguished.
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 1.0 + 0.42 * max(len(rows) for rows in laws.values()))
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):
@@ -159,14 +159,14 @@ def _patch(colour: str, label: str) -> Any:
 
 
 def _mark(axis: "PlotAxes", y: int, row: LineResult) -> None:
-    # the theory lies on the line that was found, which is wide enough to show beside it
+    # The theory is drawn on the found edge, which is wide enough to be seen beside it.
     for link_ms, style, width in ((row.critical_link_ms, "k-", _EDGE_PT), (row.theory_link_ms, "w--", _THEORY_PT)):
         if link_ms is not None and link_ms <= max(row.line.axes.delays_ms):
             axis.plot([link_ms, link_ms], [y - 0.42, y + 0.42], style, linewidth=width)
 
 
 def _up_to(row: LineResult, delays_ms: npt.NDArray[np.float64], edges: npt.NDArray[np.float64]) -> Any:
-    """Return the borders of the cells of a line, with the edge that was found between two of them in its own place."""
+    """Return the borders of a line's cells, with the found edge instead of the border nearest to it."""
     if row.critical_link_ms is None or not 0 < (place := int(np.searchsorted(delays_ms, row.critical_link_ms))) < len(
         delays_ms
     ):
@@ -182,7 +182,7 @@ def _edges(delays_ms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def growth_figure(results: Sequence[LineResult]) -> "Figure":
-    """Draw the growth rate over the delay, a panel a law."""
+    """Draw the growth rate over the delay, in a panel for each law."""
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 2.6)
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):
@@ -211,7 +211,7 @@ def growth_figure(results: Sequence[LineResult]) -> "Figure":
 
 
 def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
-    """Draw Llewellyn's condition over frequency for the laws that are linear, at no delay and at two delays."""
+    """Draw Llewellyn's condition over frequency for the linear laws, without delay and at two delays."""
     omega = np.geomspace(0.5, 500.0, 600)
     longest = max(results[0].line.axes.delays_ms)
     drawn: dict[str, list[tuple[float, npt.NDArray[np.float64]]]] = {}
@@ -236,8 +236,8 @@ def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
 
 
 def energy_figure(results: Sequence[LineResult]) -> "Figure":
-    """Draw the net energy absorbed by the two-port, in the last stable cell of a law and the first that is not."""
-    # the last line of a law is the one with the stiffest environment, the most gain and the worst link
+    """Draw the net energy absorbed by the two-port in a law's last stable cell and in the first that is not stable."""
+    # The last line of a law has the stiffest environment, the greatest gain and the worst link.
     shown = [rows[-1] for rows in _by_law(results).values()]
     figure, axes = _panels(len(shown), 2.4)
     for axis, result in zip(axes, shown, strict=True):
@@ -245,7 +245,7 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
             try:
                 course = trajectory_of(cell.cell)
             except RigError:
-                # the session never began, and has no energies
+                # The session never began and has no energies.
                 continue
             stored = energies_of(course, scales_of(cell.cell.controller())).stored_j
             label = f"{cell.cell.round_trip_ms:g} ms: {cell.verdict.replace('_', ' ')}"
@@ -259,7 +259,7 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
 
 
 def boundary_cells(result: LineResult) -> list[CellResult]:
-    """Return the last cell before the first unstable one, and that one; the longest delay where all are stable."""
+    """Return the last cell before the first unstable one, and that one; if all are stable, the longest delay."""
     unstable = [i for i, cell in enumerate(result.cells) if cell.verdict != "stable"]
     if not unstable:
         return [result.cells[-1]]
@@ -268,7 +268,7 @@ def boundary_cells(result: LineResult) -> list[CellResult]:
 
 
 def broken_assumption(cell: Cell, result: CellResult) -> str:
-    """Return which assumption of passivity fails in a cell that is not stable."""
+    """Return a sentence on the assumption of passivity that fails in a cell that is not stable."""
     if result.lowest_energy_j < 0.0:
         made = f"the two-port has given out {-1e3 * result.lowest_energy_j:.3g} mJ more than it was given"
         if cell.law in ("virtual_impedance", "position_force"):

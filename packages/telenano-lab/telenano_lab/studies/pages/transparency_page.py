@@ -1,4 +1,4 @@
-"""The page of transparency: what the hand feels of each law over the delay and over frequency."""
+"""The page of transparency: how the hand feels each law, over the delay and over frequency."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -18,13 +18,13 @@ from telenano_lab.studies.pages.figures import hybrid_figure, impedance_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Swings that are faster are felt as masses, and stand in no table of stiffness [Hz].
+# Faster swings are felt as masses and are in no table of stiffness [Hz].
 FASTEST_HZ = 2.5
 _FREQUENCIES = "0.2,0.5,1,2,5,10"
 
 
 class Feel(Axes):
-    """What the transparency is measured for."""
+    """The conditions under which transparency is measured."""
 
     frequencies_hz: Annotated[
         tuple[float, ...], Option(("--frequency",), "LIST", frequencies, written=_FREQUENCIES)
@@ -40,7 +40,7 @@ class Feel(Axes):
     )
 
     def check(self) -> list[str]:
-        """Return what makes a cell doubtful, and whether the rule of tuning changes no law."""
+        """Return the doubts about the cells, and a text if the rule of tuning changes no law."""
         doubts = super().check()
         if self.tuned and cells_of(self) == cells_of(self.model_copy(update={"tuned": False})):
             doubts.append(f"--tuned: {', '.join(self.laws)}: by its rule the defaults stay at these delays")
@@ -48,7 +48,7 @@ class Feel(Axes):
 
 
 def cells_of(axes: Feel) -> list[Cell]:
-    """Return a cell for every law, on the first spring of the axes, and delay; tuned for the delay if asked."""
+    """Return a cell for every law and delay, on the first spring of the axes; tuned for the delay if requested."""
     lines: dict[str, Line] = {}
     for line in axes.lines():
         lines.setdefault(line.law, line)
@@ -66,7 +66,7 @@ def cells_of(axes: Feel) -> list[Cell]:
 def felt_cells(axes: Feel) -> list[FeltCell]:
     """Return the cells of the table of felt stiffness: each law, instrument, delay, spring and swing.
 
-    Cells that share the noise of their instruments follow one another: drawing it takes longer than running them.
+    Cells that share the noise of their instruments follow one another, because drawing it takes longer than a run.
     """
     swings = [frequency for frequency in axes.frequencies_hz if frequency <= FASTEST_HZ]
     springs = dict.fromkeys(line.stiffness_n_per_m for line in axes.lines())
@@ -89,18 +89,18 @@ def felt_cells(axes: Feel) -> list[FeltCell]:
 
 
 def measure_all(axes: Feel) -> tuple[list[Transparency], list[Spectrum]]:
-    """Measure every law on the first spring of the axes at every delay: at one frequency, and over all of them."""
+    """Measure every law on the first spring of the axes at every delay: at one frequency, and over all frequencies."""
     cells = cells_of(axes)
     return [measure(cell) for cell in cells], [spectrum(cell, axes.frequencies_hz) for cell in cells]
 
 
 def z_width_of(spectrum: Spectrum) -> dict[str, float | None]:
-    """Return the stiffest spring that is rendered passively [N/m] and the width [dB]."""
+    """Return the stiffest spring that is rendered passively [N/m], and the Z-width [dB]."""
     return {"passive_n_per_m": spectrum.passive_n_per_m, "z_width_db": spectrum.z_width_db}
 
 
 def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":
-    """Draw what is measured over frequency: impedances at every delay, a hybrid matrix for each delay."""
+    """Draw the figures over frequency: impedances at every delay, and a hybrid matrix for each delay."""
     figures = {"impedances": impedance_figure(spectra)}
     for delay in sorted({row.round_trip_ms for row in spectra}):
         some = [row for row in spectra if row.round_trip_ms == delay]
@@ -109,7 +109,7 @@ def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":
 
 
 def write_spectra(page: Page, spectra: Sequence[Spectrum], images: dict[str, bytes]) -> None:
-    """Add the Z-width and the figures over frequency."""
+    """Add the Z-width and the figures over frequency to a page."""
     page.table(
         ("law", "round trip [ms]", "stiffest spring rendered passively [N/m]", "Z-width at 1 Hz [dB]"),
         [(s.law, s.round_trip_ms, _limit(s.passive_n_per_m), s.z_width_db) for s in spectra],
@@ -135,7 +135,7 @@ def _limit(value: float | None) -> str | None:
 
 
 def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:
-    """Add the table of transparency and what its columns mean."""
+    """Add the table of transparency and an explanation of its columns to a page."""
     page.table(
         ("law", "round trip [ms]", "verdict", "tracking error [%]", "true stiffness [N/m]", "rendered [N/m]",
          "perceived delay [ms]", "free |Z| [N s/m]", "contrast [dB]"),
