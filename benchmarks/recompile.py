@@ -16,8 +16,7 @@ from typing import Any
 from telenano.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("services", "telenano")
-STUDIES = "packages/telenano-lab/telenano_lab/studies"
+PACKAGES = ("services", "telenano", "packages/telenano-lab/telenano_lab")
 STUDY = (
     *("study", "stability", "--law", "virtual_impedance", "--environment", "tip_sample", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
@@ -43,7 +42,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         sources, cache = Path(folder) / "sources", Path(folder) / "cache"
-        for name in (*PACKAGES, STUDIES):
+        for name in PACKAGES:
             ignored = shutil.ignore_patterns("node_modules", "dist", "__pycache__")
             shutil.copytree(ROOT / name, sources / Path(name).name, ignore=ignored)
         environment = {**os.environ, "PYTHONPATH": str(sources), "XDG_CACHE_HOME": str(cache)}

@@ -28,7 +28,6 @@ Mask = npt.NDArray[np.bool_]
 _M_PER_V = (5e-10, 2e-5)
 # Plausible span of the base on a hard sample, taken as nanometres if no unit is given.
 _WAY_NM = (5.0, 1e5)
-_APPROACH = re.compile(r"(?i)(?:^|[\W_])(?:ex|ext|extend|approach|trace|fwd|forward)(?:$|[\W_])")
 _FEWEST_ROWS = 16
 _FEWEST_POINTS = 8
 # A part that covers less than this share of the span is no way of its own.

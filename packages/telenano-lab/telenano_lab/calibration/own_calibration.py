@@ -60,13 +60,6 @@ _RESONANCE_HZ = (500.0, 1e7)
 _QUALITY = (0.6, 3e6)
 # Plausible effective mass k / w0^2: 0.1 N/m at 1.5 MHz is 1e-15 kg, a fork of quartz 1e-7 kg.
 _MASS_KG = (1e-16, 1e-5)
-# Plausible sensitivity of AFM photodiodes, in contact with a hard sample.
-_M_PER_V = (5e-10, 2e-5)
-# Plausible span of the base on a hard sample, taken as nanometres if no unit is given.
-_WAY_NM = (5.0, 1e5)
-# A line of contact whose halves differ by more than this share, and by more than noise, is bent.
-_BENT = 0.1
-_BENT_ERRORS = 6.0
 # Two values agree within this number of standard errors, as 95 in 100 equal values do.
 _WITHIN = 1.96
 # A resonance narrower than this number of lines is remarked on.

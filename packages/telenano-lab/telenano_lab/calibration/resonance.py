@@ -54,7 +54,6 @@ _SAME_AREA = math.log(1.5)
 _STARTS_OF_Q = (1.0, 4.0, 16.0)
 # The fit is refused if the standard error of log s^2 is not below this.
 _KNOWN_TO = 1.0
-_TURN = 2.0 * math.pi
 # A line that thermal noise would reach with less than this probability is not thermal.
 NOT_THERMAL = 1e-6
 # More rejected lines than this number, and than this share, are not tones.

@@ -75,7 +75,7 @@ def push(
 
 
 def push_figure(rows: "list[Row]") -> "Figure":
-    """Return the figure: share placed, time, losses and force across the tip, against the round trip."""
+    """Return the figure: share placed, time, losses and peak force along the tip, against the round trip."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
