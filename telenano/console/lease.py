@@ -143,7 +143,7 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
 
 
 def take(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Let a party take control and keep it: if it is free or the owner's own; a teacher may take it from anyone.
+    """Let a party take and keep control that is free or held by the same owner; a teacher may take anyone's.
 
     Raises:
         RefusedError: The role may not take control, or another party holds it.

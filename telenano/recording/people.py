@@ -18,7 +18,7 @@ class Selectable(Protocol):
 
 
 def people_in(recording: Selectable) -> dict[str, dict[str, int]]:
-    """Return, for each person, the count of each command that they gave, and under `hand` that of passed hands.
+    """Return, for each person, the count of each command that they gave, and under `hand` how often they got the hand.
 
     A command that was repeated until its answer came counts once. Unreadable messages are left out.
     """

@@ -208,9 +208,10 @@ class Recording(RecordedFields):
         yield from self._walk(table, RecordedMessage, report, first, after, blocks)
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator["Piece"]:
-        """Yield the file in order, in pieces of about `length_ns` and 16 MiB at most; each chunk is in one piece.
+        """Yield the file in order, in pieces of about `length_ns` [ns]; each chunk is in one piece.
 
-        The lead of a piece consists of the chunks within `lead_ns` before it, at most as many as the piece has (or 2).
+        A piece of several chunks has at most 16 MiB of uncompressed data. Its lead consists of the chunks within
+        `lead_ns` before it, at most as many as the piece has (or 2).
         """
         blocks, first, size = self._layout.blocks, 0, 0
         for place, block in enumerate((*blocks, None)):

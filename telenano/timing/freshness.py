@@ -56,7 +56,7 @@ class DelayHistory(msgspec.Struct, array_like=True):
 
 
 class FreshnessState(NamedTuple):
-    """Time of the last turn, oldest stamp of this session, and the delays that the link reported [ns].
+    """Time since which a turn is due, oldest stamp of this session, and the delays that the link reported [ns].
 
     between_ns: delay of the network and lead of the clock. judged_ns: stamp of the sample whose age was last requested.
     """
@@ -83,7 +83,8 @@ class Freshness:
         """Begin without a turn; `node` is node@site, `now_ns` the time by the clock of the stamps."""
         # Whether a message from a recording has the age since its reception.
         self.allow_replay = True
-        # Time of the last turn by the monotonic clock [ns]; 0 before the first, which may take any time.
+        # Time since which a turn is due, by the monotonic clock [ns]: that of the last turn, or a later deadline that
+        # the node sets. 0 before the first turn, which may take any time.
         self.turn_ns = 0
         self._is_slave = site_of(node) == "slave"
         self._oldest_ns = now_ns - _OLDER_THAN_READER_NS
@@ -110,7 +111,7 @@ class Freshness:
         return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
 
     def stalled_s(self, now_ns: int) -> float:
-        """Record a turn; return the time since the last one [s] if it exceeds the deadline of the loop, else 0.0.
+        """Record a turn; return the time for which it was due [s] if that exceeds the deadline of the loop, else 0.0.
 
         Messages that waited during a stall are late, and are not reported as late once more.
         """
@@ -143,7 +144,7 @@ class Freshness:
         return lag_ns if self._is_slave else lag_ns + self._backward.of(hand_t_ns)
 
     def age_s(self, now_ns: int, hand_t_ns: int, message_age_s: float = 0.0) -> float:
-        """Return the age of a hand's sample, or that of the message behind which it stands, if greater [s].
+        """Return the age of a hand's sample, or that of the message that descends from it, if greater [s].
 
         A sample from before this node began comes from a recording, so only the message's age counts. (A live sample
         cannot be so old: nothing was sent to this node before it subscribed.)
