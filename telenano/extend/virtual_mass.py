@@ -326,7 +326,7 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
 
 @compiled
 def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
-    """Return the mass `after` a step, stopped if it leads the device by so much that the device cannot be following."""
+    """Return the mass `after` a step, stopped if it leads the device at `hand_m` [m] too far for one that follows."""
     most = max(LONGEST_LEAD_M, abs(mass.position_m - hand_m))
     lead = after.position_m - hand_m
     if abs(lead) <= most:

@@ -218,7 +218,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Create a folder if it does not exist, and remove it again if it is still empty when the block ends."""
+    """Create a folder if it does not exist, or raise OSError; remove a new one if it is empty when the block ends."""
     is_new = not path.exists()
     path.mkdir(parents=True, exist_ok=True)
     try:

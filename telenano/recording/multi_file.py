@@ -37,7 +37,7 @@ class RecordingSource(RecordedFields, Protocol):
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield the messages of the wanted channels with `start_ns` <= reception time < `end_ns`."""
+        """Yield the messages of the wanted channels with `start_ns` <= reception time < `end_ns` [ns]."""
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator[Piece]:
         """Yield pieces of about `length_ns`, each with the chunks of `lead_ns` before it [ns]."""

@@ -85,7 +85,7 @@ class Recording(RecordedFields):
     """A recording on disk, up to the size that it had when this object was created."""
 
     def __init__(self, path: str | Path) -> None:
-        """Scan the structure of a file; raise RecordingError if it is missing, empty or not MCAP."""
+        """Scan the structure of a file; raise RecordingError, with the fault, if it is missing, unreadable or not MCAP."""
         self.path, self.left_out = Path(path), LeftOut()
         try:
             # The file stays open, so that a replacement on disk does not affect this object.
@@ -299,7 +299,7 @@ class Recording(RecordedFields):
     ) -> Iterator[_MessageT]:
         """Yield the messages of the selected channels, add new channels to the table, report unusable parts.
 
-        Only messages with `first_ns` <= `log_ns` < `after_ns` are yielded; blocks entirely outside are not read.
+        Only messages with `first_ns` <= `log_ns` < `after_ns` [ns] are yielded; blocks entirely outside are not read.
         """
         with self._open() as data:
             for block in each_block(data, self._layout.blocks if blocks is None else blocks):

@@ -26,7 +26,7 @@ class RecordedFields(Protocol):
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield the messages of the named channels with `start_ns` <= reception time < `end_ns`; None for all."""
+        """Yield the messages of the named channels with `start_ns` <= reception time < `end_ns` [ns]; None for all."""
 
     def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, npt.NDArray[Any]]":
         """Return fields of every message of a channel as arrays; see `telenano.recording.columns.columns`."""

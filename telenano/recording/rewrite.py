@@ -156,7 +156,7 @@ class CopyWriter:
 def filter_recording(
     source: Path, target: Path, selection: Selection = ALL, start_s: float = 0.0, end_s: float | None = None
 ) -> CopyResult:
-    """Copy the selected channels from `start_s` (inclusive) to `end_s` (exclusive) after the start of the recording.
+    """Copy the selected channels from `start_s` to `end_s` (excluded) after the start of the recording [s].
 
     A damaged file is read as far as possible, so a copy of everything recovers it.
 

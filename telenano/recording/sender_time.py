@@ -240,7 +240,7 @@ class SenderOrder:
             self._add_guessed(SentMessage(time_ns, self._place, message))
 
     def _release_waiting(self, patience_ns: int) -> None:
-        """Release the messages whose fate is known, and those received longer than `patience_ns` ago."""
+        """Release the messages whose fate is known, and those received longer than `patience_ns` [ns] ago."""
         for waiting in self._waiting.values():
             while waiting:
                 arrived_ns, place, message = waiting[0]

@@ -202,7 +202,7 @@ class _ClockMessages:
                         yield message
 
     def select(self, wanted: ChannelFilter, first_ns: int, last_ns: int) -> Iterable[RecordedMessage]:
-        """Return the messages of the wanted channels from `first_ns` up to `last_ns`, which is excluded.
+        """Return the messages of the wanted channels from `first_ns` up to `last_ns` (excluded) [ns].
 
         Outside of the windows only `_MOST_SOUGHT` calls are answered; later ones return nothing.
         """

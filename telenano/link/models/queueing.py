@@ -63,7 +63,7 @@ class RateServer:
 class DeliveryState(NamedTuple):
     """Origin of the trace [ns], number of the current opportunity, and its remaining capacity.
 
-    The capacity is in bytes, or in messages (0 or 1) without a byte limit.
+    The capacity is a size [bytes], or without a byte limit a number of messages (0 or 1).
     """
 
     origin_ns: int
