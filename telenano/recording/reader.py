@@ -85,7 +85,7 @@ class Recording(RecordedFields):
     """A recording on disk, up to the size that it had when this object was created."""
 
     def __init__(self, path: str | Path) -> None:
-        """Scan the structure of a file; raise RecordingError, with the fault, if it is missing, unreadable or not MCAP."""
+        """Scan the structure of a file; raise RecordingError if it is missing, unreadable or not MCAP."""
         self.path, self.left_out = Path(path), LeftOut()
         try:
             # The file stays open, so that a replacement on disk does not affect this object.
