@@ -152,7 +152,7 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
     Programs that store messages without interpreting them use it: only the header is checked.
 
     Raises:
-        WireError: The header is not valid, as in `read_header`, or another field is not valid msgpack.
+        WireError: The header is not valid, as in `read_header`, or another field is not valid msgpack or UTF-8.
     """
     header = read_header(topic, payload)
     try:
