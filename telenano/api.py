@@ -13,7 +13,7 @@
     with telenano.live() as rig:
         print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
 
-Vectors are those of the wire: in the frame of a site, z away from the sample, a column for each component.
+Vectors have the form of the wire: in the frame of a site, z away from the sample, one column for each component.
 """
 
 import json
@@ -52,23 +52,23 @@ if TYPE_CHECKING:
     from telenano.analysis.recorded_session import Session as ReadSession
 
 _LOOP = "haptic/state"
-# The columns of a table of recordings that do not depend on what is in them.
+# The columns of a table of recordings that do not depend on their content.
 _CONDITIONS = tuple(field.name for field in fields(Conditions) if field.name != "parameters")
 _HOLD_NUMBERS = tuple(name for name in Hold._fields if name not in ("verdict", "reason", "facts"))
 _FIRST = (
     *("file", *_CONDITIONS, "measured_round_trip_ms", "session_verdict", "session_reason", "hold"),
     *Hold._fields,
 )
-# The width of a bar of progress, in characters.
+# Width of the progress bar in characters.
 _BAR = 30
 
 
 class Table(ColumnTable):
-    """Columns of equal length, in the order of sending; each of shape (n,).
+    """Columns of equal length in order of send time, each of shape (n,).
 
-    `time_s` is the time of sending since the start of the operator's force profile [s], NaN where none ran, and `src`
-    the publisher; the others are the fields of the message, `position_m.2` for a component. `units` and `descriptions`
-    have an entry for each column. A value that a message lacks is NaN, or None among text and lists.
+    `time_s` is the send time since the start of the operator's force profile [s], NaN if none ran, and `src` the
+    publisher; the others are the fields of the message, `position_m.2` for a component. `units` and `descriptions` have
+    an entry for each column. A missing value is NaN, or None in a column of texts or lists.
     """
 
     def __init__(self, topic: str, columns: Mapping[str, Column]) -> None:
@@ -80,14 +80,14 @@ class Table(ColumnTable):
         self.topic = topic
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return a pandas DataFrame, with `topic` and `units` in its attrs; ConfigError where pandas is missing."""
+        """Return a pandas DataFrame, with `topic` and `units` in its attrs; raise ConfigError without pandas."""
         frame = super().to_pandas()
         frame.attrs.update(topic=self.topic)
         return frame
 
 
 class JudgedRecording(NamedTuple):
-    """What is judged of a recording: its summary, what was set, and when the force profile began [ns]."""
+    """Results on a recording: its summary with the verdict, its conditions, and the start of the force profile [ns]."""
 
     summary: dict[str, Any]
     conditions: Conditions
@@ -95,14 +95,14 @@ class JudgedRecording(NamedTuple):
 
 
 class RecordedSession(Session):
-    """A session that was recorded, in a file or in parts; made by `open`.
+    """A recorded session, in one file or in parts; returned by `open`.
 
-    The tables can be read where the operator's force profile never ran; all else then raises RecordingError.
+    If the operator's force profile never ran, only the tables can be read; everything else raises RecordingError.
     """
 
     def __init__(self, paths: Iterable[Path], *, same_session: bool = False) -> None:
         self._paths = list(paths)
-        # it looks at the files before they are opened
+        # Made before the files are opened, because it reads their state.
         self._kept = KeptSummary(self._paths) if self._paths else None
         self._source = open_recordings(self._paths, same_session=same_session)
 
@@ -112,32 +112,32 @@ class RecordedSession(Session):
 
     @cached_property
     def course(self) -> ColumnTable:
-        """All columns as a table; RecordingError when the force profile never ran."""
+        """All columns of the session as a table; RecordingError if the force profile never ran."""
         from telenano.analysis.recorded_course import course_of
 
         return course_of(self._session)
 
     @property
     def conditions(self) -> Conditions:
-        """What was set; a delay that was set before the session began is in it."""
+        """The settings of the session, including a delay that was set before it began."""
         return self._judged.conditions
 
     @property
     def measured_round_trip_ms(self) -> float | None:
-        """Median of the delays that the link added there and back [ms]; None where it reported none."""
+        """Median of the delay that the link added there and back [ms]; None if it reported none."""
         trip_ms: float | None = self.summary["link_round_trip_ms"]
         return trip_ms
 
     @cached_property
     def holds(self) -> list[Hold]:
-        """The holds of the hand, each judged."""
+        """The holds of the hand, each with its verdict."""
         return [
             Hold(**{**hold, "facts": tuple(Fact(**fact) for fact in hold["facts"])}) for hold in self.summary["holds"]
         ]
 
     @property
     def verdict(self) -> Kind:
-        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        """Verdict of the session: that of its worst hold, or `guarded` if the instrument's guard ended it."""
         kind: Kind = self.summary["verdict"]
         return kind
 
@@ -148,12 +148,12 @@ class RecordedSession(Session):
 
     @cached_property
     def felt_stiffness(self) -> "FeltSession":
-        """What the hand felt of the stiffness that is there, or why that cannot be known."""
+        """The stiffness that the hand felt, compared with the actual one, or the reason why it is unknown."""
         return self._session.felt(self._analysed)
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
-        """The publishers of each channel; `teleop/forward@slave` is what came out of the link there."""
+        """The publishers of each channel; `teleop/forward@slave` is the channel behind the link at the slave's site."""
         fields_of: dict[str, list[str]] = {}
         for channel in self._source.channels:
             fields_of.setdefault(channel.channel_topic, []).append(channel.src)
@@ -161,12 +161,12 @@ class RecordedSession(Session):
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Conditions, figures and verdict, as in `summary.json`; RecordingError when the force profile never ran."""
+        """Conditions, figures and verdict, as in `summary.json`; RecordingError if the force profile never ran."""
         return self._judged.summary
 
     @cached_property
     def start_ns(self) -> int | None:
-        """When the operator's force profile last began, on the publishers' clock [ns]; None if it never ran."""
+        """Last start of the operator's force profile, by the publishers' clock [ns]; None if it never ran."""
         try:
             return self._judged.start_ns if "_judged" in self.__dict__ else int(self._session.start_ns)
         except RecordingError:
@@ -174,7 +174,7 @@ class RecordedSession(Session):
 
     @property
     def is_judged(self) -> bool:
-        """Whether its verdict is known, from this program or kept beside the file, and need not be computed."""
+        """Whether the verdict is already known, in this object or in a file beside the recording."""
         if "_judged" not in self.__dict__ and (kept := self._read_kept()) is not None:
             self.__dict__["_judged"] = kept
         return "_judged" in self.__dict__
@@ -201,7 +201,7 @@ class RecordedSession(Session):
             summary, stated = found["summary"], found["conditions"]
             before, now = found["path"], str(self._source.path)
             if before != now:
-                # the recording was moved: only the place that is known to name it is changed
+                # The recording was moved: replace its path in the one known place, and give up if others have it.
                 summary["recording"]["file"] = now
                 if before in json.dumps(summary):
                     return None
@@ -225,7 +225,7 @@ class RecordedSession(Session):
 
     @cached_property
     def _analysed(self) -> RecordingSource:
-        # what a program has read of the other one before must not show in the account of what cannot be read
+        # A second reader, so that the caller's earlier reads do not add to its count of unreadable messages.
         return open_recordings(self._paths)
 
     @cached_property
@@ -233,15 +233,15 @@ class RecordedSession(Session):
         return Timeline(self._source)
 
     def table(self, channel: str, src: str | None = None) -> Table:
-        """Return the messages of a channel in the order of sending, on one clock.
+        """Return the messages of a channel in order of send time, by one clock.
 
         Args:
-            channel: The topic, with the site of its reception after an `@` where it crossed the link.
-            src: One of its publishers; `*` takes those of all, each row with its own in the column `src`. None is for
-                a channel that has one publisher.
+            channel: The topic; with `@` and the site of reception if it crossed the link.
+            src: One of its publishers, or `*` for all, which the column `src` names for each row. None suffices for a
+                channel with one publisher.
 
         Raises:
-            RecordingError: There is no such channel or publisher; the message names those there are.
+            RecordingError: There is no such channel or publisher, or `src` is missing; the message lists the names.
         """
         sources = self.channels.get(channel)
         if sources is None:
@@ -264,7 +264,7 @@ class RecordedSession(Session):
 
 
 class LiveRig:
-    """A rig that is running, for reading; made by `live`."""
+    """A running rig, for reading; returned by `live`."""
 
     def __init__(self, observer: Any) -> None:
         self._observer = observer
@@ -273,12 +273,12 @@ class LiveRig:
         return f"<LiveRig: {', '.join(sorted(self._observer.subscribers))}>"
 
     def messages(self, duration_s: float | None = None) -> Iterator[tuple[str, Message]]:
-        """Yield channel and message as they come, for a time [s], None for no end."""
+        """Yield channel and message of each received message, for `duration_s` [s] or, if None, without end."""
         for observed in self._observer.listen(duration_s):
             yield observed.name, observed.received.message
 
     def table(self, channel: str, src: str | None = None, *, duration_s: float) -> Table:
-        """Return what is received on a channel within a time [s]; `time_s` is that of the hand's force profile."""
+        """Return the messages received on a channel within `duration_s` [s]; `time_s` counts from the force profile."""
         rows: list[tuple[int, dict[str, Any]]] = []
         start_ns: int | None = None
         for name, message in self.messages(duration_s):
@@ -291,16 +291,16 @@ class LiveRig:
 
 
 def open(path: str | os.PathLike[str], *further: str | os.PathLike[str], same_session: bool = False) -> RecordedSession:
-    """Open a recording, or the files of one session, each once; of a folder the one recording that is in it.
+    """Open a recording, or several files of one session; a folder stands for the only recording in it.
 
     Args:
         path: The recording.
         further: Further files of the same session: parts of the recording, or that of the other site.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
-        RecordingError: A file cannot be read, a folder has not just one recording, or two files are not of one session;
-            the message names them.
+        RecordingError: A file cannot be read, a folder does not have exactly one recording, or two files are not of one
+            session; the message names them.
     """
     for each in (path, *further):
         _check_path(each)
@@ -337,20 +337,20 @@ def _recording_at(path: Path) -> Path:
 def open_all(
     recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, progress: bool = True
 ) -> "pandas.DataFrame":
-    """Return a table of many recordings with a row for each hold: conditions, verdict of the session, and the hold.
+    """Return a table of many recordings with one row for each hold: conditions, verdict of the session, and the hold.
 
-    What is judged is kept beside each recording, so that a second call takes milliseconds for each, and one that was
-    interrupted goes on where it was. A session without a hold has one row, and so has a recording that cannot be
-    judged, whose `session_reason` is the error.
+    Results are saved beside each recording, so that a second call takes milliseconds for each, and an interrupted call
+    can be continued. A session without a hold has one row; so has a recording that cannot be judged, with the error in
+    `session_reason`.
 
     Args:
-        recordings: A pattern of paths, such as `out/**/session.mcap`, where a folder stands for the one recording in
-            it; or paths of files and folders.
-        progress: Whether a bar on a terminal or in a notebook shows how many are still to be judged.
+        recordings: A pattern of paths, such as `out/**/session.mcap`, in which a folder stands for the only recording
+            in it; or paths of files and folders.
+        progress: Whether to show a progress bar on a terminal or in a notebook.
 
     Raises:
-        NoRecordingError: There is none; the message names the pattern.
-        ConfigError: pandas is not installed; the message says what adds it.
+        NoRecordingError: No recording matches; the message names the pattern.
+        ConfigError: pandas is not installed; the message says how to install it.
     """
     frames = required_module("pandas", "a table of recordings as data of pandas: pandas is not installed", "export")
     paths = _recordings_at(recordings)
@@ -365,7 +365,7 @@ def open_all(
     _show_progress(len(new), len(new), progress)
     rows = [row for path in paths for row in rows_of[path]]
     names = dict.fromkeys(name for row in rows for name in row)
-    # what belongs to a hold or a law stands behind what every session has
+    # Columns that only some holds or laws have follow those that every session has.
     frame = frames.DataFrame(rows, columns=[*dict.fromkeys([*_FIRST, *names])])
     return frame.astype({name: float for name in _HOLD_NUMBERS})
 
@@ -373,7 +373,7 @@ def open_all(
 def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
     if isinstance(recordings, (str, os.PathLike)):
         names = sorted(glob(os.fspath(recordings), recursive=True))  # noqa: PTH207 - that of a path takes no absolute pattern
-        # a folder that has no recording is none, and so is a figure beside one
+        # Skip matches that are no recording, such as figures, and folders without one.
         paths = [
             path for path in map(Path, names) if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
         ]
@@ -386,7 +386,7 @@ def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLi
         for each in recordings:
             _check_path(each)
         paths = [Path(each) for each in recordings]
-    # a pattern may name a recording and the folder that it is in, and a link to it
+    # A pattern may match a recording, its folder, and a link to it; each recording counts once.
     own: dict[str, Path] = {os.path.realpath(path): path for path in reversed(paths) if not path.is_dir()}
     for path in paths:
         inside = [os.path.realpath(each) for each in sorted(path.glob("*.mcap"))] if path.is_dir() else []
@@ -398,7 +398,7 @@ def _recordings_at(recordings: str | os.PathLike[str] | Iterable[str | os.PathLi
 
 
 def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None:
-    """Return the rows of a recording; None of one that is not judged yet where only such ones are wanted."""
+    """Return the rows of a recording; None if `kept_only` is set and its results are not saved yet."""
     try:
         path = _recording_at(path)
         session = RecordedSession([path])
@@ -423,7 +423,7 @@ def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None
 
 
 def _show_progress(done: int, whole: int, is_wanted: bool) -> None:
-    # a notebook and a terminal go back to the beginning of the line
+    # Only a notebook and a terminal can return to the beginning of the line.
     if is_wanted and whole > 1 and (sys.stderr.isatty() or "ipykernel" in sys.modules):
         bar = "#" * (_BAR * done // whole)
         end = "\n" if done == whole else ""
@@ -432,13 +432,13 @@ def _show_progress(done: int, whole: int, is_wanted: bool) -> None:
 
 
 def check_law(name: str) -> dict[str, list[str]]:
-    """Try the rules that the rig relies on with a law; return each rule with what breaks it, empty where nothing does.
+    """Test a law against the rules on which the rig relies; return the violations of each rule, empty if it holds.
 
     This does the same as `telenano law check`.
 
     Raises:
-        ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
-            or the reason.
+        ConfigError: There is no such law, or the law of a package cannot be used; the message lists the laws or names
+            the reason.
     """
     from telenano.lockstep.law_rules import broken_rules
 
@@ -448,15 +448,16 @@ def check_law(name: str) -> dict[str, list[str]]:
 def curves(
     files: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], model: str = "hertz", **shape: Any
 ) -> "pandas.DataFrame":
-    """Fit a contact to all force curves of files; return a table of pandas with a row for each.
+    """Fit a contact model to all force curves in files; return a pandas table with one row for each curve.
 
     This does the same as `telenano curve fit`, and needs telenano-lab.
 
     Args:
         files: A file, a folder, or several of them.
         model: hertz, sneddon, dmt or jkr.
-        **shape: `radius_m` of the tip, or for sneddon `half_angle_rad` of the cone; `poisson` of the sample (0.5),
-            `thickness_m` of a sample on a hard ground, and `settings`, what the files lack, as by `--set`.
+        **shape: `radius_m` of the tip [m], or for sneddon `half_angle_rad` of the cone [rad]; `poisson`, Poisson's
+            ratio of the sample (0.5); `thickness_m` of a sample on a hard substrate [m]; and `settings`, values that
+            the files lack, as for `--set`.
 
     Raises:
         ConfigError: telenano-lab is not installed, there is no such file, or the shape of the tip is missing.
@@ -475,10 +476,10 @@ def curves(
 
 @contextmanager
 def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
-    """Connect to a running rig, by the packaged site file of one machine or one of your own.
+    """Connect to a running rig, through your own site file or, without one, the packaged site file of one machine.
 
     Raises:
-        ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
+        ConfigError: The site file is invalid, or this machine lacks a key; the message names the fault.
         RigError: No rig of the site file runs.
     """
     from telenano.runtime.wiring.observer import Observer

@@ -1,1 +1,1 @@
-"""The process that stands in for nodes: it plays a recording on the bus."""
+"""The player: a process that replaces nodes and plays their recorded messages on the bus."""

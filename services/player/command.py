@@ -1,4 +1,4 @@
-"""`telenano replay`: recordings take the place of nodes on the bus, the rest of the rig being live."""
+"""`telenano replay`: play recordings on the bus instead of some nodes, while the rest of the rig is live."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ _KEYS_TEXT = "space pause · . step · e next event · ← → 1 s · + - rate �
 
 
 class PlayerKeyBindings:
-    """What the keys do to a player."""
+    """Maps keys to actions of a player, and shows its status line."""
 
     def __init__(self, keys: RawKeyboard) -> None:
         self._keys = keys

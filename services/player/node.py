@@ -1,8 +1,8 @@
-"""The player: takes the place of nodes on their own endpoints and publishes their recorded messages again.
+"""The player as a node: it binds the endpoints of other nodes and publishes their recorded messages again.
 
-The bytes are sent as they were recorded, times and `seq` included. Only after a jump (seek, loop) the `seq` of each
-message is shifted so that it continues: readers would take an old number for a repetition and a gap for a loss. And a
-command has the time at which it is played: with its own it would have expired.
+The recorded bytes are sent unchanged, including times and `seq`. Only after a jump (seek, loop) the `seq` of messages
+is shifted so that it continues: readers would treat an old number as a repetition and a gap as a loss. Commands get the
+time at which they are played, because with their own they would have expired.
 """
 
 import os
@@ -28,22 +28,22 @@ from telenano.wire.messages import Scalar, SessionControl
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
-# Reading a few messages ahead takes less, and so does a message of the player's own.
+# Least free time before the next message for deferred work: reading ahead or publishing a report takes less.
 _PIECE_NS = 250_000
 _BATCH = 256
-# As fast as possible, this number of are read and then sent in a row: the threads of both ends wake up less often.
+# At rate 0 this number of messages is read and then sent together, so that the threads of both ends wake up less often.
 _FAST_BATCH = 2048
 _LINGER_MS = 10_000
-# a millionth: an hour takes a century
+# Least rate; an hour would take a century.
 _LEAST_RATE = 1e-6
 _SUBSCRIBE = b"\x01"
-# The most subscriptions that are read in a turn, so that endless ones keep no message from being played.
+# Most subscriptions that are read at a time, so that a flood of them does not block the playing of messages.
 _MOST_SUBSCRIPTIONS = 256
 
 
 @dataclass(frozen=True)
 class PlaySettings:
-    """Settings of the start; `wait_s` is the longest wait until every topic has a reader [s]."""
+    """Initial settings: rate, pause, and the longest wait until every topic has a reader [s]."""
 
     rate: float = 1.0
     paused: bool = False
@@ -51,24 +51,24 @@ class PlaySettings:
 
 
 class ReplayPublisher:
-    """Publisher at the endpoint of a played node: does not drop for slow readers, and knows its subscriptions."""
+    """Publisher at the endpoint of a played node, which drops nothing for slow readers and knows its subscriptions."""
 
     def __init__(self, publisher: ZmqPublisher) -> None:
-        """Configure the socket of a publisher, which must be made with `kind=zmq.XPUB`."""
+        """Configure the socket of a publisher, which must be of the kind `zmq.XPUB`."""
         self.publisher = publisher
         self._send_frame = publisher.send_frame
         self.sent = 0
         self.was_read = False
         self.subscriptions: set[bytes] = set()
         socket = publisher.socket
-        # a full queue of a reader is then an error at once, and not a message that is silently dropped
+        # A full queue of a reader raises an error at once, instead of dropping the message silently.
         socket.set(zmq.XPUB_NODROP, 1)
         socket.set(zmq.XPUB_VERBOSE, 1)
         socket.set(zmq.SNDTIMEO, 0)
         socket.set(zmq.LINGER, _LINGER_MS)
 
     def send(self, topic: bytes, payload: bytes) -> bool:
-        """Send bytes; return False when the queue of a reader is full, and then nothing is sent to any reader."""
+        """Send a message; return False if the queue of a reader is full, and then send nothing to any reader."""
         try:
             self._send_frame(topic, SNDMORE)
             self._send_frame(payload)
@@ -80,7 +80,7 @@ class ReplayPublisher:
     def read_subscriptions(self) -> bool:
         """Read subscription messages; return whether there was a new subscription since the last call."""
         subscribed = False
-        # `Socket.poll` would make a poller first.
+        # The option EVENTS is used because `Socket.poll` would create a poller first.
         for _ in range(_MOST_SUBSCRIPTIONS):
             if not int(self.publisher.socket.get(zmq.EVENTS)) & zmq.POLLIN:
                 break
@@ -98,26 +98,26 @@ class ReplayPublisher:
 
 
 class Route:
-    """How the messages of a channel are sent: publisher, topic, and the shift by which `seq` counts on after jumps."""
+    """Route of a channel's messages: publisher, topic, and the shift of `seq` that makes it continue after jumps."""
 
     def __init__(self, publisher: ReplayPublisher, topic: str, *, is_command: bool) -> None:
         self.publisher = publisher
         self.topic = topic.encode()
-        # Whether the recorded bytes are sent.
+        # Whether the recorded bytes are sent unchanged.
         self.as_recorded = not is_command
         self._is_command = is_command
         self._offset = 0
         self._jumped = False
-        # The `seq` that was sent last; none was at first.
+        # The `seq` sent last; None before the first message.
         self._last: int | None = None
 
     def jump(self) -> None:
-        """Record that the next message does not follow the last one."""
+        """Record a jump: the next message does not follow the last one."""
         self._jumped = self._last is not None
         self.as_recorded = self.as_recorded and not self._jumped
 
     def payload(self, message: RecordedMessage, clock: Clock) -> bytes:
-        """Return the bytes to send: the recorded ones, unless there was a jump or it is a command, sent now."""
+        """Return the bytes to send: the recorded ones, with a new `seq` after a jump, and a new time for a command."""
         if self._jumped and self._last is not None:
             self._offset = self._last + 1 - message.seq
         if self._offset == 0 and not self._is_command:
@@ -126,13 +126,13 @@ class Route:
         fields["seq"] = message.seq + self._offset
         if self._is_command:
             fields["t_ns"] = clock.now_ns()
-            # it refers to an emergency stop of the recorded run, which cannot be released a second time
+            # The latch refers to an emergency stop of the recorded run, which cannot be released again.
             fields.pop("node_latch", None)
         packed: bytes = msgpack.packb(fields)
         return packed
 
     def sent(self, message: RecordedMessage) -> None:
-        """Note what was sent."""
+        """Record that a message was sent."""
         self._last = message.seq + self._offset
         if not self.as_recorded:
             self._jumped = False
@@ -140,7 +140,7 @@ class Route:
 
 
 class PlayerNode(Node):
-    """Plays a recording through the publishers of its nodes, controlled by session/control and by its methods."""
+    """Plays a recording through publishers of its nodes, controlled by session/control and by method calls."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     named_commands: ClassVar[tuple[str, ...]] = ("start", "stop", "set")
@@ -160,13 +160,13 @@ class PlayerNode(Node):
         """Prepare to play.
 
         Args:
-            context: What the node runs in.
-            playback: The recording, and where in it the player is.
-            plan: The nodes that are played, and the channels that are published again.
-            publishers: The endpoints by the sender that they stand for.
-            settings: The settings of the start.
+            context: The clock, bus and machine of the node.
+            playback: The recording and the position in it.
+            plan: The nodes to play, and the channels to publish.
+            publishers: The publisher for each played node.
+            settings: The initial settings.
             observe: Called twenty times a second, for a status line and keys.
-            warnings: Published at the start.
+            warnings: Sentences to publish at the start.
         """
         super().__init__(context)
         self.playback = playback
@@ -179,11 +179,11 @@ class PlayerNode(Node):
         self._plan = plan
         self._publishers = publishers
         self._routes = {channel: self._route(channel) for channel in plan.channels}
-        # The same by the identity of a channel, which is kept with it: its hash takes longer than sending a message.
+        # Routes by the `id` of a channel, which is kept alive: hashing a channel takes longer than sending a message.
         self._known: dict[int, tuple[RecordedChannel, Route]] = {}
         self._observe = observe
         self._warnings = warnings
-        # What is done in the gaps between messages, and no later than with the next tick.
+        # Work that is done in the gaps between messages, at the latest with the next tick.
         self._deferred: deque[Callable[[], None]] = deque()
         self._pending_state: deque[RecordedMessage] = deque()
         self._steps = 0
@@ -195,7 +195,7 @@ class PlayerNode(Node):
         self._reported = dict.fromkeys(publishers, 0)
 
     def on_message(self, received: object) -> None:
-        """Ignore it: commands come through `on_control`."""
+        """Do nothing: commands come through `on_control`."""
 
     def deadline_ns(self) -> int:
         if not self.started or self.finished:
@@ -212,12 +212,12 @@ class PlayerNode(Node):
             self._play(now_ns)
 
     def make_safe(self) -> None:
-        """Publish to the readers that the replay is over."""
+        """Publish the state `stopping` at each endpoint, so that readers know that the replay is over."""
         for publisher in self._publishers.values():
             self._publish_health(publisher, 0.0, "stopping")
 
     def on_control(self, control: SessionControl) -> str:
-        """Continue, end, or change what `set` names: player.rate, .pause, .step, .seek_s and so on."""
+        """Carry out `start` (continue), `stop` (end) or `set` (player.rate, .pause, .step, .seek_s and so on)."""
         if control.command == "start":
             self.pause(False)
         elif control.command == "stop":
@@ -240,22 +240,22 @@ class PlayerNode(Node):
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, paused=paused)
 
     def set_rate(self, rate: float) -> None:
-        """Set the rate: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative or hardly more."""
+        """Set the rate: 1 as recorded, 0 as fast as readers keep up; raise RefusedError if negative or nearly 0."""
         self._check_rate(rate)
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, rate=rate)
 
     def step(self, count: int = 1) -> None:
-        """Send the next `count` messages at once, and pause."""
+        """Send the next `count` messages at once, then pause; raise RefusedError if `count` is below 1."""
         self._check_step(count)
         self.pause(True)
         self._steps = count
 
     def seek(self, time_s: float) -> None:
-        """Move to a time [s] from the start of the recording, and publish the state there."""
+        """Jump to a time [s] from the start of the recording, and publish the state there."""
         self._jump(self.playback.seek(self.playback.at(time_s)))
 
     def seek_event(self) -> None:
-        """Move to the next session/event; RefusedError when there is none."""
+        """Jump to the next session/event; raise RefusedError if there is none."""
         self._jump(self.playback.seek(self._next_event_ns()))
 
     def end(self) -> None:
@@ -273,7 +273,7 @@ class PlayerNode(Node):
             kinds = SETTERS[name][0]
             if type(value) not in kinds:
                 raise RefusedError(f"{name} is {value!r}, a {kinds[0].__name__} is needed")
-        # All that can refuse comes first, so that a command is carried out as a whole or not at all.
+        # Do all checks first, so that a command is carried out as a whole or not at all.
         self._check_rate(float(parameters.get("player.rate", 1.0)))
         self._check_step(int(parameters.get("player.step", 1)))
         if parameters.get("player.next_event"):
@@ -333,7 +333,7 @@ class PlayerNode(Node):
                 self._steps -= 1
 
     def _use_gap(self, due_ns: int) -> None:
-        """Do what can wait, one piece after the other, while there is time before the next message is due."""
+        """Do deferred work, piece by piece, while there is time before the next message is due."""
         while due_ns - self.clock.monotonic_ns() > _PIECE_NS:
             if self._deferred:
                 self._deferred.popleft()()
@@ -373,7 +373,7 @@ class PlayerNode(Node):
         self._publish_status("moved")
 
     def _note_jump(self) -> None:
-        # What is read from another place on may have channels of its own that are equal to these.
+        # Reading from another position may create new channel objects, equal to the old ones.
         self._known.clear()
         for route in self._routes.values():
             route.jump()
@@ -381,12 +381,12 @@ class PlayerNode(Node):
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns + _TICK_NS
         self._run_deferred()
-        # an empty list first: `any` would leave the others unread
+        # A list, because `any` would stop before reading the subscriptions of all publishers.
         subscribed = [key for key, publisher in self._publishers.items() if publisher.read_subscriptions()]
         if not self.started:
             self._start_when_subscribed(now_ns)
         for key in subscribed:
-            # a new reader learns that this is a replay before it receives anything else
+            # Tell a new reader that this is a replay before it receives anything else.
             self._publish_health(self._publishers[key], 0.0, "running")
         if now_ns - self._health_ns >= HEALTH_PERIOD_NS:
             elapsed_s = (now_ns - self._health_ns) * 1e-9
@@ -400,7 +400,7 @@ class PlayerNode(Node):
             self._run_deferred()
 
     def _run_deferred(self) -> None:
-        """Do what has found no gap between messages since the last tick."""
+        """Do the work that found no gap between messages since the last tick."""
         while self._deferred:
             self._deferred.popleft()()
 
@@ -430,7 +430,7 @@ class PlayerNode(Node):
         self._publish_status("started")
 
     def _publish_status(self, state: str) -> None:
-        """Publish the position of the replay: the clock of the recording, for those who follow it."""
+        """Publish the position of the replay, the time of the recording, for nodes that follow it."""
         self.publish(
             "session/event",
             id="",
@@ -457,7 +457,7 @@ class PlayerNode(Node):
         try:
             publisher.publisher.publish("node/health", **_health(state, rate_hz, self.clock, self._wait_until_ns))
         except zmq.Again:
-            # a reader is behind and gets the next one
+            # The queue of a reader is full; it will get the next report.
             return
 
 
@@ -483,11 +483,11 @@ def _health(state: str, rate_hz: float, clock: Clock, begun_ns: int) -> dict[str
 
 
 _NUMBER = (float, int)
-# in the order in which they are applied when one command names several
+# In the order in which the settings of one command are applied.
 SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None] | None]] = {
     "player.rate": (_NUMBER, lambda player, value: player.set_rate(float(value))),
     "player.loop": ((bool,), lambda player, value: player._set_loop(value)),
-    # `_set` sets both ends together, before all others.
+    # `_set` sets both ends of the loop together, before all others.
     "player.a_s": (_NUMBER, None),
     "player.b_s": (_NUMBER, None),
     "player.seek_s": (_NUMBER, lambda player, value: player.seek(value)),

@@ -1,4 +1,4 @@
-"""What of a recording is played: its nodes and channels."""
+"""Selection of the nodes and channels of a recording to play."""
 
 from telenano.recording.channel_filter import Selection
 from telenano.recording.messages import RecordedChannel
@@ -7,19 +7,19 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import LAUNCHER, LINK, is_console, name_of
 
-# recorder, player, the observer `telenano record` and the page are not part of the rig that is played, and an
-# emergency stop has no endpoint that could be taken
+# Never played: recorder, player, the observer `telenano record` and the page are not part of the rig, and an emergency
+# stop has no endpoint to bind.
 _EXCLUDED_NODES = ("recorder", "player", "record", "estop", "viz_node")
 _EXCLUDED_TOPICS = ("node/health", "node/journal")
 
 
 def node_of(channel: RecordedChannel) -> str:
-    """Return the node at whose endpoint a channel was received; empty in a recording that is not ours."""
+    """Return the node at whose endpoint a channel was received; empty in a recording of another program."""
     return f"{LINK}@{channel.site}" if channel.via == "link" else channel.src
 
 
 class ReplayPlan:
-    """Nodes of the address book that are played, and the channels that are published again."""
+    """Nodes of the address book to play, and channels to publish."""
 
     def __init__(
         self,
@@ -27,13 +27,13 @@ class ReplayPlan:
         book: AddressBook,
         selection: Selection,
     ) -> None:
-        """Select channels and nodes; ConfigError names nodes that are not in the address book."""
+        """Select channels and nodes; raise ConfigError if a node is not in the address book."""
         self._selection = selection
-        # the launcher of the slave's site reports on processes, and a rig on one machine has no place for it
+        # A rig on one machine has no endpoint for the launcher of the slave's site, which only reports on processes.
         launchers = {channel.src for channel in recording.channels if name_of(channel.src) == name_of(LAUNCHER)}
         self.without_place = sorted(node for node in launchers if not selection.nodes and node not in book.nodes)
         self.channels = [channel for channel in recording.channels if self.plays(channel)]
-        # consoles whose name stays free
+        # Consoles that are not played, so that a live console can use their endpoint.
         commanded = {channel.src for channel in recording.channels if channel.topic == "session/control"}
         self.left_out = sorted(node for node in commanded if is_console(node) and not self._plays_node(node))
         self.nodes = sorted({node_of(channel) for channel in self.channels})
@@ -50,7 +50,7 @@ class ReplayPlan:
     def plays(self, channel: RecordedChannel) -> bool:
         """Return whether a channel is played.
 
-        Health is not, because the player publishes its own, nor a journal, because no node takes those turns now.
+        Health is excluded because the player publishes its own, and journals because no node takes these turns now.
         """
         node = node_of(channel)
         if (
@@ -63,11 +63,11 @@ class ReplayPlan:
         return self._plays_node(node) and self.chooses(channel.channel_topic)
 
     def chooses(self, channel_topic: str) -> bool:
-        """Return whether a channel of this name was chosen."""
+        """Return whether a channel of this name is selected."""
         return self._selection.names(channel_topic)
 
     def _plays_node(self, node: str) -> bool:
-        """Return whether a node was chosen; a console only by its name, because the replay is commanded from there."""
+        """Return whether a node is selected; a console only by name, because it is needed to command the replay."""
         if not self._selection.nodes:
             return not is_console(node)
         return any(test(node) for test in self._selection.nodes)

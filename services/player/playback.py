@@ -1,7 +1,7 @@
-"""Playback of a recording: position, next message, state at a position; and the clock of the playback.
+"""Playback of a recording: position, next message and state at a position, and the clock of the playback.
 
-No socket and no clock of the machine: `Playback` knows times of the recording only, `PlaybackClock` maps them to
-the time of playing.
+It needs neither a socket nor a clock: `Playback` uses only times of the recording, which `PlaybackClock` maps to the
+time of playing.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from telenano.wire.errors import RecordingError
 
 _NS = 1e9
 _LONGEST_S = 1e9
-# messages that are ready to be played, if there is time to read them before
+# Number of messages to keep ready, if there is time to read ahead.
 _READY = 256
 
 
 @dataclass(frozen=True)
 class Span:
-    """What is played: times [s] from the start of the recording; `loop` begins again at `start_s` after `end_s`."""
+    """Range to play: times [s] from the start of the recording; with `loop` it repeats from `start_s` after `end_s`."""
 
     start_s: float = 0.0
     end_s: float | None = None
@@ -28,13 +28,13 @@ class Span:
 
 
 class Playback:
-    """The selected messages of a recording in the order of their sending.
+    """The selected messages of a recording in order of send time.
 
-    Positions are in ns on the recorder's clock, at the time of sending.
+    Positions are send times in ns of the recorder's clock.
     """
 
     def __init__(self, recording: RecordingSource, channel_filter: ChannelFilter, span: Span) -> None:
-        """Start at the beginning of the span; RecordingError when there is nothing to play."""
+        """Start at the beginning of the span; raise RecordingError if there is nothing to play."""
         self.recording = recording
         first_ns, last_ns = recording.span_ns
         self._clock = SenderClock(recording)
@@ -58,7 +58,7 @@ class Playback:
         self._order = self._from(self.start_ns)
 
     def at(self, time_s: float) -> int:
-        """Return the position [ns] of a time [s] from the start of the recording; none is further than thirty years."""
+        """Return the position [ns] of a time [s] from the start of the recording, limited to about thirty years."""
         return self.origin_ns + round(min(max(time_s, -_LONGEST_S), _LONGEST_S) * _NS)
 
     @property
@@ -67,38 +67,38 @@ class Playback:
         return (self.position_ns - self.origin_ns) / _NS
 
     def next(self) -> SentMessage | None:
-        """Return the next message with the time [ns] at which it was sent; None at the end of the span."""
+        """Return the next message with its send time [ns]; None at the end of the span."""
         ready = self._order.ready
         sent = ready[0] if ready else self._order.peek()
         return None if sent is None or sent[0] >= self.end_ns else sent
 
     def advance(self, message: SentMessage) -> None:
-        """Move past the next message, which is `message`."""
+        """Consume the next message, which must be `message`."""
         if message[0] > self.position_ns:
             self.position_ns = message[0]
         self._order.ready.popleft()
 
     def read_ahead(self, count: int | None = None) -> bool:
-        """Read messages, for `next` not to; return whether there may be more to read.
+        """Read messages ahead, so that `next` need not; return whether anything was read.
 
         Args:
-            count: This number of are read where fewer are ready; None reads a few unless enough are.
+            count: Number of messages to read if fewer than this are ready; None reads a few if fewer than `_READY` are.
         """
         return self._order.read_ahead(_READY) if count is None else self._order.read_ahead(count, count)
 
     def peek(self) -> RecordedMessage | None:
-        """Return the next message without moving on; None at the end of the span."""
+        """Return the next message without consuming it; None at the end of the span."""
         sent = self.next()
         return None if sent is None else sent.message
 
     @property
     def next_ns(self) -> int:
-        """When the next message was sent [ns]; the end of the span where there is none."""
+        """Send time of the next message [ns]; the end of the span if there is none."""
         sent = self.next()
         return self.end_ns if sent is None else sent.time_ns
 
     def pop(self) -> RecordedMessage:
-        """Return the next message and move past it; RecordingError at the end."""
+        """Return and consume the next message; raise RecordingError at the end."""
         sent = self.next()
         if sent is None:
             raise RecordingError(f"{self.recording.path}: there is no message after {self.time_s:.3f} s")
@@ -106,21 +106,22 @@ class Playback:
         return sent.message
 
     def seek(self, position_ns: int) -> list[RecordedMessage]:
-        """Move to a position [ns], clamped to the recording; return the state there, as `state`."""
+        """Move to a position [ns], clamped to the recording; return the state there, see `state`."""
         target = min(max(position_ns, self.origin_ns), self._last_ns)
         if target >= self.end_ns:
-            # beyond the end of the span: the user wants to see it
+            # A target beyond the end of the span extends the span, because the user wants to see it.
             self.end_ns = self._last_ns + 1
         return self._move_to(target)
 
     def rewind(self) -> list[RecordedMessage]:
-        """Move to the start of the span; return the state there."""
+        """Move to the start of the span; return the state there, see `state`."""
         return self._move_to(self.start_ns)
 
     def state(self) -> list[RecordedMessage]:
-        """Return the last value of each state topic before the place last moved to, by time: what a reader must know.
+        """Return the newest message of each state topic before the present position, in order of send time.
 
-        Topics of which every message counts, such as commands and events, are not repeated.
+        A reader needs them after a jump. Topics of which every message counts, such as commands and events, are not
+        repeated.
         """
 
         def is_wanted(channel: RecordedChannel) -> bool:
@@ -128,12 +129,12 @@ class Playback:
 
         earlier = self.recording.newest_before(self.position_ns, is_wanted)
         newest = {channel: (self._clock.time_ns(message), message) for channel, message in earlier.items()}
-        # what was sent before the position and received after it
+        # Messages that were sent before the position but received after it.
         newest |= {channel: sent[::2] for channel, sent in self._order.before.items() if is_wanted(channel)}
         return [message for _, message in sorted(newest.values(), key=lambda row: row[0])]
 
     def next_event_ns(self) -> int | None:
-        """Return the time [ns] of the next session/event of the recording after the position; None without one."""
+        """Return the send time of the next session/event after the position [ns]; None if there is none."""
         events = self.recording.select(
             lambda channel: channel.topic == "session/event" and channel.via == "direct", self.position_ns + 1
         )
@@ -141,9 +142,9 @@ class Playback:
         return next((time_ns for time_ns in times_ns if time_ns > self.position_ns), None)
 
     def limit(self, start_ns: int | None = None, end_ns: int | None = None) -> None:
-        """Change the bounds [ns] of what is played: the points A and B of a loop.
+        """Change the bounds of the range to play [ns], the points A and B of a loop; None leaves one unchanged.
 
-        Raises RecordingError when B does not come after A.
+        Raises RecordingError if B does not come after A.
         """
         start = self.start_ns if start_ns is None else start_ns
         end = self.end_ns if end_ns is None else end_ns
@@ -163,13 +164,13 @@ class Playback:
 
 
 def is_state(channel: RecordedChannel) -> bool:
-    """Return whether the newest message of a channel replaces the ones before it."""
+    """Return whether a channel has a state topic, whose newest message replaces the earlier ones."""
     row = row_of(channel.topic)
     return row is not None and row.delivery == "latest"
 
 
 class PlaybackClock:
-    """Time at which a position of the recording is due, in ns of a monotonic clock.
+    """Maps positions of the recording to times of a monotonic clock [ns].
 
     `rate` 1 is as recorded, 2 twice as fast, 0 as fast as possible: everything is due at once.
     """
@@ -181,7 +182,7 @@ class PlaybackClock:
         self._position_ns = position_ns
 
     def due_ns(self, position_ns: int) -> int | None:
-        """Return the time at which a position is due; None while paused."""
+        """Return the time at which a position is due [ns]; None while paused."""
         if self.paused:
             return None
         if self.rate == 0.0:
@@ -189,7 +190,7 @@ class PlaybackClock:
         return self._now_ns + round((position_ns - self._position_ns) / self.rate)
 
     def change(self, now_ns: int, position_ns: int, *, rate: float | None = None, paused: bool | None = None) -> None:
-        """Continue from a position at another rate, or pause; what is not given stays."""
+        """Continue from a position at another rate, or pause; None leaves a setting unchanged."""
         self._now_ns, self._position_ns = now_ns, position_ns
         self.rate = self.rate if rate is None else rate
         self.paused = self.paused if paused is None else paused

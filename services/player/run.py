@@ -1,4 +1,4 @@
-"""A process that plays recordings on the bus in the place of nodes."""
+"""Setup and run of the process that plays recordings on the bus instead of nodes."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -21,14 +21,14 @@ from telenano.wire import TOPICS
 from telenano.wire.errors import ConfigError, RecordingError, RigError
 from telenano.wire.nodes import LINK, PLAYER, is_console, name_of
 
-# One message of each channel is tried in so much of the beginning; the first of most comes within a second.
+# One message of each channel within this time from the start is test-decoded; most channels have one within a second.
 _TRIED_NS = 5_000_000_000
 _RIG = "start the rest of the rig beside it, by `telenano up --without NODE --allow-replay`"
 
 
 @dataclass(frozen=True)
 class ReplayRequest:
-    """What was asked for on the command line."""
+    """Request of a replay, from the command line."""
 
     files: Sequence[Path]
     site_file: Path = DEFAULT_SITE_FILE
@@ -37,13 +37,13 @@ class ReplayRequest:
     exclude: Sequence[str] = ()
     span: Span = field(default_factory=Span)
     settings: PlaySettings = field(default_factory=PlaySettings)
-    # files are joined of which it is not recorded that they are of one session
+    # Whether to join files that do not state whether they belong to one session.
     same_session: bool = False
 
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """What came of a replay."""
+    """Result of a replay: played nodes, number of messages sent, reached time [s] and warnings."""
 
     nodes: list[str]
     sent: int
@@ -58,11 +58,11 @@ def run_replay(
 ) -> ReplayResult:
     """Play recordings into the rig of a site file until they end or the process is stopped.
 
-    `warn` is called before the start with each sentence on what this replay cannot do.
-    Raises RecordingError, also when there is nothing to play, ConfigError, and EndpointError when a node that is to be
-    played runs.
+    `warn` is called with each sentence on a limitation of this replay, mostly before the start.
+    Raises RecordingError if a file cannot be read or there is nothing to play, ConfigError, EndpointError if a node to
+    be played is running, and RigError if no node read the messages.
     """
-    # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
+    # The index lets an hour of recording start at once. Messages in the wrong order are sorted by their times.
     recording = open_recordings(request.files, same_session=request.same_session)
     book = AddressBook.load(request.site_file)
     if PLAYER not in book.nodes:
@@ -78,7 +78,7 @@ def run_replay(
     for text in warnings:
         warn(text)
     signals, messages = StopSignals(), list[str]()
-    # As fast as possible is nothing to be in time for, and would keep others from their processors.
+    # Real-time scheduling is of no use at rate 0, and would keep other processes from running.
     scheduling = on_time() if request.settings.rate > 0.0 else contextlib.nullcontext()
     with scheduling, Participant.open(PLAYER, book, signals.descriptor) as participant, shallow_idle():
         publisher = participant.bind(PLAYER)
@@ -103,7 +103,7 @@ def run_replay(
 
 
 def refused_messages(recording: RecordingSource, playback: Playback) -> Iterator[str]:
-    """Yield a sentence for each channel whose messages every reader refuses, as those of another version."""
+    """Yield a sentence for each channel whose messages readers of this version refuse."""
     tried: set[RecordedChannel] = set()
     first_ns = playback.start_ns
     for message in recording.select(playback.channel_filter, first_ns, first_ns + _TRIED_NS):
@@ -117,7 +117,7 @@ def refused_messages(recording: RecordingSource, playback: Playback) -> Iterator
 
 
 def absent_topics(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
-    """Yield a sentence for each node that is played without what it publishes at a rate, which readers wait for."""
+    """Yield a sentence for each node that is played without topics of a declared rate, for which readers wait."""
     for node in plan.nodes:
         if name_of(node) == LINK:
             continue
@@ -129,7 +129,7 @@ def absent_topics(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
 
 
 def remote_control(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
-    """Yield a sentence when no console can command the player, and one when the commands of a console are left out."""
+    """Yield sentences on remote control: no console can command the player, or recorded commands are left out."""
     consoles = [node for node in book.nodes if is_console(node)]
     if not consoles:
         yield "there is no remote control: the site file has no console; the keys work"

@@ -1,1 +1,1 @@
-"""The recorder: the process that writes everything on the bus into MCAP files."""
+"""The recorder: the process that writes all messages on the bus to MCAP files."""

@@ -1,9 +1,9 @@
-"""Run the recorder."""
+"""Run the recorder process."""
 
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # Imports create no garbage, and the search for it would take an eighth of their time.
     gc.disable()
 
 import sys
@@ -35,12 +35,12 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
 
 
 def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
-    """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
+    """Connect to each node for all topics to record; at the slave's site of two machines only to nodes of that site.
 
-    What the slave receives of the master's comes through the link, and a network between must not carry it a second
-    time. Where that site has a recorder, what a node on another machine sends fast is recorded there (ADR 0075), and so
-    are the exchanges of time stamps and what the link says of itself. What the link brings to the master anyway, such
-    as the health of the slave's nodes, is recorded from the link.
+    The slave gets the master's messages through the link, and the network must not carry them a second time. If the
+    slave's site has a recorder that is fetched later, that one records the fast topics of its machine (ADR 0075), the
+    exchanges of time stamps and the reports of the link. Messages that the link carries to the master anyway, such as
+    the health of the slave's nodes, are recorded from the link.
     """
     site, book = site_of(wiring.key), wiring.book
     sites = SITES if site == "master" or not book.spans_machines else (site,)
@@ -48,8 +48,8 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
     def wanted(topic: str, node: str) -> bool:
         is_near = not is_shared or book.machine_of(node) == wiring.network.machine
-        # Events say where a node's messages ended, and are few.
-        # a topic of a package, which the table may not have yet, does not cross the link
+        # Events are always recorded: they tell where a node's messages ended, and are few. A topic of a package, which
+        # may not be in the table yet, does not cross the link.
         is_bridged = topic in TOPICS and TOPICS[topic].bridged == "backward"
         is_brought = site_of(node) != site and is_bridged and topic != END_TOPIC
         is_left = is_bulk(topic) or is_brought or topic.startswith(("clock/", "link/"))
@@ -60,7 +60,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
-    """Begin the recording; a file that cannot be written is a fault to report, not a reason to stop the rig."""
+    """Begin the recording; a file that cannot be written is reported as a fault, and the rig continues."""
     facts, disk = wiring.recorded_facts, wiring.machine.disk
     return begin_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file, disk, facts)
 

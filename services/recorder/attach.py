@@ -1,4 +1,4 @@
-"""An additional recorder that attaches to a running rig and leaves it as it was."""
+"""An additional recorder that attaches to a running rig without changing it."""
 
 import math
 from collections.abc import Callable
@@ -17,10 +17,10 @@ from telenano.wire.nodes import site_of
 
 
 class AttachedRecording(BaseModel):
-    """What came of it.
+    """Result of an attached recording.
 
-    `lost` counts all messages that did not come, `missing` those of them that an impaired link has not dropped; `notes`
-    has a sentence for whatever else is missing.
+    `lost` counts all messages that did not arrive, `missing` only those that an impaired link did not drop; `notes` are
+    sentences on other losses; `fault` is the reason why recording stopped, or empty.
     """
 
     path: str
@@ -40,9 +40,9 @@ def run_record(
     duration_s: float | None = None,
     observe: Callable[[RecorderNode], None] = lambda node: None,
 ) -> AttachedRecording:
-    """Record the messages of the rig of a site file until the time [s] is over or the process is stopped.
+    """Record the messages of the rig of a site file for `duration_s` [s], or until the process is stopped.
 
-    The process has no endpoint: it sends nothing, and no site file lists it. `observe` is called at each flush.
+    The process has no endpoint: it publishes nothing and is in no site file. `observe` is called at each flush.
     """
     book, signals = AddressBook.load(site_file), StopSignals()
     with Participant.observing(book, signals.descriptor) as participant:

@@ -1,4 +1,4 @@
-"""`telenano record`: an additional recorder that attaches to a running rig and leaves it as it was."""
+"""`telenano record`: an additional recorder that attaches to a running rig without changing it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +24,7 @@ _KEYS_TEXT = "s new file · q end"
 
 
 class RecordKeyBindings:
-    """What the keys do to a recorder."""
+    """Maps keys to actions of a recorder, and shows its status line."""
 
     def __init__(self, keys: RawKeyboard) -> None:
         self._keys = keys
@@ -41,7 +41,7 @@ class RecordKeyBindings:
         self._keys.show(f"{node.status()} · {self._note}")
 
 
-# These are options of the command's own, and settings that only the recorder of a rig has.
+# Settings for which the command has its own options, or that only the recorder of a rig has.
 _FILES = ("directory", "file_name", "sync_to_disk", "chunk_size_bytes")
 _OWN = (*_FILES, "topics", "exclude", "far", "fetch_kbit_per_s")
 
@@ -72,13 +72,13 @@ def record(
         config = validate(
             RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
         )
-        # A rig is recorded without a scenario that cannot be read, but a person has named this one.
+        # Check the files: a rig is recorded even with an unreadable scenario, but here a person has named it.
         configuration_files(site_file, scenario)
         reason = (
             "no rig of this site file was found on this machine" if runs_no_node(AddressBook.load(site_file)) else ""
         )
         if reason and not as_json:
-            # A rig may be started after its recorder.
+            # The rig may be started after its recorder.
             say(f"{reason} yet; waiting for one")
         with RawKeyboard() as keys:
             done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))

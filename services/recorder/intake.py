@@ -1,4 +1,4 @@
-"""Conversion of frames from the bus into records of the file: place of reception, header, gaps, rejections."""
+"""Conversion of frames from the bus to records in the file: channel, header, gaps and rejected frames."""
 
 import contextlib
 import os
@@ -32,28 +32,28 @@ from telenano.wire.received import Received
 from telenano.wire.sequence import MOST_COUNTED, Arrival
 from telenano.wire.topics import keep_unknown
 
-# messages on these topics are decoded, of all others only the header is read
+# Messages on these topics are decoded; of all others only the header is read.
 _DECODED = frozenset(("node/health", "session/control", END_TOPIC))
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
-# a member of an enumeration takes longer to look up, and there is one for every message
+# Looking up a member of an enumeration takes longer than a global, and is needed for every message.
 _NEXT = Arrival.NEXT
 _TOPIC_OF = {topic.encode(): topic for topic in TOPICS}
-# a gap is recorded when so much has passed: what the link has late is not missing
+# A gap is recorded after this time, because messages that the link delivers late are not missing.
 _LATE_NS = 100_000_000
-# the nodes that are stopped before a recorder; each sends far more often
+# Nodes that are stopped before a recorder, and the silence after which they count as ended; they send far more often.
 _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
 _SILENT_NS = 500_000_000
-# Of so many starts of a session its files know; an operator may begin again and again.
+# Most starts of a session that its files list, because an operator may start again and again.
 _MOST_STARTS = 256
-# a queue of messages holds less than this
+# Longer than any queue of messages delays; older stamps come from a replay.
 _LONGEST_QUEUE_NS = 30_000_000_000
 
 
 @dataclass
 class _OpenGap:
-    """Numbers that a stream has left out, and those of them that came late."""
+    """A gap in the sequence numbers of a stream, and the numbers within it that came late."""
 
     stream: Stream
     first: int
@@ -62,7 +62,7 @@ class _OpenGap:
     came: set[int] = field(default_factory=set)
 
     def missing(self) -> Iterator[tuple[int, int]]:
-        """Yield first and last of each run of numbers that did not come."""
+        """Yield first and last number of each run that is still missing."""
         first = self.first
         for seq in (*sorted(self.came), self.last + 1):
             if seq > first:
@@ -71,13 +71,13 @@ class _OpenGap:
 
 
 class Intake:
-    """Records messages, and continues without recording once the file cannot be written.
+    """Records messages; if the file cannot be written, it continues without recording and `fault` is the reason.
 
-    `fault` is then the reason. Only the header of a message is validated here: one with a valid header is recorded
-    as it came, whatever its fields. With `rotation` it begins new files on its own.
+    Only the header of a message is validated: a message with a valid header is recorded unchanged. With `rotation` the
+    intake begins new files by itself.
 
-    `missing` counts the messages that were sent to the recorder and did not reach it, `notes` has a sentence for
-    whatever else the recording lacks; both are of the whole recording, not of one file.
+    `missing` counts the messages that were sent to the recorder and did not reach it; `notes` are sentences on other
+    losses. Both are for the whole recording, not for one file.
     """
 
     def __init__(
@@ -88,10 +88,10 @@ class Intake:
         selection: Selection = ALL,
         rotation: FileRotation | None = None,
     ) -> None:
-        """Record into a writer; without one nothing is recorded, and `fault` is why."""
+        """Record to a writer; None records nothing, for the reason `fault`."""
         self.writer = writer
         self.fault = fault
-        # At the slave's site of two the commands of the master's come by the link only.
+        # Whether commands are also accepted from the link: at the slave's site of two machines it is their only path.
         self.obeys_link = False
         self.received = 0
         self.gaps = 0
@@ -101,16 +101,16 @@ class Intake:
         self.notes: list[str] = []
         self.rejected = 0
         self.rotation = rotation
-        # The ids of the starts that were heard, for the files in which the session continues.
+        # Ids of the start commands received so far, for the further files of the session.
         self.starts: tuple[str, ...] = ()
         self.session: Mapping[str, str] = {}
         self.written = 0
         self.removed = 0
         self._selection = selection
         self._streams: list[Stream] = []
-        # publishers that have ended, and were not received since
+        # Publishers that announced their end and sent nothing since.
         self._ended: set[str] = set()
-        # nodes that a player stands in for, whose last message is not played
+        # Nodes that a player replaces; it does not play their end messages.
         self._replayed: set[str] = set()
         self._open_gaps: list[_OpenGap] = []
         self._newest_ns = 0
@@ -121,9 +121,10 @@ class Intake:
         return 0 if self.writer is None else self.writer.size_bytes
 
     def record(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        """Record one message; a session/control received at its publisher is also returned, decoded.
+        """Record one message; return it decoded if it is a session/control received at its publisher, else None.
 
-        Frames that are not a message are counted by the subscriber and recorded on `recorder/rejected`.
+        With `obeys_link` commands from the link are also returned. Invalid frames are counted at the subscriber and
+        recorded on `recorder/rejected`.
         """
         self.received += 1
         try:
@@ -149,13 +150,13 @@ class Intake:
                     channel = stream.channel or self._open_channel(self.writer, stream)
                     self.writer.write(channel, received_ns, t_ns, seq, payload)
             if self._ended and stream.direct:
-                # one that is received again was started again
+                # A publisher that sends again was restarted.
                 self._ended.discard(src)
             if topic in _DECODED:
                 try:
                     message = decode(topic, payload)
                 except WireError:
-                    # What is not valid is recorded as it came, once, and means nothing.
+                    # An invalid message has been recorded unchanged, and has no effect.
                     return None
                 self._interpret(listener, stream, fields_of(message), received_ns)
                 if topic == "session/control" and (stream.direct or self.obeys_link):
@@ -167,7 +168,7 @@ class Intake:
         return None
 
     def flush(self, now_ns: int = 0) -> None:
-        """Make what was received so far safe against a kill; at `now_ns` begin and end the files that are due."""
+        """Flush the messages received so far, so that a kill loses none; at `now_ns` [ns] rotate files if due."""
         try:
             self._record_gaps(self._newest_ns - _LATE_NS)
             if self.writer is not None:
@@ -179,11 +180,11 @@ class Intake:
             self._stop(error)
 
     def split(self, now_ns: int) -> None:
-        """Continue in a new file; RecordingError gives the reason when that is not possible."""
+        """Continue in a new file; raise RecordingError, with the reason, if that is not possible."""
         if self.writer is None or self.rotation is None:
             raise RecordingError(self.fault or "nothing is being written")
         self._record_gaps(self._newest_ns)
-        # A session that is commanded to files of its own is not that of the files before.
+        # The command separates sessions, so the new file does not inherit the starts of the previous one.
         self.starts = ()
         self._next_file(self.rotation, self.writer, now_ns)
 
@@ -196,9 +197,9 @@ class Intake:
             self._stop(error)
 
     def silent_at_the_end(self, sites: Sequence[str], now_ns: int) -> tuple[str, ...]:
-        """Return the nodes at these sites that are silent without having published their last message.
+        """Return the nodes at these sites that fell silent without an end message, so their last ones may be missing.
 
-        What they sent last may be missing. A node that continues sending is not one of them: the recorder ends first.
+        A node that still sends is not included: the recorder ends before it. `now_ns` is by the clock of the stamps.
         """
         newest_ns: dict[str, int] = {}
         for stream in self._streams:
@@ -211,7 +212,7 @@ class Intake:
         return {"state": state, "note": "; ".join(self.notes)}
 
     def _check_in_place(self, writer: RecordingWriter, now_ns: int) -> None:
-        """Continue in a new file when the one in hand was removed or replaced, which no write would notice."""
+        """Continue in a new file if the current one was removed or replaced, which no write would notice."""
         if writer.in_place():
             return
         self.notes.append(f"{writer.path} was removed while it was written, and {writer.messages} messages with it")
@@ -221,7 +222,7 @@ class Intake:
         if self.rotation is None:
             raise RecordingError(self.notes[-1])
         following = self.rotation.begin(now_ns)
-        # in case it is never finished
+        # Write the notes now, in case the file is never finished.
         following.add_metadata(END_NAME, self._end(""))
         following.flush()
         self._use(following)
@@ -237,8 +238,8 @@ class Intake:
         self._use(rotation.begin(now_ns))
 
     def _note_start(self, command_id: str) -> None:
-        """Write into the file which session it is of: the command that starts one reaches both sites."""
-        # A simulation is the same whenever it runs, and names its session by itself.
+        """Add a start command to the session's identity in the file; it reaches both sites and so links their files."""
+        # A simulation is reproducible and names its session by itself.
         if command_id in self.starts or not command_id or "simulated" in self.session.get("rig", ""):
             return
         self.starts = (*self.starts, "".join(command_id.split()))[-_MOST_STARTS:]
@@ -252,7 +253,7 @@ class Intake:
     def _use(self, writer: RecordingWriter) -> None:
         self.writer = writer
         self._write_session(writer)
-        # each file has numbers of its own for the channels
+        # Each file has its own channel numbers.
         for stream in self._streams:
             stream.channel = None
 
@@ -261,7 +262,7 @@ class Intake:
         return stream.channel
 
     def _interpret(self, listener: Listener, stream: Stream, fields: Mapping[str, Any], received_ns: int) -> None:
-        """Take note of what a message means for the recording: a replay, the end of a publisher."""
+        """Evaluate the messages that concern the recording: a replay, a start, the end of a publisher."""
         topic = stream.topic.name
         if topic == "node/health" and fields.get("replay") is True:
             self._replayed.add(stream.src)
@@ -284,7 +285,7 @@ class Intake:
         return stream
 
     def _compare_end(self, listener: Listener, src: str, fields: Mapping[str, Any], received_ns: int) -> None:
-        """Compare the counts of a publisher that has ended with what was received of it."""
+        """Compare the counts that a publisher announced at its end with the received messages."""
         sent = read_end(fields)
         if sent is None:
             return
@@ -304,13 +305,13 @@ class Intake:
             self._fill_gap(stream, seq)
 
     def _open_gap(self, stream: Stream, received_ns: int) -> None:
-        """Take note of missing numbers, which are recorded as missing unless they come within a moment."""
+        """Open a gap, which is recorded unless its messages arrive within `_LATE_NS`."""
         gap = _OpenGap(stream, *stream.tracker.last_gap, received_ns)
         self._open_gaps.append(gap)
         self._count_missing(stream, gap.last - gap.first + 1)
 
     def _fill_gap(self, stream: Stream, seq: int) -> None:
-        """Take note of a number that came late."""
+        """Remove a number that came late from its open gap."""
         for gap in reversed(self._open_gaps):
             if gap.stream is stream and gap.first <= seq <= gap.last:
                 gap.came.add(seq)
@@ -318,7 +319,7 @@ class Intake:
                 return
 
     def _record_gaps(self, until_ns: int) -> None:
-        """Record what is missing in the gaps that were noticed up to a time [ns]."""
+        """Record the missing numbers of the gaps that were noticed up to a time [ns]."""
         while self._open_gaps and self._open_gaps[0].noticed_ns <= until_ns:
             gap = self._open_gaps.pop(0)
             for first, last in gap.missing():
@@ -326,7 +327,7 @@ class Intake:
 
     def _count_missing(self, stream: Stream, count: int, *, at_end: bool = False) -> None:
         self.lost = min(self.lost + count, MOST_COUNTED)
-        # what an impaired link drops in transit is the experiment, not a fault; what it has sent on at last is not
+        # Losses on an impaired link are part of the experiment, except for messages that it had sent on at the end.
         if stream.direct or at_end:
             self.missing = min(self.missing + count, MOST_COUNTED)
         if stream.direct and stream.topic.delivery == "lossless":
@@ -368,7 +369,7 @@ class Intake:
         writer, self.writer = self.writer, None
         self.fault = str(error)
         if isinstance(error, QuotaError) and writer is not None:
-            # nothing is wrong with the file: it is finished, as far as the disk still allows
+            # The file itself is intact, so finish it as far as the disk allows.
             self.notes.append(f"the recording was stopped before its end: {error}")
             with contextlib.suppress(RecordingError):
                 writer.finish(self._end("quota"))
@@ -383,9 +384,9 @@ def begin_recording(
     disk: Disk = OWN_DISK,
     facts: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> Intake:
-    """Start a recording by the node `key`; `facts` are further metadata of each file, by name.
+    """Start a recording by the node `key`; `facts` are further metadata records of each file, by name.
 
-    A file that cannot be written is a fault that the intake reports, not an error: the rig continues.
+    If a file cannot be written, the intake reports a fault instead of raising an error, so that the rig continues.
     """
     try:
         files = configuration_files(site_file, scenario_file)

@@ -1,4 +1,4 @@
-"""The recorder as a node: it subscribes to every node at its own endpoint and records all messages."""
+"""The recorder as a node, which subscribes to every node at that node's own endpoint and records all messages."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -19,29 +19,28 @@ from telenano.wire.errors import RefusedError
 from telenano.wire.messages import MAX_TEXT, SessionControl
 from telenano.wire.received import Received
 
-# how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
-# within the grace that a supervisor gives
+# Longest time to read the messages that still wait in the sockets at the end; on a busy machine these are seconds of
+# messages. It is within the grace period of the supervisor.
 _DRAIN_TIMEOUT_NS = 20_000_000_000
-# how often that is reported, and what is wrong with the recording while it is
+# Interval of reports on that, and of repeated reports on a fault of the recording.
 _REPORT_PERIOD_NS = 1_000_000_000
-# a count on the wire holds no more, and a peer may have made up the numbers
+# Largest count on the wire; a peer may have sent arbitrary numbers.
 _GREATEST_COUNT = 2**63 - 1
-# The end is reached after this number of passes in a row with less than a backlog; nodes of another site may continue
-# sending.
+# Reading ends after this many passes in a row without a backlog, because nodes of another site may continue to send.
 _CALM_PASSES = 30
-# A pass waits for messages for this time at most.
+# Longest wait of a pass for messages.
 _PASS_NS = 5_000_000
-# This number of messages in a pass is a backlog.
+# Number of messages in a pass that counts as a backlog.
 _BACKLOG = 256
-# The rate of recording is measured over this time.
+# Time over which the rate of recording is measured.
 _RATE_PERIOD_NS = 1_000_000_000
-# to wake up for every message costs more than to write it, and takes its turn from the loop
+# Interval of reading: waking up for every message costs more than writing it, and disturbs the loop.
 _PERIOD_NS = 1_000_000
 ACTIONS = ("record.split", "record.status")
 
 
 class RecorderBus(ZmqBus):
-    """A bus with a connection of its own to each publisher, so that the place where a message was received is known."""
+    """A bus with a separate connection to each publisher, so that the site of reception of a message is known."""
 
     def __init__(
         self,
@@ -55,7 +54,7 @@ class RecorderBus(ZmqBus):
         super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
         self._listeners: dict[object, Listener] = {listener.subscriber.socket: listener for listener in listeners}
-        # A poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two.
+        # One poll of a dozen sockets takes 6 us instead of 19 us for asking each, and is needed for every few messages.
         self._poller = zmq.Poller()
         for descriptor in (*self._listeners, wake_descriptor, *self._network_descriptors):
             self._poller.register(descriptor, zmq.POLLIN)
@@ -63,7 +62,7 @@ class RecorderBus(ZmqBus):
         self._taken_ns = 0
 
     def receive(self) -> Iterator[Received]:
-        """Record what has arrived; yield only commands, for the node to answer."""
+        """Record the messages that have arrived; yield only commands, which the node answers."""
         ready, self._ready = self._ready or self._poller.poll(0), []
         for socket, _ in ready:
             if (listener := self._listeners.get(socket)) is None:
@@ -74,9 +73,9 @@ class RecorderBus(ZmqBus):
                     yield received
 
     def wait(self, deadline_ns: int) -> None:
-        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
+        """Wait until a message arrives or the monotonic clock reaches `deadline_ns`.
 
-        What comes within `_PERIOD_NS` is received together: the time of reception is late by no more than that.
+        Messages within `_PERIOD_NS` are received together; their reception times are late by at most this period.
         """
         now_ns = self._clock.monotonic_ns()
         if self._taken_ns <= now_ns < self._taken_ns + _PERIOD_NS:
@@ -84,14 +83,14 @@ class RecorderBus(ZmqBus):
             now_ns = self._clock.monotonic_ns()
         self._taken_ns = now_ns
         remaining_ns = max(0, deadline_ns - now_ns)
-        # rounded up, because waking a little early would only mean to wait once more
+        # Round up, because waking a little early would only require another wait.
         self._ready = self._poller.poll(0 if self._events_pending else -(-remaining_ns // 1_000_000))
         if self._network_descriptors:
             self._events_pending |= any(socket in self._network_descriptors for socket, _ in self._ready)
 
 
 class RecorderNode(Node):
-    """Flushes at periodic deadlines and reports the state of the recording."""
+    """Node that flushes the recording at periodic deadlines and reports its state."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("mark",)
@@ -108,11 +107,11 @@ class RecorderNode(Node):
         """Prepare to record.
 
         Args:
-            context: What the node runs in.
+            context: The clock, bus and machine of the node.
             config: The settings of the recorder.
-            intake: What is recorded, and how much of it waits.
+            intake: The intake that writes the messages.
             on_flush: Called after each flush, for a status line and keys.
-            sites: The sites whose nodes are stopped before this one: each is expected to publish a last message.
+            sites: The sites whose nodes stop before this one, so that each must publish an end message.
         """
         self._intake = intake
         self._on_flush = on_flush
@@ -133,7 +132,7 @@ class RecorderNode(Node):
 
     @property
     def steps(self) -> int:
-        """Messages received: their rate is the one in node/health."""
+        """Number of messages received, so that the rate in node/health is theirs."""
         return self._intake.received
 
     @steps.setter
@@ -141,13 +140,13 @@ class RecorderNode(Node):
         self._intake.received = value
 
     def on_message(self, received: Received) -> None:
-        """Ignore it: the bus has recorded it."""
+        """Do nothing, because the bus has already recorded the message."""
 
     def deadline_ns(self) -> int:
         return self._flush_deadline.deadline_ns
 
     def on_deadline(self, now_ns: int) -> None:
-        # report the file before the flush, which may end it
+        # Report the file before the flush, which may end it.
         self._report_path()
         self._intake.flush(now_ns)
         rotation = self._intake.rotation
@@ -159,7 +158,7 @@ class RecorderNode(Node):
         self._on_flush(self)
 
     def on_control(self, control: SessionControl) -> str:
-        """Record a mark; `set` begins a new file, or only returns the status."""
+        """Record a mark, or with `set` begin a new file (`record.split`) or only return the status."""
         if control.command == "mark":
             return self._mark(control)
         if control.command != "set":
@@ -176,7 +175,7 @@ class RecorderNode(Node):
 
     @property
     def path(self) -> str:
-        """Current file, or the last one."""
+        """Path of the current file, or of the last one."""
         return self._path
 
     def split(self) -> None:
@@ -197,7 +196,7 @@ class RecorderNode(Node):
     def _mark(self, control: SessionControl) -> str:
         if self._intake.fault:
             raise RefusedError(f"the mark is not recorded: {self._intake.fault}")
-        # the parameters come from outside: as keywords of `event` they could clash with its own
+        # Publish directly, because foreign parameters could clash with the keywords of `event`.
         self.publish(
             "session/event", id="", kind="mark", level="info", text="mark of the operator", data=control.parameters
         )
@@ -210,7 +209,7 @@ class RecorderNode(Node):
             self._rate_start = (now_ns, self._intake.received)
 
     def make_safe(self) -> None:
-        """Record what still waits in the sockets and finish the file."""
+        """Record the messages that still wait in the sockets, and finish the file."""
         self._drain_sockets()
         self._intake.finish()
         self._report()
@@ -231,7 +230,7 @@ class RecorderNode(Node):
             if self._intake.received - received >= _BACKLOG:
                 calm = 0
                 continue
-            # what publishers hold back comes when the thread behind the sockets had its turn
+            # Wait, because messages held back by publishers come after the I/O thread of ZeroMQ has run.
             calm += 1
             self.context.bus.wait(self.clock.monotonic_ns() + _PASS_NS)
         if calm < _CALM_PASSES:
@@ -250,7 +249,7 @@ class RecorderNode(Node):
 
     def _report_path(self) -> None:
         intake = self._intake
-        # reported after the first flush, when subscribers have had the time to connect
+        # Reported at a flush, when subscribers have had time to connect.
         self._path = self._path if intake.writer is None else str(intake.writer.path)
         if self._path != self._reported_path:
             self._reported_path = self._path
@@ -277,7 +276,7 @@ class RecorderNode(Node):
             self.event("recording", "error", self._intake.notes[-1], state="removed", path=self._path)
 
     def _report_state(self) -> None:
-        """Report a recording that has stopped, or that soon will; again every second, for who listens later."""
+        """Report a recording that has stopped or soon will, and repeat this every second for later subscribers."""
         fault, low, now_ns = self._intake.fault, self._disk.text, self.clock.monotonic_ns()
         state = "failed" if fault else "disk_low" if low else ""
         level, text = "warning", low
@@ -291,7 +290,7 @@ class RecorderNode(Node):
         elif state not in ("", "disk_ok") and now_ns >= self._remind_ns:
             data = {"state": state, "path": self._path}
             text = text[:MAX_TEXT].encode(errors="replace").decode()
-            # not into the log, which would only repeat it
+            # Publish without logging, because the log would only repeat it.
             self.publish("session/event", id="", kind="recording", level=level, text=text, data=data)
         else:
             return

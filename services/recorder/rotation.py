@@ -1,4 +1,4 @@
-"""Rotation of the files of one recording: when the next one begins, and what happens at the disk quota."""
+"""Rotation of the files of a recording: it begins the next file when due, and enforces the disk quota."""
 
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -19,11 +19,11 @@ class QuotaError(RecordingError):
 class FileRotation:
     """The current and the finished files of a recording.
 
-    Sizes count what has been flushed, so limits hold to within one flush interval.
+    Sizes include only flushed data, so limits hold to within one flush interval.
     """
 
     def __init__(self, config: RecorderConfig, create_file: CreateFile, disk: Disk = OWN_DISK) -> None:
-        """Use `create_file` for each file: it writes provenance and takes a number, or a later one if that is taken."""
+        """Create each file with `create_file`, which writes provenance and uses a number, or the next free one."""
         self._config = config
         self._create_file = create_file
         self._disk = disk
@@ -34,8 +34,8 @@ class FileRotation:
         self.dropped = 0
 
     def begin(self, now_ns: int) -> RecordingWriter:
-        """Create the next file; RecordingError gives the reason if that fails."""
-        # numbers grow, also where the files of lower ones are gone
+        """Create the next file; raise RecordingError, with the reason, if that fails."""
+        # Numbers only grow, even if files with lower ones were removed.
         writer = self._create_file(self._next_number)
         self._next_number = writer.number + 1
         self._started_ns = now_ns
@@ -43,13 +43,13 @@ class FileRotation:
         return writer
 
     def finish(self, writer: RecordingWriter, end: Mapping[str, str]) -> None:
-        """Finish a file, which then counts against the quota as a whole."""
+        """Finish a file, whose whole size then counts against the quota."""
         writer.finish(end)
         self._finished.append((writer.path, writer.size_bytes))
 
     @property
     def finished_bytes(self) -> int:
-        """Size of the finished files that are still there [bytes]."""
+        """Size of the finished files that were not dropped [bytes]."""
         return sum(size for _, size in self._finished)
 
     def due(self, writer: RecordingWriter, now_ns: int) -> bool:
@@ -59,9 +59,9 @@ class FileRotation:
         return too_large or too_long
 
     def keep_quota(self, writer: RecordingWriter | None) -> None:
-        """Remove the oldest files until the quota holds, if that is the policy.
+        """Enforce the quota: with the policy `drop_oldest`, remove the oldest files until it holds.
 
-        Raises QuotaError under the policy `stop`, RecordingError when an old file cannot be removed.
+        Raises QuotaError with the policy `stop`, RecordingError if an old file cannot be removed.
         """
         quota = self._config.quota_bytes
         if quota is None:

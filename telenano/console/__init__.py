@@ -1,4 +1,4 @@
-"""Commands to a running rig from outside it: by a console, or as an emergency stop."""
+"""Commands to a running rig from outside, by a console or as an emergency stop, and live reading of its messages."""
 
 from typing import TYPE_CHECKING
 

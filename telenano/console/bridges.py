@@ -1,4 +1,4 @@
-"""A bridge of your own: what it is given is every message of a running rig, with the times and names of its record."""
+"""Support for bridges to other systems, which receive every message of a running rig in the form of a recording."""
 
 import contextlib
 from collections.abc import Collection, Iterator
@@ -15,21 +15,21 @@ from telenano.wire.errors import RigError
 
 
 class Bridge(Protocol):
-    """What hands messages on; `sent` counts those that it has."""
+    """Interface of a bridge, which forwards messages; `sent` counts the forwarded ones."""
 
     sent: int
 
     def run(self, messages: Iterator[RecordedMessage]) -> None:
-        """Hand on messages until there are no more."""
+        """Forward messages until the iterator ends."""
 
 
 def live_rig(site_file: Path, topics: Collection[str] | None = None, rate_hz: float = 0.0) -> LiveRecording:
-    """Return a context with the messages of the rig of a site file.
+    """Return a context manager that reads the messages of the rig of a site file.
 
     Args:
         site_file: The site file.
-        topics: The topics that are listened to; None for all.
-        rate_hz: Most messages of each channel a second [Hz]; 0 for all. What is sent on change always comes.
+        topics: The topics to subscribe to; None for all.
+        rate_hz: Highest rate of each channel [Hz]; 0 for all messages. Topics sent on change are never thinned out.
 
     Raises:
         ConfigError: The site file cannot be used.
@@ -38,7 +38,7 @@ def live_rig(site_file: Path, topics: Collection[str] | None = None, rate_hz: fl
 
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:
-    """Run a bridge over the messages of a rig until Ctrl-C or for a time [s]; RigError if there were none."""
+    """Run a bridge on the messages of a rig until Ctrl-C or for `duration_s` [s]; raise RigError if none was sent."""
     if runs_no_node(live.book):
         # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file was found on this machine yet; waiting for one", err=True)

@@ -1,9 +1,10 @@
-"""`telenano session couple`: hand and tip of a running rig coupled again, so that the tip is where the hand says.
+"""`telenano session couple`: couple hand and tip of a running rig again, without an offset between them.
 
-A law sends the tip to x_ref = alpha_p x + offset. What the hand does while the tip follows and the hand does not, as in
-a stall, goes into the offset, so that neither jumps. Only over a retracted tip it is zero, in every law (docs/laws.md).
-So the tip is withdrawn by its own guard, and armed again when the hand is at rest, until it reports that it is placed:
-it goes to alpha_p x at the speed limit of the base, and each law begins with the energy of a first session.
+A law sends the tip to x_ref = alpha_p x + offset. If the hand moves while only the tip follows, as in a stall, the law
+absorbs the motion in the offset, so that neither jumps. In every law the offset is zero only over a retracted tip
+(docs/laws.md). This command therefore withdraws the tip by its own guard, arms it again when the hand is at rest, and
+waits until the tip reports that it is placed: it goes to alpha_p x at the speed limit of the base, and each law begins
+with the energy of a first session.
 """
 
 import math
@@ -24,35 +25,35 @@ from telenano.wire.messages import AfmState, HapticState, TeleopBackward
 from telenano.wire.nodes import TIP, name_of
 
 TOPICS = ("haptic/state", "afm/state", "teleop/backward")
-# A hand that presses harder [N] would be let go of while it presses.
+# A hand that presses harder [N] is not coupled, because it would lose its resistance while it presses.
 PRESSING_N = 0.5
-# The hand is at rest while it stays within this way.
+# The hand is at rest while it stays within this distance [m].
 _REST_M = 1e-3
-# The hand has to be at rest for this time.
+# Time for which the hand must be at rest [s].
 _REST_S = 0.3
-# The hand has this time to come to rest.
+# Longest wait for the hand to come to rest [s].
 _REST_PATIENCE_S = 10.0
-# The states of the rig are judged at this interval.
+# Interval at which the states of the rig are checked [s].
 _LOOK_S = 0.1
-# The states of the rig have this time to come, and to show that hand and tip follow.
+# Longest wait for the first states of the rig, and for hand and tip to follow [s].
 _PATIENCE_S = 5.0
-# The tip has this time to be withdrawn, and its node to be armed.
+# Longest wait for the tip to be withdrawn, and for its node to be armed [s].
 _RETRACT_S = 20.0
 _LATCHED = "emergency stop"
 
 
 class RunningRig(Protocol):
-    """What is asked of a rig: its newest states, and a command."""
+    """Interface to a rig: its newest states, and commands."""
 
     def look(self, duration_s: float) -> Iterable[Any]:
-        """Return the messages of TOPICS that come within a time [s], without those from before the last command."""
+        """Return the messages of TOPICS received within `duration_s` [s], without those before the last command."""
 
     def send(self, command: Command, retry_s: float = 0.0) -> str:
-        """Send a command, after a refusal again for a time [s]; return the answer, or raise RigError."""
+        """Send a command, and repeat it for `retry_s` [s] after a refusal; return the answer, or raise RigError."""
 
 
 class _Console:
-    """A rig as the console of its master's site reaches it."""
+    """A rig reached through the console of its master's site."""
 
     def __init__(
         self, site_file: Path, observer: Observer, is_wanted: Callable[[], bool], issued_ns: int | None, by: str | None
@@ -76,7 +77,7 @@ class _Console:
             retry_ns=round(retry_s * 1e9),
             by=self._by,
         )
-        # What has waited for the answer is older than it.
+        # Discard the messages received before the answer.
         deque(self._observer.listen(_LOOK_S), maxlen=0)
         if refused := [event.text for event in answers.values() if event.kind == "refused"]:
             raise RigError("; ".join(refused))
@@ -90,17 +91,17 @@ def recouple(
     issued_ns: int | None = None,
     by: str | None = None,
 ) -> str:
-    """Couple hand and tip of a running rig again, and return a sentence of where they are.
+    """Couple hand and tip of a running rig again, and return a sentence with their positions.
 
     Args:
         site_file: The site file of the rig.
-        is_wanted: Called before each sending; once it returns false, nothing more is sent.
-        issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now. An
-            emergency stop after it makes it void.
-        by: As of `send_control`.
+        is_wanted: Called before each sending; once it returns False, nothing more is sent.
+        issued_ns: Time at which a person gave the command, by the monotonic clock of this machine [ns]; None for now.
+            A later emergency stop makes the command void.
+        by: Name of the person, as in `send_controls`.
 
     Raises:
-        RigError: It is refused, and nothing has moved; or it was not completed, and the tip stays withdrawn.
+        RigError: The command is refused and nothing has moved, or it was not completed and the tip stays withdrawn.
         ConfigError: The site file cannot be used.
     """
     with closing(Observer.of_rig(site_file, TOPICS)) as observer:
@@ -137,7 +138,7 @@ def couple(rig: RunningRig) -> str:
 
 
 class _Still:
-    """For how long a place [m] has stayed within a way [m], by the stamps of the messages that say it."""
+    """Measures how long a position stays within a distance [m], by the stamps of its messages."""
 
     def __init__(self, way_m: float) -> None:
         self._way_m = way_m
@@ -172,7 +173,7 @@ class _States:
 
     @property
     def follows(self) -> bool:
-        """Whether the tip follows; where the instrument is out of sight, its half of the law reports it."""
+        """Whether the tip follows, as its half of the law reports it."""
         return bool(self.tip.active)
 
     @property
@@ -180,7 +181,7 @@ class _States:
         return to_paper_axis(self.tip.position_m if self._afm is None else self._afm.base_position_m)
 
     def until(self, is_so: Callable[[], bool], patience_s: float) -> bool:
-        """Take what the rig says until something is so; return whether it is."""
+        """Read states until a condition holds, for at most `patience_s` [s]; return whether it holds."""
         for _ in range(math.ceil(patience_s / _LOOK_S)):
             for message in self._rig.look(_LOOK_S):
                 self._take(message)
@@ -189,12 +190,12 @@ class _States:
         return False
 
     def require(self, is_so: Callable[[], bool], patience_s: float, what: str) -> None:
-        """Wait until something is so; RigError says what did not come."""
+        """Wait until a condition holds; raise RigError, naming `what` was awaited, after `patience_s` [s]."""
         if not self.until(is_so, patience_s):
             raise RigError(f"not coupled: waited {patience_s:g} s for {what}")
 
     def objection(self) -> str:
-        """Return why hand and tip cannot be coupled again now; empty if they can."""
+        """Return the reason why hand and tip cannot be coupled now; empty if they can."""
         hand, press_n = self.hand, abs(to_paper_axis(self.hand.operator_force_n))
         if hand.estop or (self._afm is not None and self._afm.mode == "estop"):
             return "a device is in emergency stop, which `telenano session arm` releases"

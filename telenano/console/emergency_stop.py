@@ -1,12 +1,12 @@
-"""An emergency stop for the devices of this machine: at once, no matter who else sends commands.
+"""Emergency stop of the devices of this machine, immediately and independent of other senders of commands.
 
-It connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an endpoint
-nor a lock. It imports no model: those of all messages would take longer than everything else together. Before it sends
-the stop it keeps it in a file beside the inlet of each device, for one that cannot take it now (ADR 0059).
+The sender connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an
+endpoint nor a lock. It imports no message models, which would take longer than everything else together. Before it
+sends the stop it saves it in a file beside the inlet of each device, for a device that cannot read it now (ADR 0059).
 
-A socket whose file was removed says nothing of its process. The devices are therefore also found by the locks that
-their processes hold (`runtime/bus/holders.py`), and one whose inlet is not at its path is stopped by a signal. It makes
-its inlet again within a second, where it takes the stop once more and answers it.
+If the file of a socket was removed, its process may still run. Devices are therefore also found by the locks that their
+processes hold (`runtime/bus/holders.py`), and one whose inlet is not at its path is stopped by a signal. It binds its
+inlet again within a second, where it receives the stop once more and answers it.
 """
 
 import os
@@ -36,22 +36,22 @@ from telenano.wire.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, TIP, 
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
-# a recorder gets the stop as well, but is not waited for as long as a device
+# A recorder also gets the stop, but the wait for it is shorter than for a device.
 _RECORDERS_S = 1.0
 _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
-# The most subscriptions of an inlet that are read in a turn.
+# Most subscriptions of an inlet that are read at a time.
 _MOST_SUBSCRIPTIONS = 256
-# The topics of commands and of their answers, as frames.
+# The topics of commands and of their answers, as bytes.
 _TOPIC = b"session/control"
 _ANSWERS = b"session/event"
-# This is the version of a session/control.
+# Schema version of session/control.
 _SCHEMA_VERSION = 1
 _LINK = f"{LINK}@master"
 
 
 class Answer(NamedTuple):
-    """What a node answered: `kind` is ack or refused."""
+    """Answer of a node; `kind` is ack or refused."""
 
     node: str
     kind: str
@@ -59,10 +59,9 @@ class Answer(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """The devices that are meant, by the way to them: own inlet, link, console.
+    """Target devices by the path to them: directly to their inlet, through the link, or through a console.
 
-    `absent` are those that do not run. `unknown` are those that were not found either, where a process that has them
-    would not be seen.
+    `absent` devices do not run. `unknown` devices were not found, but their process might not be visible from here.
     """
 
     direct: tuple[str, ...]
@@ -73,10 +72,10 @@ class Reach(NamedTuple):
 
 
 class LocalRig:
-    """The ipc endpoints of a site file, and which processes have them."""
+    """The ipc endpoints of a site file, and the processes that hold them."""
 
     def __init__(self, nodes: Mapping[str, Any], seen: Look | None = None) -> None:
-        """Take the entries `nodes` of a site file as they are, and the processes that were seen, else those of now."""
+        """Read the unchecked section `nodes` of a site file; `seen` are the known processes, None to look for them."""
         entries = {node: entry if isinstance(entry, dict) else {"local": entry} for node, entry in nodes.items()}
         self.nodes = frozenset(entries)
         self._networked = {node for node, entry in entries.items() if "network" in entry}
@@ -87,7 +86,7 @@ class LocalRig:
 
     @classmethod
     def packaged(cls, *, two_machines: bool, seen: Look | None = None) -> "LocalRig":
-        """Return what the site files of the project say of the devices; to read YAML would take as long as the stop."""
+        """Return the rig of the project's own site files; reading their YAML would take as long as the stop."""
         network = {"network": ""} if two_machines else {}
         entries = {row.key: {"local": f"ipc://{{runtime}}/{row.key}"} for row in NODES}
         return cls(
@@ -96,12 +95,12 @@ class LocalRig:
 
     @classmethod
     def of_holders(cls, holders: Sequence[Holder], seen: Look) -> "LocalRig":
-        """Return the rig of processes that have been found, whatever its site file is."""
+        """Return the rig of the processes that were found, without its site file."""
         return cls({holder.node: f"ipc://{holder.path_from_here}" for holder in holders}, seen)
 
     @classmethod
     def read(cls, site_file: Path, seen: Look | None = None) -> "LocalRig":
-        """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
+        """Read a site file; an invalid one yields a rig without nodes, and its errors are reported elsewhere."""
         from telenano.files.regular_files import read_regular
         from telenano.files.yaml_text import LARGEST_BYTES, yaml_value
 
@@ -111,19 +110,19 @@ class LocalRig:
             return cls({}, seen)
 
     def holders_of(self, node: str) -> list[Holder]:
-        """Return the processes that hold the endpoint of a node, whether or not its socket is at its path."""
+        """Return the processes that hold the endpoint of a node, even if the socket is not at its path."""
         return self.seen.at(str(path_of(self.endpoints[node]))) if node in self.endpoints else []
 
     def inlet_of(self, node: str) -> Peer | None:
-        """Return who has the inlet for stops at the path of a node; None where nobody does that can be trusted."""
+        """Return the trusted process that bound the stop inlet at a node's path; None if there is none."""
         peer = bound_by(estop_endpoint(self.endpoints[node])) if node in self.endpoints else None
         return peer if peer is not None and peer.is_trusted else None
 
     def has_inlet(self, node: str) -> bool:
-        """Return whether a node runs here and takes emergency stops, at its path now or within a second.
+        """Return whether a node runs here and accepts emergency stops, at its path now or within a second.
 
-        A device says that by its handler of the signal; a player in its place has none. Of another node whose socket is
-        gone it is not known, and it is waited for.
+        Without an inlet, a device proves this by its signal handler, which a player that replaces it lacks. Another
+        node counts as accepting if its process runs and its socket is gone, because it may bind the inlet again.
         """
         if self.inlet_of(node) is not None:
             return True
@@ -133,11 +132,11 @@ class LocalRig:
         return bool(holders) and bound_by(self.endpoints[node]) is None
 
     def is_supervised(self) -> bool:
-        """Return whether a launcher runs here, which starts a device again that does not run."""
+        """Return whether a launcher runs here, which restarts a device that has ended."""
         return any(self._runs(node) for node in LAUNCHERS if node in self.endpoints)
 
     def strangers(self) -> list[str]:
-        """Return a sentence for each socket of a device that another user has: it is not believed."""
+        """Return a sentence for each socket of a device that another user holds and that is therefore ignored."""
         texts = []
         for node in sorted(set(DEVICES) & set(self.endpoints)):
             for endpoint in (self.endpoints[node], estop_endpoint(self.endpoints[node])):
@@ -148,7 +147,7 @@ class LocalRig:
         return texts
 
     def is_ours(self, node: str) -> bool:
-        """Return whether the path of a node can be connected to, and no other user can answer there."""
+        """Return whether it is possible to connect at a node's path, and no other user can answer there."""
         path = path_of(self.endpoints[node])
         if len(os.fsencode(path_of(estop_endpoint(self.endpoints[node])))) > LONGEST_IPC_PATH:
             return False
@@ -159,9 +158,9 @@ class LocalRig:
         return all(peer is None or peer.is_trusted for peer in peers)
 
     def signal_stop(self, devices: Sequence[str]) -> dict[str, int]:
-        """Stop devices whose inlet is not at its path by a signal, and return the process of each.
+        """Stop devices whose inlet is not at its path by a signal, and return the process id of each.
 
-        They are those of a rig whose folder was removed, or taken by another rig, which has the path then.
+        They belong to a rig whose folder was removed, or is now used by another rig, which then owns the path.
         """
         signalled = {}
         for device in devices:
@@ -172,15 +171,15 @@ class LocalRig:
         return signalled
 
     def reach(self, target: str, site: str) -> Reach:
-        """Return the way to each device that a target means, from one site, or as empty text from both at once."""
+        """Return the path to each target device from a site, or, if `site` is empty, from both at once."""
         if self._given is None:
-            # A page stops its rig by the same object for hours.
+            # Look again, because a page uses the same object for hours.
             self.seen = look()
         has_link = site != "slave" and self.has_inlet(_LINK)
         nodes_of: dict[str, list[str]] = {way: [] for way in Reach._fields}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
             here = site in ("", site_of(device))
-            # A device that another machine can reach may run there.
+            # A device with a network endpoint may run on another machine.
             only_here = device in self.endpoints and device not in self._networked
             if here and self.has_inlet(device):
                 nodes_of["direct"].append(device)
@@ -201,7 +200,7 @@ class _Inlet:
     """The connection to the inlet of one node."""
 
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str, *, whole: bool) -> None:
-        """Connect to the inlet beside an endpoint; `whole` for a recorder, which also gets what was sent before."""
+        """Connect to the inlet beside an endpoint; `whole` for a recorder, which also gets the earlier messages."""
         self.ready = False
         self._whole = whole
         self._taken = 0
@@ -213,7 +212,7 @@ class _Inlet:
         self.socket.close()
 
     def read_subscription(self, sent: int) -> bool:
-        """Return whether a node that has to be stopped is ready only now, after `sent` messages: none reached it."""
+        """Return whether a device or the link became ready only now, so that none of `sent` messages reached it."""
         was_ready = self.ready
         for _ in range(_MOST_SUBSCRIPTIONS):
             if not self.socket.poll(0):
@@ -225,14 +224,14 @@ class _Inlet:
         return not self._whole
 
     def send(self, messages: Sequence[bytes]) -> None:
-        """Send what the node has not got of all messages so far."""
+        """Send the messages that the node has not received yet."""
         for payload in messages[self._taken :] if self.ready else ():
             self.socket.send_multipart([_TOPIC, payload])
             self._taken += 1
 
 
 class _Sender:
-    """Sends the stop of one site to inlets."""
+    """Sends the stop to the inlets, as the sender of one site."""
 
     def __init__(self, site: str, identifier: str, target: str, inlets: Sequence[_Inlet], by: str = "") -> None:
         self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
@@ -244,7 +243,7 @@ class _Sender:
         self.inlets = inlets
 
     def send(self, *, again: bool) -> None:
-        """Send the stop to nodes that are ready only now; with `again` to those as well that were before."""
+        """Send the stop to nodes that became ready only now; with `again` also to those that were ready before."""
         new = [inlet.read_subscription(len(self._messages)) for inlet in self.inlets]
         if any(new) or (again and self._messages):
             self._messages.append(self.message())
@@ -252,7 +251,7 @@ class _Sender:
             inlet.send(self._messages)
 
     def message(self) -> bytes:
-        """Return the stop as it is sent next."""
+        """Return the packed stop with the next sequence number and the present time."""
         header = {"seq": len(self._messages), "t_ns": self._clock.now_ns()}
         packed: bytes = msgpack.packb({**header, **self._fields})
         return packed
@@ -261,16 +260,16 @@ class _Sender:
 def emergency_stop(
     rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None], by: str = ""
 ) -> dict[str, Answer]:
-    """Stop the devices that are reached directly or through the link, and wait until all of them have answered.
+    """Stop the devices that are reached directly or through the link, and wait until all have answered.
 
-    The stop is kept for those on this machine, and for those of a rig here that do not run: they obey it when they can.
+    The stop is also saved for the devices on this machine, including those that do not run; they obey it when they can.
 
     Args:
         rig: The rig on this machine.
-        reach: The way to each device.
+        reach: The path to each device.
         target: The target, as in a session/control.
         on_answer: Called with each answer.
-        by: The name of who gave it, if they have one.
+        by: Name of the person who gave the command; empty if unknown.
 
     Returns:
         The answers by node.
@@ -289,7 +288,7 @@ def emergency_stop(
         stopped_at = [node for node in _stopped_at(reach) if rig.is_ours(node)]
         for node in stopped_at:
             reader.connect(rig.endpoints[node])
-        # random, with no time in it: ids of two senders differ whatever their clocks say
+        # Random and without the time, so that ids of two senders differ whatever their clocks show.
         identifier = os.urandom(12).hex()
         keep_stop(rig, reach, target, identifier)
         recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
@@ -309,7 +308,7 @@ def emergency_stop(
                 break
             next_s = now_s + _RESEND_S if due else next_s
             zmq.select([reader, *(inlet.socket for inlet in inlets)], [], [], max(0.0, next_s - time.monotonic()))
-            # Other events, however fast they come, must not keep the stop from being sent again.
+            # A flood of other events must not delay the repetition of the stop.
             while time.monotonic() < next_s and reader.poll(0):
                 answer = _answer(reader.recv_multipart(), identifier)
                 if answer is not None and answer.node not in answers:
@@ -318,7 +317,7 @@ def emergency_stop(
             now_s = time.monotonic()
     missing = sorted(expected - set(answers))
     if missing:
-        # The stop is kept once more, because an earlier arming may have removed the first copy.
+        # Save the stop once more, because an arming meanwhile may have removed the first copy.
         keepers = keep_stop(rig, reach, target, identifier)
         later = [
             f"{device} will stop as soon as it continues or is started again" for device in keepers if device in missing
@@ -334,13 +333,13 @@ def emergency_stop(
 
 
 def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list[str]:
-    """Keep a stop for the devices of this machine that are meant, also those that a launcher will start again.
+    """Save a stop in a file for each target device of this machine, including those that a launcher will restart.
 
     Returns:
-        The devices that it is kept for. A file that cannot be written is no reason not to send the stop.
+        The devices for which it is saved. An error of writing is ignored, because the stop is sent anyway.
     """
     absent = (*reach.absent, *reach.unknown) if reach.direct or reach.by_link or rig.is_supervised() else ()
-    # For a device of the other site the link keeps it, which may be about to be started again.
+    # For a device of the other site the file is for the link, which a launcher may be about to restart.
     is_far = TIP in (*reach.by_link, *reach.by_console)
     link = (_LINK,) if is_far and _LINK in rig.endpoints and (reach.by_link or rig.is_supervised()) else ()
     devices = [device for device in (*reach.direct, *absent, *link) if rig.is_ours(device)]
@@ -349,7 +348,7 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
 
 
 def _of_signalled(rig: LocalRig, node: str, process: int) -> str:
-    """Return what became of a device that was stopped by a signal and did not answer."""
+    """Return a sentence on a device that was stopped by a signal and did not answer."""
     if not any(holder.process == process for holder in look().at(str(path_of(rig.endpoints[node])))):
         return f"; process {process} of {node} got the stop by a signal and has ended since"
     socket = f"its socket {path_of(rig.endpoints[node])} is not there for its answer"
@@ -357,12 +356,12 @@ def _of_signalled(rig: LocalRig, node: str, process: int) -> str:
 
 
 def _stopped_at(reach: Reach) -> list[str]:
-    """Return the nodes that a stop is sent to."""
+    """Return the nodes to which the stop is sent."""
     return [*reach.direct, *([_LINK] if reach.by_link else [])]
 
 
 def _answer(frames: list[bytes], identifier: str) -> Answer | None:
-    """Return the answer in the frames of a session/event, None where there is none to this stop."""
+    """Return the answer in the frames of a session/event; None if it does not answer this stop."""
     try:
         fields = msgpack.unpackb(frames[-1])
         answer = Answer(str(fields["src"]), str(fields["kind"]), str(fields["text"]))

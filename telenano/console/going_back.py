@@ -1,8 +1,8 @@
-"""`telenano session arm --return`: the tip of a rig goes back to a place, at a speed that is stated before.
+"""`telenano session arm --return`: the tip of a rig returns to a place at a speed that is announced before.
 
-Arming alone starts nothing: after a stop, a loss or a restart, tip and hand stay where they are, and the hand is set
-off by as much. Going back is a word of its own, with its numbers, which come from the guard of the instrument. It ends
-where the tip is by any input: another command, a key, and a hand that moves or presses (`telenano.afm.safety`).
+Arming alone moves nothing: after a stop, a loss or a restart, tip and hand stay where they are, and an offset between
+them remains. Returning is a separate command with numbers from the guard of the instrument. Any input ends it and the
+tip stops: another command, a key, or a hand that moves or presses (`telenano.afm.safety`).
 """
 
 import time
@@ -19,7 +19,7 @@ from telenano.wire.nodes import TIP, Site
 
 
 class WayBack(NamedTuple):
-    """Where the base goes back to, towards the sample > 0 [m], how fast [m/s], from where [m], and for how long [s]."""
+    """Return of the base: target, towards the sample > 0 [m], speed [m/s], start [m] and duration [s]."""
 
     place_m: float
     speed_m_per_s: float
@@ -46,24 +46,24 @@ def go_back(
     issued_ns: int | None = None,
     by: str | None = None,
 ) -> WayBack | None:
-    """Arm hand and tip where they are, then let the tip go back to a place, and wait until it is there.
+    """Arm hand and tip where they are, then let the tip return to a place, and wait until it arrives.
 
-    Returns the way, None where the tip is already where the hand has it and no place is stated.
+    Returns the motion; None if no place is given and the instrument names none, because the tip is where the hand is.
 
     Args:
         site_file: The site file of the rig.
         site: The site at which the command is given.
-        announce: Called with the way before it begins.
-        is_wanted: Called again and again; once it returns false, the tip stays where it is.
-        place_m: The place of the base, towards the sample > 0 [m]; None is the one that the instrument states.
-        speed_m_per_s: The speed [m/s]; None is the one that the instrument states.
+        announce: Called with the motion before it begins.
+        is_wanted: Called repeatedly; once it returns False, the tip stops where it is.
+        place_m: Target of the base, towards the sample > 0 [m]; None for that of the instrument.
+        speed_m_per_s: Speed [m/s]; None for that of the instrument.
         on_answer: Called with each answer of the devices.
-        issued_ns: As of `send_control`.
-        by: As of `send_control`.
+        issued_ns: As in `send_controls`.
+        by: As in `send_controls`.
 
     Raises:
-        RigError: It is refused, or was ended before the tip was there: it stays where it is then.
-        ConfigError, EndpointError, RefusedError: As of `send_control`.
+        RigError: The command is refused, or the return ended early; the tip then stays where it is.
+        ConfigError, EndpointError, RefusedError: As in `send_controls`.
     """
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     armed = arm_devices(site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
@@ -89,10 +89,10 @@ def send_way(
     issued_ns: int,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Send commands of which the last lets the tip go somewhere, as `send_controls`; end its way once it is unwanted.
+    """Send commands as `send_controls`, of which the last moves the tip; end the motion once it is no longer wanted.
 
     Raises:
-        RigError: The way was ended, and the tip stays where it is; and as `send_controls`.
+        RigError: The motion was ended and the tip stays where it is, or as in `send_controls`.
     """
     was_unwanted = False
 
@@ -106,14 +106,17 @@ def send_way(
     except (RigError, KeyboardInterrupt) as error:
         if not was_unwanted and isinstance(error, RigError):
             raise
-        # Any other command ends the way of the base. This one starts nothing, and as it was issued with the way, an
-        # emergency stop that came meanwhile makes it void.
+        # Any other command ends the motion of the base. Arming moves nothing, and because it has the time of the
+        # original command, an emergency stop that came meanwhile makes it void.
         send_controls([ARM_TIP], site_file, site, on_answer, issued_ns=issued_ns, by=by)
         raise RigError("going back was ended: the tip stays where it is") from error
 
 
 def _way_from(armed: SessionEvent, place_m: float | None, speed_m_per_s: float | None) -> WayBack | None:
-    """Return the way that the instrument states, with what a person states otherwise."""
+    """Return the motion that the instrument proposes, with the place and speed that a person gave instead.
+
+    None if there is no target. Raises RigError if arming was refused or no speed is known.
+    """
     if armed.kind == "refused":
         raise RigError(f"the tip does not go back: {armed.text}")
     stated = {key: armed.data.get(key) for key in ("return_place_m", "return_speed_m_per_s", "base_position_m")}

@@ -1,12 +1,12 @@
-"""Who holds control of a rig: one lease of the hand, of the instrument's programs and of the session's commands.
+"""The lease of control of a rig: who may move the hand, run programs of the instrument and command the session.
 
-Pure steps in virtual time: a lease, who asks for what, and the time in; the next lease out, or RefusedError with the
-reason. An emergency stop asks nothing of it and changes nothing in it.
+Pure functions in virtual time: each takes a lease, a request and the time, and returns the next lease, or raises
+RefusedError with the reason. An emergency stop needs no lease and changes none.
 
-Who acts while control is free has it for as long as the act takes; *Take* keeps it until it is handed over, let go
-of, taken, or lost by silence. What becomes free goes to the first who asks and may take it, once a tip whose
-holder vanished is withdrawn. A party that asks for something has a number of the lease in view, which changes with each
-holder, so that what was said under an earlier lease is refused.
+A party that acts while control is free holds it for the duration of the act; *Take* keeps it until the party hands it
+over, releases it, loses it to a teacher, or falls silent. Free control goes to the first party that asks and may take
+it, but only after the tip is withdrawn if its holder vanished while pressing. Each change of holder changes the number
+of the lease. Requests carry the number that their sender saw, so that requests under an earlier lease are refused.
 """
 
 from collections.abc import Mapping
@@ -16,18 +16,18 @@ import msgspec
 
 from telenano.wire.errors import RefusedError
 
-# A holder of whom nothing was heard for this time has lost the hand, and the tip is withdrawn if it was pressed.
+# A holder that is silent for this time loses control, and the tip is withdrawn if the holder was pressing [ns].
 VANISHED_NS = 1_000_000_000
-# A holder reports at this interval that it is there [s].
+# Interval at which a holder reports its presence [s].
 BEAT_S = 0.25
-# Who asks for control, and of whom nothing was heard for this time, does not ask any more.
+# A request for control expires if its party is silent for this time [ns].
 ASKED_NS = 3 * VANISHED_NS
 _MOST_ASKING = 16
-# They have control when it is handed over, or never.
+# Roles that never take control; at most it is handed over to them.
 _NEVER_TAKE = ("observer", "participant", "pupil")
-# The name of a person has this number of letters at most.
+# Most letters of a person's name.
 MOST_LETTERS = 48
-# Commands that only end a motion, or move nothing, need no lease.
+# Commands that need no lease, because they end a motion or move nothing.
 FREE_COMMANDS = ("estop", "stop", "mark")
 # The kinds of parties.
 PAGE = "page"
@@ -36,11 +36,11 @@ CONSOLE = "console"
 
 
 class Party(NamedTuple):
-    """A page or a process that may have the hand.
+    """A page or a process that may hold control.
 
-    `id`: of this page or process alone; `name`: that its person was given, or empty; `role`: observer, pupil,
-    participant, operator or teacher; `what`: page, or what kind of process; `window`: the letter of a page whose person
-    was given no name, or empty.
+    `id`: unique to this page or process; `name`: the given name of its person, or empty; `role`: observer, pupil,
+    participant, operator or teacher; `what`: page, or the kind of process; `window`: the letter of a page of a person
+    without a name, or empty.
     """
 
     id: str
@@ -51,7 +51,7 @@ class Party(NamedTuple):
 
     @property
     def label(self) -> str:
-        """How it is shown to others."""
+        """The name shown to others."""
         if self.window and not self.name:
             return f"window {self.window}"
         who = {"operator": "the operator's page", "participant": "the participant"}.get(self.role, f"a {self.role}")
@@ -59,27 +59,28 @@ class Party(NamedTuple):
 
     @property
     def is_owner(self) -> bool:
-        """Whether it is of the person whose rig it is: a process on its machine, or the page of the printed address."""
+        """Whether the party is the owner of the rig: a process on its machine, or the page of the printed address."""
         return self.what != PAGE or (self.role == "operator" and not self.name)
 
     @property
     def person(self) -> tuple[str, str]:
-        """Whose it is: each person with a name is one, and so are all pages of one role without."""
+        """Key of the person: the name, or for parties without a name the role and kind, which count as one person."""
         return self.name, "" if self.name else f"{self.role} {self.what}"
 
 
 class Asking(NamedTuple):
-    """A party that asks for control, and when it was seen last [ns]."""
+    """A party that asks for control, and the time at which it was last seen [ns]."""
 
     party: Party
     seen_ns: int
 
 
 class Lease(NamedTuple):
-    """Who holds control. All times are of the monotonic clock of the machine [ns].
+    """State of control. All times are by the monotonic clock of the machine [ns].
 
-    `number`: counts up with each holder, and with each time that it becomes free; `kept`: it lasts longer than the act;
-    `presses`: the hand of the holder pushes; `withdraw`: who pressed has vanished, and the tip is to be withdrawn.
+    `number`: rises whenever control changes its holder or becomes free; `kept`: True if it lasts longer than one act;
+    `presses`: True if the holder's hand pushes; `withdraw`: True if a holder vanished while pressing, so that the tip
+    must be withdrawn.
     """
 
     number: int = 0
@@ -91,21 +92,21 @@ class Lease(NamedTuple):
     asking: tuple[Asking, ...] = ()
 
     def is_held_by(self, party: Party) -> bool:
-        """Whether a party holds control."""
+        """Return whether a party holds control."""
         return self.holder is not None and self.holder.id == party.id
 
 
 def current(lease: Lease, now_ns: int) -> Lease:
-    """Return the lease as it is now: without a holder who has vanished, and those who asked and have left.
+    """Return the lease as of now, without a holder that vanished and without expired requests.
 
-    Free control is granted to the first who asks, was heard within VANISHED_NS, and may take it.
-    A time ahead is of before the machine began.
+    Free control is granted to the first party that asks, was heard within VANISHED_NS, and may take it. A time in the
+    future is from before the machine was booted and counts as expired.
     """
     asking = tuple(each for each in lease.asking if 0 <= now_ns - each.seen_ns <= ASKED_NS)
     lease = lease if asking == lease.asking else lease._replace(asking=asking)
     if lease.holder is not None and not 0 <= now_ns - lease.seen_ns <= VANISHED_NS:
         lease = _vacant(lease, now_ns, withdraw=lease.presses)
-    # Who gets control decides for themselves, so a tip that is to be withdrawn is withdrawn before.
+    # Withdraw a pending tip first, because the next holder must not get control of a pressing tip.
     if lease.holder is None and not lease.withdraw:
         heard = (each for each in lease.asking if now_ns - each.seen_ns <= VANISHED_NS)
         first = next((each for each in heard if each.party.role not in _NEVER_TAKE), None)
@@ -115,10 +116,10 @@ def current(lease: Lease, now_ns: int) -> Lease:
 
 
 def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bool = False) -> Lease:
-    """Let a party act: its command, or the force of its hand. `number`: of the lease that it has in view, 0 for none.
+    """Let a party act, by a command or by the force of its hand; `number` is that of the lease it saw, 0 for none.
 
     Raises:
-        RefusedError: Another holds control, the role has none, or what was said belongs to an earlier lease.
+        RefusedError: Another party holds control, the role may not act, or the act belongs to an earlier lease.
     """
     lease = current(lease, now_ns)
     holder = lease.holder
@@ -142,10 +143,10 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
 
 
 def take(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Let a party keep control: what is free, or a teacher's without being granted.
+    """Let a party take and keep control that is free or held by the same owner; a teacher may take anyone's.
 
     Raises:
-        RefusedError: The role may not.
+        RefusedError: The role may not take control, or another party holds it.
     """
     lease = current(lease, now_ns)
     holder = lease.holder
@@ -159,10 +160,10 @@ def take(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Ask for control; who may take it gets free control at once. A person asks once, by the page used last.
+    """Request control; free control is granted at once, except to a pupil. A person has one request, the latest.
 
     Raises:
-        RefusedError: The role may not, or too many ask.
+        RefusedError: The role cannot hold control, or there are too many requests.
     """
     lease = current(lease, now_ns)
     if party.role in ("observer", "participant"):
@@ -178,17 +179,17 @@ def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> Lease:
-    """Hand over to one who asks; the holder may, and a teacher.
+    """Hand control over to a party that asks; the holder or a teacher may do so.
 
     Args:
         lease: The lease.
-        party: Who hands over.
-        to: The id of one who asks; empty for the first.
-        now_ns: The time.
-        number: Of the lease that the party has in view.
+        party: The party that hands over.
+        to: The id of the party that receives control; empty for the first that asks.
+        now_ns: The time [ns].
+        number: The number of the lease that the party saw.
 
     Raises:
-        RefusedError: The party does not hold control, was speaking of an earlier lease, or that one does not ask.
+        RefusedError: The party is neither holder nor teacher, saw an earlier lease, or the receiver does not ask.
     """
     lease = current(lease, now_ns)
     if party.role != "teacher" and not lease.is_held_by(party):
@@ -202,9 +203,9 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
 
 
 def let_go(lease: Lease, party: Party, now_ns: int, *, vanished: bool = False) -> Lease:
-    """Return the lease without a party, which lets go of the hand or has left.
+    """Return the lease without a party that releases control or has left.
 
-    `vanished`: it did not say so, and where its hand pressed the tip is to be withdrawn.
+    `vanished`: it left without notice, so the tip must be withdrawn if its hand pressed.
     """
     lease = current(lease, now_ns)
     lease = lease._replace(asking=_without(lease.asking, party))
@@ -214,7 +215,7 @@ def let_go(lease: Lease, party: Party, now_ns: int, *, vanished: bool = False) -
 
 
 def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Return the lease after an act of a party, which keeps the hand only if it has taken it."""
+    """Return the lease after an act of a party, which keeps control only if it has taken it."""
     lease = current(lease, now_ns)
     if not lease.is_held_by(party):
         return lease
@@ -222,7 +223,7 @@ def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -> Lease:
-    """Note that a party is there, or that it was heard at a time before now."""
+    """Record that a party was heard, now or at the earlier time `heard_ns` [ns]."""
     lease = current(lease, now_ns)
     if not lease.is_held_by(party):
         return lease
@@ -230,31 +231,31 @@ def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -
 
 
 def still_asks(lease: Lease, heard_ns: Mapping[str, int], now_ns: int) -> Lease:
-    """Note when those who ask for the hand were heard last, by their ids."""
+    """Record the times [ns] at which parties that ask for control were last heard, by their ids."""
     asking = [each._replace(seen_ns=max(each.seen_ns, heard_ns.get(each.party.id, 0))) for each in lease.asking]
     return current(lease._replace(asking=tuple(asking)), now_ns)
 
 
 def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Note that the server of a party stood still and could not hear it; what others made of the lease counts."""
+    """Extend the lease of a party that was not heard because its server stalled, unless it has lapsed meanwhile."""
     if not lease.is_held_by(party) or now_ns - lease.seen_ns > 3 * VANISHED_NS:
         return current(lease, now_ns)
     return lease._replace(seen_ns=now_ns)
 
 
 def withdrawn(lease: Lease, now_ns: int, number: int) -> Lease:
-    """Note that the tip has been withdrawn for the lease of a number; what came after it is still to be done."""
+    """Record that the tip was withdrawn for the lease with this number; a later request to withdraw stays pending."""
     lease = current(lease, now_ns)
     return lease._replace(withdraw=lease.withdraw and lease.number != number)
 
 
 def packed(lease: Lease) -> bytes:
-    """Return a lease as it is kept."""
+    """Return a lease as JSON for the file."""
     return msgspec.json.encode(lease)
 
 
 def unpacked(data: bytes) -> Lease:
-    """Return the lease that was kept; a file that was not written to its end is free control."""
+    """Return the lease from the content of the file; control is free if the content is incomplete."""
     try:
         return msgspec.json.decode(data, type=Lease)
     except (msgspec.MsgspecError, UnicodeDecodeError):
@@ -262,7 +263,7 @@ def unpacked(data: bytes) -> Lease:
 
 
 def _are_the_owners(party: Party, holder: Party) -> bool:
-    """Return whether both are of the person whose rig it is, who acts at a terminal beside a page; not two pages."""
+    """Return whether both parties are the rig's owner, at a terminal beside a page; two pages do not count."""
     return party.is_owner and holder.is_owner and {party.what, holder.what} != {PAGE}
 
 
@@ -275,7 +276,7 @@ def _vacant(lease: Lease, now_ns: int, *, withdraw: bool) -> Lease:
 
 
 def _next(lease: Lease, now_ns: int) -> int:
-    # By the clock, so that a number never comes again, whatever became of what was kept.
+    # From the clock, so that a number is never used again, even if the file was lost.
     return max(lease.number + 1, now_ns // 1_000_000)
 
 

@@ -1,4 +1,4 @@
-"""The lease of a rig on this machine: a file in the private folder of the rig, which its pages and consoles share."""
+"""Storage of a rig's lease in a file of its private folder, which its pages and consoles on this machine share."""
 
 import contextlib
 import os
@@ -17,22 +17,22 @@ from telenano.wire.errors import ConfigError, RefusedError, RigError
 
 NAME_VARIABLE = "TELENANO_NAME"
 _FILE = "lease"
-# A lease is far smaller.
+# Most bytes that are read; a lease is far smaller.
 _MOST_BYTES = 65_536
 
 Step = Callable[[Lease, int], Lease]
 
 
 class LeaseRegister:
-    """Reads and changes the lease, one process at a time; what a process that is killed leaves of it is free."""
+    """Reads and changes the lease, one process at a time; a killed process leaves no lock."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Keep the lease in a folder, without one in that of the rig."""
+        """Use the file in a folder; None for the runtime folder of the rig."""
         self._folder = folder
         self._unkept = Lease(), Lease()
 
     def look(self) -> Lease:
-        """Return the lease as it is now; that somebody has vanished is kept where it can be, because it counts."""
+        """Return the lease as of now; if a holder has vanished, also write this to the file if possible."""
         try:
             lease = self._read()
         except OSError:
@@ -42,13 +42,13 @@ class LeaseRegister:
             return now
         with contextlib.suppress(RigError):
             return self.change(current)
-        # What cannot be kept is the same each time that it is looked at.
+        # If the file cannot be changed, return the same lease for the same content each time.
         if self._unkept[0] != lease:
             self._unkept = lease, now
         return self._unkept[1]
 
     def change(self, step: Step) -> Lease:
-        """Change the lease by a step, which gets the time as well, and return it.
+        """Change the lease by a step, a function of lease and monotonic time [ns], and return the new lease.
 
         Raises:
             RefusedError: The step refuses.
@@ -79,23 +79,23 @@ class LeaseRegister:
         return read_regular(path, _MOST_BYTES, follows_links=False)
 
     def _read(self) -> Lease:
-        """Return the lease as it was kept; its holder was seen at the time of the file, if that is later."""
+        """Return the lease in the file; the file's modification time, if later, is when its holder was last seen."""
         with open_regular(self._path, follows_links=False) as file:
             lease, seen_ns = unpacked(file.read(_MOST_BYTES)), os.fstat(file.fileno()).st_mtime_ns
-        # The time of a file that was just written is that of the calendar, which is far ahead of the monotonic clock.
+        # A file that was just written has calendar time, which is far ahead of the monotonic clock and is ignored.
         return lease._replace(seen_ns=seen_ns) if lease.seen_ns < seen_ns <= time.monotonic_ns() else lease
 
     def _is_noted(self, seen_ns: int) -> bool:
-        """Note when the holder was seen as the time of the file, which needs no room on a full disk.
+        """Store the time at which the holder was seen [ns] as the file's time, which works even on a full disk.
 
-        Returns False where the file system keeps times in larger steps.
+        Returns False if the file system stores times in larger steps.
         """
         os.utime(self._path, ns=(seen_ns, seen_ns))
         return self._path.stat().st_mtime_ns == seen_ns
 
 
 class Hold:
-    """A process that has control, and says every quarter of a second that it is there."""
+    """Control held by this process, which reports its presence every quarter of a second."""
 
     def __init__(self, party: Party, register: LeaseRegister, step: Step) -> None:
         self.party, self._register = party, register
@@ -106,13 +106,13 @@ class Hold:
             threading.Thread(target=self._beat, name="lease", daemon=True).start()
 
     def is_held(self) -> bool:
-        """Return whether control was not taken meanwhile."""
+        """Return whether control has not been lost meanwhile."""
         if self._holds:
             self.lost |= not self._register.look().is_held_by(self.party)
         return not self.lost
 
     def end(self) -> None:
-        """Let go of the hand."""
+        """Release control."""
         self._over.set()
         if self._holds:
             with contextlib.suppress(RigError):
@@ -124,7 +124,7 @@ class Hold:
                 self._register.change(lambda lease, now_ns: seen(lease, self.party, now_ns))
 
 
-# What this process has taken the hand for, if it has.
+# The present hold of this process, if any.
 _held: list[Hold] = []
 
 
@@ -135,10 +135,10 @@ def this_process(what: str = CONSOLE, *, role: str = "operator") -> Party:
 
 @contextlib.contextmanager
 def holding(what: str, *, role: str = "operator", register: LeaseRegister | None = None) -> Iterator[Hold]:
-    """Have the hand for a program, an experiment or a command of a teacher while the block runs.
+    """Hold control for a program, an experiment or a command of a teacher while the block runs.
 
     Raises:
-        RefusedError: A page has it; the sentence names whose.
+        RefusedError: Another party holds control; the sentence names it.
     """
     if _held:
         yield _held[-1]
@@ -155,10 +155,10 @@ def holding(what: str, *, role: str = "operator", register: LeaseRegister | None
 
 @contextlib.contextmanager
 def acting() -> Iterator[Hold]:
-    """Hold control for one command of this process, unless it holds it for longer already.
+    """Hold control for one command of this process, unless it already holds it for longer.
 
     Raises:
-        RefusedError: Another process or page holds it.
+        RefusedError: Another process or page holds control, or this process has lost it.
     """
     if _held:
         if not _held[-1].is_held():

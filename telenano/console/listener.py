@@ -1,4 +1,4 @@
-"""A recorder's connection to one publisher, and what it knows of each of its streams."""
+"""A recorder's connection to one publisher, and the state of each of its streams."""
 
 from dataclasses import dataclass, field
 
@@ -9,9 +9,9 @@ from telenano.wire.topics import Topic
 
 @dataclass(slots=True)
 class Stream:
-    """What one publisher sends on one topic, received at one site.
+    """Stream of messages from one publisher on one topic, received at one site.
 
-    `live`: received at its publisher, with the stamps of this time: no queue is as long as those of a replay are old.
+    `live`: received at its publisher, with current stamps rather than the old ones of a replay.
     `channel`: its number in the file, None before its first message there.
     """
 
@@ -28,10 +28,10 @@ class Stream:
 
 @dataclass
 class Listener:
-    """Connection to one publisher: what comes through it was received at that publisher's site.
+    """Connection to one publisher, at whose site its messages count as received.
 
-    A `publisher` without a site represents many, each of which is received at its own. The streams are by topic and
-    source.
+    A `publisher` without a site represents many, each of which is received at its own site. The keys of `streams` are
+    topic and source.
     """
 
     publisher: str

@@ -1,4 +1,4 @@
-"""A running rig as something to read like a recording: the same iterator of the same messages."""
+"""Reading of a running rig with the interface of a recording: the same iterator of the same messages."""
 
 import contextlib
 import time
@@ -26,11 +26,11 @@ def connect(
     shared: bool = False,
     unknown: bool = False,
 ) -> list[Listener]:
-    """Subscribe at each node at `sites` to every recorded topic that it publishes.
+    """Subscribe at each node of `sites` to every recorded topic that it publishes.
 
-    `wanted(topic, node)` selects among them: what is not subscribed to is not even sent. With `shared` the nodes may be
-    read once for all observers. With `unknown` also to what visitors publish on topics that nothing here declares, such
-    as those of a package that is not installed.
+    `wanted(topic, node)` selects among them; other topics are not even sent. With `shared` one process may read the
+    nodes for all observers. With `unknown` subscribe to all topics of visitors, including those that nothing here
+    declares, such as those of a package that is not installed.
     """
     readers = participant.observe(
         lambda topic, node: (topic not in TOPICS or TOPICS[topic].recorded) and wanted(topic, node),
@@ -44,22 +44,22 @@ def connect(
 
 
 class Rate:
-    """Chooses the messages of each channel and source that are due by a rate; what is sent on change always is."""
+    """Thins out the messages of each channel and source to a rate; topics sent on change are never thinned out."""
 
     def __init__(self, rate_hz: float) -> None:
-        """Choose up to `rate_hz` messages a second of each [Hz]; 0 for all of them."""
+        """Pass up to `rate_hz` messages a second of each channel and source [Hz]; 0 for all of them."""
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
         self._due_ns: dict[tuple[str, str], int] = {}
 
     def is_due(self, message: RecordedMessage) -> bool:
-        """Return whether a message is to be handed on."""
+        """Return whether a message is passed on."""
         if not self._period_ns or message.channel.rate_hz is None:
             return True
         key = message.channel_topic, message.src
         due_ns = self._due_ns.get(key, 0)
         if message.log_ns < due_ns:
             return False
-        # The next one is due on the grid of the rate, unless the channel was silent.
+        # The next message is due on the time grid of the rate, unless the channel was silent.
         kept = message.log_ns - due_ns < self._period_ns
         self._due_ns[key] = (due_ns if kept else message.log_ns) + self._period_ns
         return True
@@ -71,26 +71,26 @@ class LiveRecording:
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """
 
-    # 8000 messages a second of a rig would be more than a viewer draws.
+    # Rate for viewers: a rig sends 8000 messages a second, more than a viewer can draw.
     VIEWER_HZ = 100.0
 
     def __init__(self, book: AddressBook, topics: Collection[str] | None = None, rate_hz: float = 0.0) -> None:
-        """Listen as this machine.
+        """Subscribe to the rig as an observer on this machine.
 
         Args:
             book: The addresses of the rig.
-            topics: The topics that are listened to; None for all.
-            rate_hz: Most messages of each channel a second [Hz]; 0 for all. What is sent on change always comes.
+            topics: The topics to subscribe to; None for all.
+            rate_hz: Highest rate of each channel [Hz]; 0 for all messages. Topics sent on change are not thinned out.
 
         Raises:
-            ConfigError: This machine lacks a key that the rig demands.
+            ConfigError: This machine lacks a key that the rig requires.
         """
         self._rate = Rate(rate_hz)
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(Participant.observing(book))
         self._network = participant.network
         self.book = book
-        # The time of a reception is so far ahead of the monotonic clock [ns].
+        # Lead of reception times over the monotonic clock [ns].
         self.epoch_offset_ns = participant.clock.epoch_offset_ns
         self._listeners = connect(
             participant, wanted=lambda topic, node: topics is None or topic in topics, shared=True
@@ -110,11 +110,11 @@ class LiveRecording:
     def messages(
         self, topics: Iterable[str] | None = None, duration_s: float | None = None
     ) -> Iterator[RecordedMessage]:
-        """Return messages as they come, without end when `duration_s` is None; what is not valid is left out.
+        """Yield messages as they arrive; invalid ones are left out.
 
         Args:
             topics: Names of channels such as `teleop/forward@slave`; None for all.
-            duration_s: How long messages are taken [s]; None for no end.
+            duration_s: Duration of reading [s]; None for no end.
         """
         wanted = None if topics is None else frozenset(topics)
         end = None if duration_s is None else time.monotonic() + duration_s
@@ -133,7 +133,7 @@ class LiveRecording:
                         yield message
 
     def is_here(self, node: str) -> bool:
-        """Return whether a node of the rig is on this machine, so that both have one monotonic clock."""
+        """Return whether a node of the rig is on this machine and thus shares its monotonic clock."""
         is_in_book = node in self.book.nodes
         return is_in_book and self.book.endpoint(node, self._network.machine).startswith("ipc://")
 

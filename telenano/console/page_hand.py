@@ -1,4 +1,4 @@
-"""The hand of a person, or of who stands in for one, at the page of a rig.
+"""The simulated hand at the page of a rig, pushed by a person or by a program.
 
 with contextlib.closing(RigHand(site_file)) as hand:
 hand.push(0.5)
@@ -17,10 +17,10 @@ from telenano.wire.nodes import VIEW
 
 
 class RigHand:
-    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
+    """Publisher of `operator/force`, the force of an operator at a page, which an interactive scenario follows."""
 
     def __init__(self, site_file: Path) -> None:
-        """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
+        """Bind the endpoint of the view; raise ConfigError if the site file has none, EndpointError if it is in use."""
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(Participant.open(VIEW, AddressBook.load(site_file)))
         self._clock = participant.clock
@@ -35,7 +35,7 @@ class RigHand:
         self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]), **named)
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Publish on a topic of a package, as a panel of the page does."""
+        """Publish on a topic of a package, as panels of the page do; return the message."""
         return self._publisher.publish(topic, **fields)
 
     def now_ns(self) -> int:
@@ -43,5 +43,5 @@ class RigHand:
         return self._clock.now_ns()
 
     def close(self) -> None:
-        """Publish the last message, and close the endpoint."""
+        """Publish the end message, and close the endpoint."""
         self._open.close()

@@ -25,19 +25,19 @@ from telenano.wire.nodes import LINK, PAGE, TIP, Site, is_console, is_estop, is_
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
 _POLL_MS = 20
-# A node reports its health at this interval.
+# Interval of a node's health reports [s].
 _HEALTH_S = 0.5
-# The first report of a node may take this long more, for the connection.
+# Additional time for the first report of a node, for the connection [s].
 _JOIN_S = 1.0
-# A rig is late where a node reads a command later than this [s]: its loops come round a hundred times in it.
+# A rig is late if a node reads a command later than this [s], a hundred periods of its loops.
 _LATE_S = 0.1
 _SUBSCRIBED = b"\x01session/control"
-# The most subscriptions that are read in a turn, so that endless ones keep no command from being sent.
+# Most subscriptions read at a time, so that a flood of them does not block the sending of a command.
 _MOST_SUBSCRIPTIONS = 256
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, Scalar]:
-    """Read KEY=VALUE; true and false are flags, numbers are numbers, the rest is text."""
+    """Parse texts KEY=VALUE: true and false become bool, numbers int or float, others stay text; raise ConfigError."""
     parameters: dict[str, Scalar] = {}
     for pair in pairs:
         key, sign, text = pair.partition("=")
@@ -62,11 +62,11 @@ def _scalar(pair: str, text: str) -> Scalar:
 
 
 def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str]:
-    """Return the nodes of the site file that a target means at a console; ConfigError names those that there are.
+    """Return the nodes of the site file that a target includes; raise ConfigError, with a list of nodes, if none.
 
-    Commands cross the link forward only: a console at the slave reaches the nodes there.
+    Commands cross the link only forward, so a console at the slave's site reaches only the nodes there.
     """
-    # the link's second socket belongs to the same process, which answers under the name of the first
+    # The link's second endpoint belongs to the same process, which answers under the name of the first.
     silent = (f"{LINK}@slave", PAGE)
     nodes = [n for n in book.nodes if not (is_console(n) or is_estop(n) or name_of(n) == "launcher" or n in silent)]
     within = [n for n in nodes if site == "master" or site_of(n) == site]
@@ -88,16 +88,16 @@ def arm_devices(
     issued_ns: int | None = None,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Arm hand and tip, as far as this site reaches them; as `send_controls`.
+    """Arm hand and tip, as far as this site reaches them; other arguments, result and errors as in `send_controls`.
 
-    Both stay where they are. `parameters` are for the tip: where it may go, which is then waited for.
+    Both stay where they are, unless `parameters` for the tip name a place; the function then waits for its arrival.
     """
     steps = arm_steps(site_file, site, parameters or {})
     return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
 
 
 def arm_steps(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> list[Command]:
-    """Return the commands of `arm_devices`, the one of the tip with parameters."""
+    """Return the commands of `arm_devices`; that of the tip has the parameters."""
     book = AddressBook.load(site_file)
     steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
     return [replace(step, parameters=parameters) if step.target == name_of(TIP) else step for step in steps]
@@ -114,11 +114,11 @@ def send_control(
     retry_ns: int = 0,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Send one command as `send_controls` does; which nodes answer follows from its target and the site file.
+    """Send one command as `send_controls` does; its target and the site file determine the nodes that must answer.
 
     Raises:
-        ConfigError: No node is meant, or this site has no console.
-        RigError, EndpointError, RefusedError: As of `send_controls`.
+        ConfigError: The target includes no node, or this site has no console.
+        RigError, EndpointError, RefusedError: As in `send_controls`.
     """
     meant = addressed(AddressBook.load(site_file), command.target, site)
     wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))
@@ -136,32 +136,32 @@ def send_controls(
     retry_ns: int = 0,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Send commands to a running rig, each after the one before has succeeded.
+    """Send commands to a running rig, each after the previous one has succeeded.
 
-    A command that has waited since it was given does not move a device that an emergency stop has stopped meanwhile.
-    What moves something needs control, which this process has for the time of the command where it is free.
+    A command that was given before an emergency stop does not move a device that was stopped meanwhile. Commands that
+    move something need control; if it is free, this process holds it while they run.
 
     Args:
-        commands: The commands, with the nodes that have to answer, none for a pattern.
+        commands: The commands, each with the nodes that must answer; none for a pattern.
         site_file: The site file of the rig.
-        site: The site at which the command is typed.
-        on_answer: Called with each answer when it comes, and with the report that the tip is placed.
-        is_wanted: Called before each sending; once it returns false, nothing more is sent.
-        issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now.
-        retry_ns: How long the command is tried again after a refusal [ns].
-        by: The name of who gave it, of a page whose lease of the hand was looked at; None for this process.
+        site: The site at which the command is given.
+        on_answer: Called with each answer, and with the report that the tip is placed.
+        is_wanted: Called before each sending; once it returns False, nothing more is sent.
+        issued_ns: Time at which a person gave the command, by the monotonic clock of this machine [ns]; None for now.
+        retry_ns: Time for which a refused command is repeated [ns].
+        by: Name of the person, for a page whose lease was checked already; None makes this process acquire control.
 
     Returns:
         The answers by node, refusals included.
 
     Raises:
-        RigError: Nodes do not answer, no rig is there, the tip was not placed, the command is no longer wanted, or an
+        RigError: Nodes do not answer, there is no rig, the tip was not placed, the command is no longer wanted, or an
             emergency stop made it void; the message says which of several commands were carried out.
-        EndpointError: Another console is at work.
-        RefusedError: Somebody else holds control.
+        EndpointError: Another console is in use.
+        RefusedError: Another party holds control.
     """
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
-    # Of a page whose lease was looked at, and for what may always be asked, control is not taken.
+    # A page has checked its lease already, and some commands need none.
     is_free = by is not None or all(command.name in FREE_COMMANDS for command in commands)
     lease: AbstractContextManager[Hold | None] = nullcontext() if is_free else acting()
     name = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS] if by is None else by
@@ -180,7 +180,7 @@ def _exchange(
     issued_ns: int,
     retry_ns: int,
 ) -> dict[str, SessionEvent]:
-    """Bind the console, send commands until all are answered, and return the answers; the rest as `send_controls`."""
+    """Bind the console, send commands until all are answered, and return the answers; raise as `send_controls`."""
     book = AddressBook.load(site_file)
     answers: dict[str, SessionEvent] = {}
     with _at_console(book, site_file, site) as participant:
@@ -231,7 +231,7 @@ def _at_console(book: AddressBook, site_file: Path, site: Site) -> Iterator[Part
 
 
 def _in_force(commands: Sequence[Command], client: CommandClient, readers: int) -> str:
-    """Return in words that a command without an answer may have been obeyed; empty where no node can have read it."""
+    """Return a warning that an unanswered command may have been obeyed; empty if no node can have read it."""
     if not client.is_unanswered or not readers:
         return ""
     sent = commands[len(commands) - len(client.unsent) - 1].name
@@ -240,7 +240,7 @@ def _in_force(commands: Sequence[Command], client: CommandClient, readers: int) 
 
 
 def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> str:
-    """Return in words what several commands have done, and which of them were not sent; empty for one command."""
+    """Return a text on the commands that were carried out and those that were not sent; empty for a single command."""
     if not client.unsent and len(answers) < 2:
         return ""
     told = {node: event for node, event in answers.items() if event.kind != "refused" and node not in client.ended}
@@ -250,32 +250,32 @@ def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> st
 
 
 class Attention:
-    """What a console heard of the nodes while it waited for answers: whether they were late, or do not know a command.
+    """Diagnosis of missing answers: records whether nodes are silent, late, or do not know a command.
 
-    `last_s` has by node when it was last heard [s].
+    `last_s` has the time at which each node was last heard [s].
     """
 
     def __init__(self, now_s: float) -> None:
-        """Begin to listen at a time of the monotonic clock [s]."""
+        """Begin at a time of the monotonic clock [s]."""
         self.last_s: dict[str, float] = {}
         self._begun_s = self._turn_s = now_s
-        # How late each node was at most [s]; the console itself is one of them.
+        # Greatest lateness of each node [s], the console included.
         self._late_s: dict[str, float] = {}
 
     def turn(self, now_s: float) -> None:
-        """Note that the console continues to wait."""
+        """Record a turn of the waiting console, and its own lateness."""
         self._note_late("this command", now_s - self._turn_s - 1e-3 * _POLL_MS)
         self._turn_s = now_s
 
     def heard(self, message: Message, now_s: float) -> None:
-        """Note a message of a node: with a report of its health comes how late it was itself."""
+        """Record a message of a node; a health report also states the node's own lateness."""
         if isinstance(message, NodeHealth):
             self._note_late(message.src, message.lateness_max_s)
         self._note_silence(message.src, now_s)
         self.last_s[message.src] = now_s
 
     def why(self, meant: Sequence[str], now_s: float) -> str:
-        """Return in words why nobody answered: silence, a rig that is late, or that nobody knows the command."""
+        """Return the reason why none of the `meant` nodes answered: silence, a late rig, or an unknown command."""
         for node in self.last_s:
             self._note_silence(node, now_s)
         silent = sorted(set(meant) - set(self.last_s))
@@ -290,7 +290,7 @@ class Attention:
         return "; ".join(reasons)
 
     def is_doubtful(self, meant: Sequence[str]) -> bool:
-        """Return whether a node may have read the command without an answer that was heard."""
+        """Return whether a node may have read the command although no answer was received."""
         return bool(set(meant) - set(self.last_s)) or max(self._late_s.values(), default=0.0) > _LATE_S
 
     def _note_silence(self, node: str, now_s: float) -> None:
@@ -301,7 +301,7 @@ class Attention:
 
 
 def _new_subscriptions(publisher: ZmqPublisher) -> int:
-    """Count the readers of commands that have subscribed since the last call; nothing reaches them before that."""
+    """Count the nodes that subscribed to commands since the last call; earlier messages did not reach them."""
     count = 0
     for _ in range(_MOST_SUBSCRIPTIONS):
         if not publisher.socket.poll(0):
@@ -315,13 +315,13 @@ def _bind(participant: Participant) -> ZmqPublisher:
     deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
     while True:
         try:
-            # the next command comes from a process that counts again
+            # End the stream, because the next command comes from a new process, whose numbers restart.
             publisher = participant.bind(participant.key, zmq.XPUB, ends=True)
         except EndpointError:
             if clock.monotonic_ns() >= deadline:
                 raise
             time.sleep(_RETRY_S)
         else:
-            # every subscription counts, not only the first to a topic
+            # Report every subscription, not only the first one to a topic.
             publisher.socket.set(zmq.XPUB_VERBOSE, 1)
             return publisher

@@ -1,1 +1,1 @@
-"""`telenano doctor`: whether this machine can run a rig, and what to do where it cannot."""
+"""`telenano doctor`: check whether this machine can run a rig, and advise what to do if it cannot."""

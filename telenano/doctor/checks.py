@@ -1,4 +1,4 @@
-"""The checks of `telenano doctor`: each takes its facts as arguments and returns its finding, with advice."""
+"""The checks of `telenano doctor`: each takes facts as arguments and returns a finding with advice."""
 
 import ctypes
 import errno
@@ -25,7 +25,7 @@ _OLDEST_PYTHON = (3, 11)
 _LEAST_PROCESSORS = 2
 _PRIORITY = 50
 _LEAST_DISK_BYTES = 10**9
-# These extras are for developers of the project itself, or the sum of all others.
+# Extras that are not listed: for developers of the project, or the sum of all others.
 _NOT_LISTED = ("dev", "rig")
 _ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
     "in use": (
@@ -49,7 +49,7 @@ class KernelClock(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """Result of an attempt to bind an endpoint: free, held by a rig, held by another program, or not usable here."""
+    """Result of an attempt to bind an endpoint: free, held by a rig, held by another program, or unusable here."""
 
     state: Literal["free", "rig", "in use", "unusable"]
     detail: str = ""
@@ -65,7 +65,7 @@ def check_python(version: Sequence[int]) -> Finding:
 
 
 def check_advisers(installed: Collection[str]) -> Finding:
-    """Say whether a package advises of a session that is outside of what its law was shown to hold."""
+    """Report whether an installed package warns of sessions outside of the proven limits of their law."""
     if installed:
         return Finding("advice", "ok", f"sessions are watched by {', '.join(installed)}")
     found = "no package watches sessions: nothing is warned of where one is outside of what its law was shown to hold"
@@ -73,11 +73,11 @@ def check_advisers(installed: Collection[str]) -> Finding:
 
 
 def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:
-    """Compare the installed packages with the metadata of the project; a missing extra is no problem.
+    """Compare the installed packages with the project's requirements; a missing extra is not a problem.
 
     Args:
-        requires: Lines such as `numba>=0.61; extra == 'afm'`.
-        installed: Returns the version of a package, None if it is missing.
+        requires: Requirements such as `numba>=0.61; extra == 'afm'`.
+        installed: Function that returns the version of a package, None if it is missing.
     """
     try:
         from packaging.requirements import Requirement
@@ -109,7 +109,7 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
 
 
 def check_processors(permitted: int, quota: float | None) -> Finding:
-    """Check the processors that this process may use, by affinity and by the quota of its control group."""
+    """Check the number of processors that this process may use, by affinity and by the quota of its control group."""
     text = f"{permitted} permitted" + ("" if quota is None else f", quota of {quota:g}")
     if min(permitted, permitted if quota is None else quota) >= _LEAST_PROCESSORS:
         return Finding("processors", "ok", text)
@@ -118,7 +118,7 @@ def check_processors(permitted: int, quota: float | None) -> Finding:
 
 
 def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
-    """Check that two processors are left for a further rig: each one that runs holds its own."""
+    """Check that two processors are free for a further rig, because each running rig holds its own."""
     name, free = "processors of rigs", permitted - len(held)
     if not held:
         return Finding(name, "ok", f"no rig holds processors; {fits_text(free)}")
@@ -129,10 +129,10 @@ def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
 
 
 def cpu_quota(groups: Path, membership: Path) -> float | None:
-    """Return the least quota [processors] among the control groups of a process and those above, None for no limit.
+    """Return the least quota [processors] of a process's control groups and their parents; None without a limit.
 
     Args:
-        groups: The folder in which control groups are mounted.
+        groups: The mount point of the control groups.
         membership: The file /proc/PID/cgroup.
     """
     quotas = []
@@ -142,7 +142,7 @@ def cpu_quota(groups: Path, membership: Path) -> float | None:
             continue
         base = groups / "cpu" if controllers else groups
         folder = base / path.lstrip("/")
-        # a container sees its own group as the root, whatever its path says
+        # Include the root, because a container sees its own group there, whatever its path says.
         quotas += [_quota_of(part) for part in (folder, *folder.parents) if part.is_relative_to(base)]
     return min((quota for quota in quotas if quota is not None), default=None)
 
@@ -157,7 +157,7 @@ def _quota_of(folder: Path) -> float | None:
 
 
 def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: bool) -> Finding:
-    """Judge an attempt to take SCHED_FIFO; `refused` is the reason of its failure, or empty."""
+    """Evaluate an attempt to use SCHED_FIFO; `refused` is the reason of its failure, or empty."""
     kernel = f"RLIMIT_RTPRIO {_limit(limit)}, sched_rt_runtime_us {runtime_us or 'unknown'}"
     if not refused:
         return Finding("SCHED_FIFO", "ok", f"permitted; {kernel}")
@@ -174,7 +174,7 @@ def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: b
 
 
 def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Finding:
-    """Judge an attempt to lock as much memory as a node reserves."""
+    """Evaluate an attempt to lock as much memory as a node; `refused` is the reason of its failure, or empty."""
     text = "RLIMIT_MEMLOCK " + ("unlimited" if limit_bytes < 0 else f"{limit_bytes / 1e6:.1f} MB")
     if not refused:
         return Finding("memory lock", "ok", f"permitted; {text}")
@@ -187,12 +187,12 @@ def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Fin
 
 
 def attempt_fifo() -> str:
-    """Try SCHED_FIFO in a process of its own; return why it was refused, empty if it was not."""
+    """Try SCHED_FIFO in a separate process; return the reason of a refusal, empty if it is permitted."""
     return _attempt(f"import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_PRIORITY}))")
 
 
 def attempt_memory_lock() -> str:
-    """Try to lock memory in a process of its own that reserves as much as a node; return why it was refused."""
+    """Try to lock memory in a separate process that reserves as much as a node; return the reason of a refusal."""
     # Without privilege the kernel compares all reserved memory, touched or not, with the limit.
     return _attempt(
         "import ctypes, mmap, os\n"
@@ -211,7 +211,7 @@ def _attempt(code: str) -> str:
 
 
 def check_synchronised(clock: KernelClock | None) -> Finding:
-    """Check whether a time service disciplines the clock; None if the kernel does not report it."""
+    """Check whether a time service disciplines the clock; `clock` is None if the kernel does not report it."""
     if clock is None:
         return Finding("clock", "ok", "the kernel does not report here whether it is synchronised")
     if clock.synchronised:
@@ -240,20 +240,20 @@ class _Timex(ctypes.Structure):
 
 
 def kernel_clock() -> KernelClock | None:
-    """Read the state of the kernel clock; None where a process may not."""
-    # modes is 0: nothing is changed
+    """Return the state of the kernel clock; None if this process may not read it."""
+    # With modes = 0 nothing is changed.
     state = _Timex()
     result = int(ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(state)))
     return None if result < 0 else kernel_clock_of(result, state.status, state.maxerror)
 
 
 def kernel_clock_of(result: int, status: int, largest_error_us: int) -> KernelClock:
-    """Interpret the result of adjtimex(2): TIME_ERROR (5) or STA_UNSYNC (0x40) is a clock that is not disciplined."""
+    """Interpret adjtimex(2): result TIME_ERROR (5) or status STA_UNSYNC (0x40) means an undisciplined clock."""
     return KernelClock(result != 5 and not status & 0x40, largest_error_us * 1e-6)
 
 
 def check_endpoints(endpoints: Mapping[str, str], probe: Callable[[str], Endpoint]) -> list[Finding]:
-    """Check which endpoints (keys, with their nodes) can be bound; one of ipc that is held is a running rig."""
+    """Check whether endpoints can be bound (the values are their nodes); a held ipc endpoint means a running rig."""
     states = {endpoint: probe(endpoint) for endpoint in endpoints}
     free = sum(endpoint_state.state == "free" for endpoint_state in states.values())
     held = [
@@ -275,12 +275,12 @@ def _endpoint_finding(node: str, endpoint: str, state: Endpoint) -> Finding:
 
 
 def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[Finding]:
-    """Check whether a machine has its key, and knows those of the other machines of a rig, and when they expire."""
+    """Check that a machine has its key, knows those of the other machines of a rig, and that none expires soon."""
     try:
         keyring.own_in_force(machine)
         allowed, expiring = keyring.allowed(), keyring.expiring()
     except ConfigError as error:
-        # the text of the error names the command that helps
+        # The error text names the command that helps.
         return [Finding("keys", "problem", f"this machine is {machine}: {error}", "correct it with `telenano keys`")]
     unknown = [name for name in sorted(others) if allowed.of_machine(name) is None]
     if expiring:
@@ -296,7 +296,7 @@ def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[
 
 
 def probe_endpoint(endpoint: str) -> Endpoint:
-    """Try to bind an endpoint, and release it at once."""
+    """Try to bind a tcp endpoint, or to lock the file of an ipc endpoint, and release it at once."""
     match = _TCP.fullmatch(endpoint)
     if match is None:
         return _probe_ipc(Path(endpoint.removeprefix("ipc://") + ".lock"))
@@ -306,7 +306,7 @@ def probe_endpoint(endpoint: str) -> Endpoint:
 def _probe_ipc(lock_file: Path) -> Endpoint:
     try:
         with lock_file.open() as lock:
-            # shared, so that two doctors do not see each other
+            # A shared lock, so that two runs of doctor do not report each other.
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except FileNotFoundError:
         return Endpoint("free")
@@ -323,7 +323,7 @@ def _probe_tcp(host: str, port: int) -> Endpoint:
     except OSError as error:
         return Endpoint("unusable", f"{host} cannot be resolved ({error.strerror})")
     with socket.socket(family, kind, protocol) as attempt:
-        # ZeroMQ sets this option too: a closed connection does not block the port.
+        # ZeroMQ also sets this option, so that a closed connection does not block the port.
         attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             attempt.bind(address)
@@ -335,7 +335,7 @@ def _probe_tcp(host: str, port: int) -> Endpoint:
 
 
 def check_disk(folder: Path, free_bytes: int) -> Finding:
-    """Check the space for recordings."""
+    """Check the free space for recordings [bytes]."""
     text = f"{free_bytes / 1e9:.1f} GB free in {folder}"
     if free_bytes >= _LEAST_DISK_BYTES:
         return Finding("disk", "ok", text)
@@ -343,7 +343,7 @@ def check_disk(folder: Path, free_bytes: int) -> Finding:
 
 
 def in_container(root: Path = Path("/")) -> bool:
-    """Return whether docker or podman runs this process."""
+    """Return whether this process runs in a container of docker or podman."""
     return (root / ".dockerenv").exists() or (root / "run/.containerenv").exists()
 
 

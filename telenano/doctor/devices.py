@@ -1,4 +1,4 @@
-"""The checks of `telenano doctor` for real devices on serial ports; without a port there is nothing to say."""
+"""The checks of `telenano doctor` for real devices: serial ports, if there are any, and a networked instrument."""
 
 import os
 import re
@@ -12,7 +12,7 @@ _TTYS = ("ttyACM", "ttyUSB")
 _GOOD_LATENCY_MS = 1
 _PATIENCE_S = 2.0
 _USB_SERIAL = Path("/sys/bus/usb-serial/devices")
-# programs that open ports by themselves, and what they do there
+# Programs that open serial ports on their own, and the effect.
 _INTRUDERS = {
     "ModemManager": "writes AT commands to a new port for 10 s",
     "brltty": "takes adapters with CH340, CP210x and FT232 away",
@@ -23,7 +23,7 @@ _RULE = "install the udev rule of docs/devices.md"
 def check_serial_ports(
     devices: Path = Path("/dev"), usb: Path = _USB_SERIAL, processes: Path = Path("/proc")
 ) -> list[Finding]:
-    """Check the serial ports that a handle may be on: permission, adapters that hold bytes back, other programs."""
+    """Check the serial ports for a handle: permission, adapters that delay bytes, and other programs that use them."""
     ports = sorted(path for path in devices.glob("tty*") if path.name.startswith(_TTYS))
     if not ports:
         return []
@@ -31,9 +31,9 @@ def check_serial_ports(
 
 
 def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Finding:
-    """Check whether the instrument of a calibration file is reached; ConfigError for a file that is none.
+    """Check whether the instrument of a calibration file accepts a connection; raise ConfigError for an invalid file.
 
-    It is connected to and asked nothing: a rig may be driving it.
+    No request is sent, because a rig may be driving the instrument.
     """
     from telenano.devices.afm.instrument import calibration_of_file
 
@@ -79,7 +79,7 @@ def _latency(ports: Sequence[Path], usb: Path) -> Iterator[Finding]:
         try:
             found_ms = int(timer.read_text())
         except (OSError, ValueError):
-            # Only FTDI's driver has this file.
+            # Only the driver of FTDI has this file.
             continue
         text = f"{port}: {found_ms} ms"
         if found_ms <= _GOOD_LATENCY_MS:

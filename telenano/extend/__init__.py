@@ -1,4 +1,4 @@
-"""What a package that extends telenano imports, one module a kind.
+"""Interfaces for packages that extend telenano, one module for each kind of extension.
 
-`telenano new law NAME` makes such a package; docs/extending.md explains each kind.
+`telenano new law NAME` creates such a package; docs/extending.md explains each kind.
 """

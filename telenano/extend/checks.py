@@ -6,7 +6,7 @@ Level = Literal["ok", "warning", "problem"]
 
 
 class Finding(NamedTuple):
-    """The result of a check; `advice` is empty where nothing has to be done."""
+    """The result of a check; `advice` is empty if nothing has to be done."""
 
     name: str
     level: Level

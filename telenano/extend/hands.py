@@ -1,7 +1,7 @@
-"""What every haptic device driver is to the node: declared capabilities and five verbs.
+"""The interface of every haptic device driver: declared capabilities and five methods.
 
-A driver obeys; it does not judge. The guard in `safety.py` stands in front of it, and what it still has to clip
-(supply, current, end stops) is part of its reading. Positions and forces are along the paper's axis x, towards the
+A driver carries out commands without checking them: the guard in `safety.py` does that before. The driver's own limits
+(supply, current, end stops) appear in its reading. Positions and forces are along the paper's axis x, towards the
 sample.
 """
 
@@ -16,7 +16,7 @@ Status = Literal["ok", "stale", "lost"]
 
 
 class DeviceError(ConfigError, RuntimeError):
-    """The device cannot do what it was asked: not open, not there, not the one that was configured, or not able."""
+    """The device cannot carry out a request: it is not open, absent, not the configured one, or incapable."""
 
 
 Pair = tuple[float, float]
@@ -25,11 +25,11 @@ UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 class Capabilities(NamedTuple):
-    """What a device declares about itself before anything is sent to it.
+    """Properties that a device declares before anything is sent to it.
 
-    max_stiffness_n_per_m and max_damping_n_s_per_m of an admittance device are what a loop sampled at 1 kHz can render
-    passively: with physical damping b at the arm, b > K T / 2 + B (Colgate and Schenkel 1997), so K <= 2 b / T alone
-    and B <= b alone. Of an impedance device they are what its maker declares for its own rate.
+    For an admittance device, max_stiffness_n_per_m and max_damping_n_s_per_m are the limits that a loop sampled at
+    1 kHz renders passively: with physical damping b at the arm, b > K T / 2 + B (Colgate and Schenkel 1997), so
+    K <= 2 b / T alone and B <= b alone. For an impedance device they are the maker's values for the rate of its servo.
     """
 
     max_force_n: float
@@ -40,34 +40,33 @@ class Capabilities(NamedTuple):
     modes: tuple[int, ...]
     identity: str = ""
     force_source: Literal["sensor", "estimate", "none"] = "sensor"
-    # The mean time from a command to the tick that publishes its effect, beyond that of the simulated device [s].
+    # Mean time from a command to the tick that publishes its effect, in addition to that of the simulated device [s].
     latency_s: float = 0.0
-    # identity of the calibration in use
+    # Identity of the calibration in use.
     calibration: str = ""
-    # admittance: it takes a position and measures the force; impedance: it measures the position and takes a force
+    # admittance: controls the position and measures the force; impedance: measures the position and applies a force.
     kind: Literal["admittance", "impedance"] = "admittance"
-    # 1: along the paper's axis; 3: with the lateral x and y of the master frame, whose workspace is in lateral_m
+    # 1: the paper's axis; 3: also the lateral x and y of the master frame, whose workspace is lateral_m.
     axes: int = 1
     lateral_m: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
-    # The rate of the servo that drives it [Hz]; 0.0 represents that of the node.
+    # Rate of the device's servo [Hz]; 0.0 represents that of the node.
     rate_hz: float = 0.0
-    # Physical damping b [N s/m] and moving mass [kg], 0.0 where they are not known; a chosen model states it in
-    # identity.
+    # Physical damping b [N s/m] and moving mass [kg]; 0.0 if unknown. If they are assumed, `identity` says so.
     damping_n_s_per_m: float = 0.0
     mass_kg: float = 0.0
-    # From a sample to the moment at which the force that answers it acts [s].
+    # Time from a sample until the force that answers it acts [s].
     drive_delay_s: float = 0.0
-    # names of the buttons, bit 0 first; the one that has to be held, empty if there is none
+    # Names of the buttons, bit 0 first, and the name of the dead-man button; empty if there is none.
     buttons: tuple[str, ...] = ()
     deadman: str = ""
     has_orientation: bool = False
 
 
 class SpatialCommand(NamedTuple):
-    """What a device of impedance type or of three axes is given besides; x and y are of the master frame.
+    """Additional command for a device of impedance type or with three axes; x and y are of the master frame.
 
-    lateral_force_n: what the hand is to feel. lateral_m: the place to which a lateral stiffness, if the coupling has
-    one, draws the hand. arm: a person has armed since the command before.
+    lateral_force_n: force that the hand must feel. lateral_m: place to which a lateral stiffness, if the coupling has
+    one, pulls the hand. arm: True if a person has armed the device since the previous command.
     """
 
     lateral_m: Pair = (0.0, 0.0)
@@ -76,7 +75,7 @@ class SpatialCommand(NamedTuple):
 
 
 class DriveCommand(NamedTuple):
-    """What the guard lets through: a mode code and the reference of that mode; `spatial` is for some."""
+    """Command that has passed the guard: a mode code and its reference; some devices also use `spatial`."""
 
     mode: int
     position_reference_m: float
@@ -85,7 +84,7 @@ class DriveCommand(NamedTuple):
 
 
 class Gate(IntEnum):
-    """Why an impedance device gives no force; a fault is refused until armed, and the node takes the device as lost.
+    """Reason why an impedance device gives no force; after a fault it stays off until armed, and counts as lost.
 
     Gate(reading.spatial.gate).text    # "the device gives no force until the hand has been at rest"
     """
@@ -99,7 +98,7 @@ class Gate(IntEnum):
 
     @property
     def is_fault(self) -> bool:
-        """Whether a person has to arm the device again."""
+        """Whether this is a fault, after which a person must arm the device again."""
         return self >= Gate.NOT_A_NUMBER
 
     ACTIVE = 0, "the device follows the law"
@@ -117,12 +116,12 @@ class Gate(IntEnum):
 
 
 class SpatialReading(NamedTuple):
-    """What a device of impedance type or of three axes says besides; x and y are of the master frame.
+    """Additional reading of a device of impedance type or with three axes; x and y are of the master frame.
 
-    lateral_operator_force_n: estimate of the hand's force; lateral_force_n: what the device sent. orientation: of the
-    handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of `Gate`.
-    hand_energy_j: what the hand has put in, less what it got; coupling_energy_j: what spring and damper between the law
-    and the device have taken in.
+    lateral_operator_force_n: estimate of the hand's force; lateral_force_n: force that the device applied. orientation:
+    of the handle, w x y z. buttons: bit 0 is the first named button. gate: number of a `Gate`, why there is no force.
+    hand_energy_j: net energy that the hand has put in [J]; coupling_energy_j: net energy that spring and damper between
+    the law and the device have absorbed [J].
     """
 
     lateral_m: Pair = (0.0, 0.0)
@@ -137,7 +136,7 @@ class SpatialReading(NamedTuple):
 
 
 class DeviceReading(NamedTuple):
-    """One sample of the device: what it measures, and what its drive really sent after its own limits."""
+    """One sample of the device: its measurements, and the actual output of its drive after its own limits."""
 
     position_m: float
     velocity_m_per_s: float
@@ -152,11 +151,11 @@ class DeviceReading(NamedTuple):
 
 
 class HapticReport(NamedTuple):
-    """How a real device is doing; a simulated one is sampled in the moment of the reading and has none.
+    """State of a real device; a simulated one is sampled at the moment of reading and has no report.
 
-    status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
-    estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
-    device is lost. counts: the newest sample as it was sent, by the keys of haptic/state; none before there was one.
+    status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: age of the sample [s].
+    estop_pressed: state of the device's own emergency stop. text: the newest sentence for a person, such as why the
+    device is lost. counts: raw values of the newest sample, by the keys of haptic/state; empty before the first.
     """
 
     status: Status
@@ -167,12 +166,12 @@ class HapticReport(NamedTuple):
 
 
 class SimulatedHand(NamedTuple):
-    """A simulated device with the hand on it, which a rig and a session in lockstep run alike.
+    """A simulated device including the hand, used both by a rig and by a session in lockstep.
 
     SimulatedHand(SlideParams(2e-3, operator.to_params()), able, "a slide: chosen, not measured")
 
-    params: of a class that `telenano.hand.HandPart.register` knows. capabilities: what the device declares. about: a
-    sentence that the node reports at its start.
+    params: parameters, of a class registered by `telenano.hand.HandPart.register`. capabilities: declared properties of
+    the device. about: a sentence that the node reports at its start.
     """
 
     params: Any
@@ -181,53 +180,53 @@ class SimulatedHand(NamedTuple):
 
 
 class HapticDevice(Protocol):
-    """A device with one arm and one force sensor. All methods belong to the thread of the loop.
+    """A device with one arm and one force sensor. All methods are called from the thread of the loop.
 
-    state: of a simulated one, all that its readings depend on besides what it is sent, as a NamedTuple of plain values,
-    arrays and NamedTuples. The node keeps it in its journal, and sets it to continue from there.
+    state: of a simulated device, everything besides its commands that determines its readings, as a NamedTuple of plain
+    values, arrays and NamedTuples. The node saves it in its journal, and sets it to continue from there.
     """
 
     state: Any
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device can do; constant, and of a real device known once it is open."""
+        """The declared properties; they are constant, and known once a real device is open."""
 
     @property
     def report(self) -> HapticReport | None:
-        """Return how the device was at the last reading; None if it is simulated."""
+        """The state of the device at the last reading; None if it is simulated."""
 
     def open(self) -> None:
-        """Connect and come up in the safe state.
+        """Connect, and put the drive into its safe state.
 
         Raises:
-            DeviceError: The device is not ready; the message says what is missing.
+            DeviceError: The device is not ready; the message names the reason.
         """
 
     def close(self) -> None:
         """Switch the drive off and disconnect; harmless when already closed."""
 
     def write(self, command: DriveCommand) -> None:
-        """Write the command of this period, without waiting.
+        """Send the command of this period without waiting.
 
-        A device that is lost raises nothing: its report states it.
+        A lost device raises no error; its report states the loss.
 
         Raises:
-            DeviceError: The device is not open, or the mode is not one of its own.
+            DeviceError: The device is not open, or does not support the mode.
         """
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
         """Return the newest sample of the device, without waiting.
 
-        session_time_s (negative: not started) and dt_s (since the previous reading, > 0) are for a device whose hand is
-        simulated; one with a real hand does not need them.
+        session_time_s (negative: not started) and dt_s (since the previous reading, > 0) are for a device with a
+        simulated hand; a real hand does not need them.
 
         Raises:
             DeviceError: The device is not open.
         """
 
     def make_safe(self) -> None:
-        """Bring the drive to its safe state (off) now; never raises, also when closed."""
+        """Bring the drive to its safe state (off) at once; never raises, even when closed."""
 
 
 MODE_OFF, MODE_POSITION, MODE_FORCE = range(3)

@@ -1,6 +1,6 @@
-"""The interface of an AFM device; that of the simulated ones is `sim.SimulatedInstrument`, and a real one has another.
+"""The interface of an AFM driver; `telenano.afm.sim.SimulatedInstrument` and the drivers of real devices implement it.
 
-A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
+A driver only moves and measures; `safety.safety_step` decides before what may be sent to it.
 """
 
 import math
@@ -16,15 +16,15 @@ from telenano.wire.errors import ConfigError
 
 
 class DeviceError(ConfigError, OSError):
-    """The instrument cannot be driven: not reachable, not the one that was configured, or not able."""
+    """The instrument cannot be driven: it is unreachable, not the configured one, or incapable."""
 
 
 class AfmReport(NamedTuple):
-    """How a real instrument is doing; a simulated one is measured in the moment of the exchange and has none.
+    """State of a real instrument; a simulated one is measured at the moment of the exchange and has no report.
 
-    status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: of the sample [s].
-    force_valid: the input was within its range. text: the newest sentence for a person. output_v, input_v: what its
-    converters had in the newest sample [V].
+    status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: age of the sample [s].
+    force_valid: whether the input was within its range. text: the newest sentence for a person. output_v, input_v:
+    voltages of the converters in the newest sample [V].
     """
 
     status: Literal["ok", "stale", "lost"]
@@ -36,10 +36,10 @@ class AfmReport(NamedTuple):
 
 
 class LateralStage(Protocol):
-    """What moves the tip over the sample."""
+    """Lateral stage, which moves the tip over the sample."""
 
     def move_to(self, x_m: float, y_m: float) -> None:
-        """Put the tip over a place of the sample [m], 0, 0 its middle.
+        """Move the tip over a place of the sample [m]; (0, 0) is its centre.
 
         Raises:
             ValueError: The place is not finite.
@@ -47,24 +47,25 @@ class LateralStage(Protocol):
 
     @property
     def lateral_force_n(self) -> tuple[float, float]:
-        """Return the force on the tip by the sample in x and y at the last exchange [N]."""
+        """Force on the tip by the sample in x and y at the last exchange [N]."""
 
 
 class VibratingCantilever(Protocol):
-    """What vibrates the base: what tapping mode needs."""
+    """Drive that vibrates the base, for tapping mode."""
 
     def vibrate(self, amplitude_m: float) -> None:
-        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0: not at all."""
+        """Drive the base so that the amplitude without a sample becomes `amplitude_m` [m]; 0 switches the drive off."""
 
     @property
     def oscillation(self) -> Oscillation:
-        """Return what was measured at the last exchange; zeros while the base is not driven."""
+        """Oscillation measured at the last exchange; zeros while the base is not driven."""
 
 
 class OwnImage(NamedTuple):
-    """An image that an instrument takes by its own scan, line by line there and back.
+    """An image that the instrument takes by its own scan, each line there and back.
 
-    Its middle and its sides [m], pixels of a line, lines, time of a line each way [s], and the force that is held [N].
+    Centre and sides [m], pixels per line, number of lines, time of a line in each direction [s], and force set-point
+    [N].
     """
 
     x_m: float
@@ -78,7 +79,7 @@ class OwnImage(NamedTuple):
 
 
 class OwnLine(NamedTuple):
-    """A line of it: its number and sense, and the heights [m], shape (pixels,), in the order of x."""
+    """A line of an own image: number, direction, and heights [m], shape (pixels,), in the order of x."""
 
     line: int
     backward: bool
@@ -86,23 +87,23 @@ class OwnLine(NamedTuple):
 
 
 class OwnScan(Protocol):
-    """The scan of an instrument that regulates and rasters by itself: what too slow a wire leaves to it.
+    """Scan of an instrument that regulates and scans by itself, because its connection is too slow for our feedback.
 
-    A driver that has one declares it by an attribute `own_scan`.
+    A driver with such a scan has an attribute `own_scan`.
     """
 
     def want_image(self, image: OwnImage | None) -> None:
-        """Begin an image, or continue with the one that is wanted already; None ends it, with the tip withdrawn."""
+        """Begin an image, or continue if it is the present one; None ends it with the tip withdrawn."""
 
     def take_line(self) -> OwnLine | None:
-        """Return the next line that is whole, once; None where there is none."""
+        """Return the next finished line, each only once; None if there is none."""
 
 
 class Relief(NamedTuple):
-    """What is known in advance of the heights under the tip.
+    """Heights under the tip that are known in advance.
 
-    surface: the heights as the tip sees them (`telenano.afm.Surface`), None for a plane at 0; above_m: how far what
-    lies on it stands above it [m], wherever that is.
+    surface: the heights as the tip sees them (`telenano.afm.Surface`), None for a plane at 0; above_m: greatest height
+    of objects on the surface above it [m], wherever they lie.
     """
 
     surface: Any
@@ -110,45 +111,45 @@ class Relief(NamedTuple):
 
 
 class Simulation(Protocol):
-    """What an instrument that is simulated can be told: how time passes, and what disturbs it."""
+    """Interface to a simulated instrument: passing of time, disturbances, sample."""
 
     def elapse(self, dt: float) -> None:
-        """Note that the next exchange comes so much later [s]."""
+        """Let the next exchange come `dt` [s] after the previous one."""
 
     @property
     def disturbances(self) -> Any:
-        """Return what disturbs it (`telenano.settings.DisturbanceConfig`), None for one that cannot be disturbed."""
+        """The disturbances (`telenano.settings.DisturbanceConfig`); None if the simulation has none."""
 
     def configure(self, config: Any) -> None:
-        """Take other disturbances from now on."""
+        """Use other disturbances from now on."""
 
     @property
     def truths(self) -> Mapping[str, Any]:
-        """Return what is so of what lies on the sample, by the name of the layer, which no instrument knows."""
+        """The true state of objects on the sample, by name of the layer, which no real instrument knows."""
 
     @property
     def is_spring(self) -> bool:
-        """Return whether the environment is a spring."""
+        """Whether the environment is a spring."""
 
     def take_spring(self, stiffness_n_per_m: float) -> None:
-        """Take another stiffness of the environment [N/m], which must be a spring."""
+        """Set the stiffness of the environment [N/m], which must be a spring."""
 
     def restore_sample(self) -> None:
-        """Take a sample as it was in the beginning, with what lies on it where it lay."""
+        """Restore the initial sample, with objects on it at their initial places."""
 
     @property
     def settles(self) -> bool:
-        """Return whether there is work that nothing has to wait for, between two exchanges."""
+        """Whether there is work that can be done in the pause between two exchanges."""
 
     def settle(self) -> bool:
-        """Continue by a part of what is known of the motion before the next exchange; return whether there is more."""
+        """Do a part of the computation of the motion before the next exchange; return whether there is more."""
 
 
 class AfmDriver(Protocol):
-    """One AFM: a base that can be moved, a deflection that can be read.
+    """One AFM: a base that can be moved, and a deflection that can be read.
 
-    state: of a simulated one, all that its samples depend on besides what it is sent, as a NamedTuple of plain values,
-    arrays and NamedTuples. The node keeps it in its journal, and sets it to continue from there.
+    state: of a simulated AFM, everything besides its commands that determines its samples, as a NamedTuple of plain
+    values, arrays and NamedTuples. The node saves it in its journal, and sets it to continue from there.
     """
 
     state: Any
@@ -159,31 +160,31 @@ class AfmDriver(Protocol):
 
     @property
     def latency_s(self) -> float:
-        """Return what a real instrument is declared to add to the round trip, in the mean [s]; 0 if simulated."""
+        """Declared mean latency that a real instrument adds to the round trip [s]; 0 if simulated."""
 
     @property
     def calibration_identity(self) -> str:
-        """Return which calibration of a real instrument is in use; empty if simulated."""
+        """Identity of the calibration of a real instrument; empty if simulated."""
 
     @property
     def report(self) -> AfmReport | None:
-        """Return how the instrument was at the last exchange; None if it is simulated."""
+        """The state of the instrument at the last exchange; None if it is simulated."""
 
     @property
     def stage(self) -> LateralStage | None:
-        """Return the lateral stage, None for an instrument that only moves its base."""
+        """The lateral stage; None for an instrument that only moves its base."""
 
     @property
     def vibration(self) -> VibratingCantilever | None:
-        """Return what vibrates the base, None for an instrument without it."""
+        """The drive that vibrates the base; None for an instrument without one."""
 
     @property
     def simulation(self) -> Simulation | None:
-        """Return the simulation, None for a real instrument."""
+        """The simulation; None for a real instrument."""
 
     @property
     def relief(self) -> Relief | None:
-        """Return what is known of the heights under the tip, None for an instrument that has to find the surface."""
+        """The known heights under the tip; None for an instrument that must find the surface."""
 
     def open(self) -> None:
         """Connect, and put the device into its safe state.
@@ -194,9 +195,9 @@ class AfmDriver(Protocol):
         """
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return the newest that the device measured, without waiting.
+        """Apply a base position [m] and return the newest sample of the device, without waiting.
 
-        A device that is lost raises nothing: its report states it, and the sample is the last one.
+        A lost device raises no error: its report states the loss, and the last sample is repeated.
 
         Raises:
             ValueError: The position is not finite.
@@ -204,9 +205,9 @@ class AfmDriver(Protocol):
         """
 
     def retract(self) -> bool:
-        """Go to the safe state at once, and return whether the device says that it is there.
+        """Go to the safe state at once, and return whether the device confirms that it is there.
 
-        Called on every way out, so it must work after an error of `exchange`.
+        It is called on every exit, so it must also work after an error of `exchange`.
         """
 
     def close(self) -> None:
@@ -214,7 +215,7 @@ class AfmDriver(Protocol):
 
 
 class SafetyParams(NamedTuple):
-    """Limits; base positions and speeds along the paper's axis, towards the sample."""
+    """Limits of the guard; base positions and speeds are along the paper's axis, towards the sample."""
 
     base_min_m: float
     base_max_m: float

@@ -1,9 +1,9 @@
-"""What a teleoperation law is: a two-port with a master half and a slave half, each a pair of pure steps.
+"""The interface of a teleoperation law: a two-port with a master half and a slave half, each a pair of pure steps.
 
 At each tick of the hand the master half first *sends* (the signal that follows from its state and the hand's sample),
 and then, when the answer comes or the tick is over, *receives* (integrates, and sets the reference of the device). The
-slave half receives first and sends when the instrument has answered. So nothing waits for a timer: with no delay the
-force that answers a sample acts within the same tick, which is what the equations of the paper assume.
+slave half receives first, and sends when the instrument has answered. Thus nothing waits for a timer: without delay the
+force that answers a sample acts within the same tick, as the equations of the paper assume.
 
 All quantities are scalars along the paper's axis, towards the sample: x_m, F_m (force of the operator), x_s, F_s (force
 on the tip, repulsive positive, that is, along -x).
@@ -21,7 +21,7 @@ from telenano.numerics.compiler import compiled
 
 
 class HandSample(NamedTuple):
-    """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it obeys commands."""
+    """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it follows commands."""
 
     position_m: float
     velocity_m_per_s: float
@@ -30,9 +30,9 @@ class HandSample(NamedTuple):
 
 
 class TipMeasurement(NamedTuple):
-    """What the AFM measured: base x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands.
+    """A measurement of the AFM: base x_s applied [m], F_s [N], h [m] if known; `following`: it follows commands.
 
-    `outstanding_m`: how far commands that it had not carried out by then will still move the base [m].
+    `outstanding_m`: distance that pending commands will still move the base [m].
     """
 
     base_position_m: float
@@ -45,12 +45,12 @@ class TipMeasurement(NamedTuple):
 
 
 class PortSignal(NamedTuple):
-    """The signal from one half of a law to the other, at the slave's scale; `PortSignal()` is that before any came.
+    """The signal from one half of a law to the other, at the slave's scale; `PortSignal()` stands for none so far.
 
-    The receiver fills in the last two. `silence_s` is the time since the newest signal arrived (large when none ever
-    did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
-    that the signal answers, on the hand's clock and at the time of use: what a predictor has to bridge. It is a whole
-    number of periods, 0.0 where the answer belongs to the present tick, and grows with every tick without a new signal.
+    The receiver fills in the last two fields. `silence_s` is the time since the newest signal arrived (large if none
+    ever did); each law defines how long is too long. `round_trip_s`, at the master only, is the age of the hand's
+    sample that the signal answers, by the hand's clock and at the time of use, which a predictor must bridge. It is a
+    whole number of periods, 0.0 if the answer belongs to the present tick, and grows with each tick without a signal.
     """
 
     position_m: float = 0.0
@@ -80,9 +80,9 @@ def port_signal(
     silence_s: float = 0.0,
     round_trip_s: float = 0.0,
 ) -> PortSignal:
-    """Return a signal from what a law says by name; what it does not say is zero or false.
+    """Return a signal with the fields that a law passes by keyword; the others are zero or False.
 
-    The defaults are those of a step and not of the tuple, because numba does not fill in defaults of a tuple.
+    This step has defaults because numba does not fill in those of a tuple.
     """
     return PortSignal(
         position_m, velocity_m_per_s, force_n, wave_sqrt_w, energy_j, separation_m, separation_valid, in_contact,
@@ -94,7 +94,7 @@ def port_signal(
 def tip_signal(
     tip: TipMeasurement, position_m: float, force_n: float, wave_sqrt_w: float = 0.0, energy_j: float = 0.0
 ) -> PortSignal:
-    """Return the signal of a slave half: the state of its tip, and what its law sends with it."""
+    """Return the signal of a slave half: the state of its tip, and the quantities of its law."""
     return PortSignal(
         position_m, 0.0, force_n, wave_sqrt_w, energy_j, tip.separation_m, tip.separation_valid, tip.in_contact,
         tip.following, 0.0, 0.0,
@@ -102,9 +102,9 @@ def tip_signal(
 
 
 class MasterReference(NamedTuple):
-    """What the operator's device is to do: follow position_m, or, where `active` is false, be off.
+    """Reference of the operator's device: follow `position_m`, or, if `active` is False, be off.
 
-    `force_n` is the force of the environment at the hand's scale, for devices that render it and for the record.
+    `force_n` is the force of the environment at the hand's scale, for devices that render it and for the recording.
     """
 
     position_m: float
@@ -114,10 +114,10 @@ class MasterReference(NamedTuple):
 
 
 class SlaveReference(NamedTuple):
-    """What the AFM is to do: base reference x_sr [m]; where `active` is false it stays where it is.
+    """Reference of the AFM: base x_sr [m]; if `active` is False the base stays where it is.
 
-    Until the tip follows (`TipMeasurement.following`), a half gives the hand's own reference as an active one: by it
-    the rig places the tip, also before the hand is coupled.
+    Until the tip follows (`TipMeasurement.following`), a half returns the hand's own reference as an active one: the
+    rig uses it to place the tip, even before the hand is coupled.
     """
 
     position_m: float
@@ -125,10 +125,10 @@ class SlaveReference(NamedTuple):
 
 
 class EnergyAccount(NamedTuple):
-    """What a half of a law knows about energy, at the hand's scale [J].
+    """Energy account of one half of a law, at the hand's scale [J].
 
-    remaining_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller;
-    granted_j: what the law lets itself have at the start, and by which its two ports may fall below passivity.
+    remaining_j: received and not yet given out or sent on; dissipated_j: dissipated on purpose by the controller;
+    granted_j: initial credit of the law, by which the energy balance of its two ports may fall below zero.
     """
 
     remaining_j: float
@@ -136,17 +136,17 @@ class EnergyAccount(NamedTuple):
     granted_j: float
 
 
-# time without a message after which a half starts again, instead of bridging it by many steps [periods]
+# Time without a message after which a half restarts instead of bridging it by many steps [periods].
 LONGEST_BRIDGED_PERIODS = 50
 
 
 def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
-    """Return the longest pause of signals, in periods, after which a slave half does not start again."""
+    """Return the longest pause of signals, in periods, after which a slave half still continues without a restart."""
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
 NO_SIGNAL = PortSignal()
-# before the instrument has said anything
+# Stands for the measurement before the first one of the instrument.
 NO_TIP = TipMeasurement(
     base_position_m=0.0,
     force_n=0.0,
@@ -157,19 +157,19 @@ NO_TIP = TipMeasurement(
     outstanding_m=0.0,
 )
 
-# Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
+# Params and states are NamedTuples of each law, so the table of laws cannot declare them; each law's module does.
 Steps = Callable[..., Any]
 
 
 @compiled
 def no_energy_account(params: Any, state: Any) -> EnergyAccount:
-    """Return the account of a law that keeps none."""
+    """Return the account of a law without energy accounting: zeros."""
     return EnergyAccount(0.0, 0.0, 0.0)
 
 
 @compiled
 def kept(old: Any, new: Any, state: Any) -> Any:
-    """Return a slave state as it is: what it holds is in metres and newtons of the tip, or nothing."""
+    """Return a slave state unchanged, because it has only metres and newtons of the tip, or nothing."""
     return state
 
 
@@ -180,7 +180,7 @@ def measured_tip(params: Any, state: Any, tip: TipMeasurement, dt: float) -> tup
 
 
 def the_hands_force(params: Any, force_n: float) -> float:
-    """Return the force of the hand [N]: what a law rests at that loses none of it."""
+    """Return the force of the hand [N], the rest force of a law that loses none of it."""
     return force_n
 
 
@@ -198,33 +198,33 @@ class Law:
     - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump, and
       `slave_retune` a slave state; a law without one has a slave state that holds nothing of its parameters
 
-    - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
+    - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: energy account of the half
     - `rest_force(params, force) -> float`: alpha_f F_s [N] at which the law rests in contact under a constant force F_m
-      of the hand [N]; a law that leaves it out is not judged by it
-    - `sample_drift(params, state) -> (speed, error)`: how fast the sample recedes, by the master half, and the standard
-      error of that [m/s]; the half warns of one that hand and tip cannot stay together on
+      of the hand [N]; a law without this function is not judged by it
+    - `sample_drift(params, state) -> (speed, error)`: estimate by the master half of the speed at which the sample
+      recedes, and its standard error [m/s]; the half warns of a drift with which hand and tip cannot stay together
 
-    The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
-    by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
-    continues with the measured force while nothing arrives. dt of both is whole periods, as `paced` counts them, so
-    that the half's time is the hand's: at least one on a signal, none between signals for a half that is not behind. A
-    half that only follows a reference steps by one period a call, whatever dt is. With a local loop `slave_send`
-    accounts for steps that the instrument has carried out, so its dt is the sum of theirs. Where a signal comes before
-    the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
+    The slave half steps on each signal. With `local_loop` it also steps each time that the instrument has stepped by
+    itself, with the newest signal and the time since; the result of `slave_send` is then not sent. Thus its local loop
+    continues with the measured force while nothing arrives. dt of both is a whole number of periods, as `paced` counts
+    them, so that the half keeps the hand's time: at least one on a signal, and none between signals for a half that is
+    not behind. A half that only follows a reference steps by one period per call, whatever dt is. With a local loop
+    `slave_send` accounts for the steps that the instrument has carried out, so its dt is the sum of theirs. If a signal
+    comes before the instrument has answered the previous one, that one is answered with dt = 0 and the state dropped.
 
-    `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
+    `uses_waves` and `uses_energy`: whether the law fills these optional parts of the wire message.
 
-    `link_loop`: whether a force or motion of the tip acts on the hand as it comes back, so that the loop through line
-    and instrument has a gain, and a slow instrument makes it swing. A law whose hand meets a model of the contact, or
-    whose hand moves no tip, has none; a loop at the instrument alone is `local_loop`, and its settings state the
-    stiffness that it tolerates. `passive`: whether the law states that its two ports together give out no more than its
-    accounts say that it was granted, over any line; `passive_within_j`: by how much more at the most [J], for the steps
-    that it has not accounted for yet. `must_know`: the settings of its section that have to be those of
-    the instrument or the sample, because the law computes with them and cannot measure them.
+    `link_loop`: whether a returning force or motion of the tip acts on the hand, so that the loop through line and
+    instrument has a gain, and a slow instrument can make it oscillate. A law in which the hand meets a model of the
+    contact, or moves no tip, has no such loop; a loop at the instrument alone is `local_loop`, and its settings state
+    the stiffness that it tolerates. `passive`: whether the law claims that its two ports together give out no more
+    energy than its accounts grant, over any line; `passive_within_j`: greatest excess over that [J], for steps not yet
+    accounted for. `must_know`: the settings of its section that must equal the values of the instrument or the sample,
+    because the law computes with them and cannot measure them.
 
     `fixed_in_contact`: the settings, besides both scales, that a rig refuses to change while the tip touches, because
-    the force or the energy in store is stated in them and would jump. All others change live, without a step of the
-    force of more than 5 % (`telenano law check`).
+    the force or the stored energy is expressed in them and would jump. All others can change live, without a step of
+    the force of more than 5 % (`telenano law check`).
     """
 
     name: str
@@ -252,7 +252,7 @@ class Law:
     slave_retune: Steps = kept
 
     def changed_in_contact(self, before: BaseModel, after: BaseModel) -> str:
-        """Return why a change of the settings has to wait until the tip is off the sample; empty where it has not."""
+        """Return a sentence if a change of the settings must wait until the tip is off the sample, else empty."""
         keys = [key for key in self.all_fixed_in_contact() if getattr(before, key) != getattr(after, key)]
         if not keys:
             return ""
@@ -262,20 +262,19 @@ class Law:
         )
 
     def all_fixed_in_contact(self) -> tuple[str, ...]:
-        """Return the settings that stay while the tip touches: both scales, and what the law names."""
+        """Return the settings that are fixed while the tip touches: both scales, and those that the law names."""
         return (*_SCALES, *self.fixed_in_contact)
 
     @classmethod
     def of(cls, module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **given: Any) -> "Law":
-        """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
+        """Build the law of a module from its name and from its functions with the names of the steps of `Law`.
 
         Args:
             module: The `__name__` of the module, which calls this below its last step.
             config: The model of the law's section.
             slave: The module with the steps of the slave half, if that is another one.
-            given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does
-                not write down itself. A law whose module has no `rest_force` loses none of the hand's force;
-                `rest_force=None` is one that is not judged by it.
+            given: Fields of `Law` that have defaults, and steps that the module does not define. A law whose module has
+                no `rest_force` loses none of the hand's force; with `rest_force=None` it is not judged by it.
 
         Raises:
             AttributeError: A step is missing; the message names it.
@@ -298,7 +297,7 @@ _SCALES = ("position_scale", "force_scale")
 
 
 def checked_law(name: str, value: Any) -> Law:
-    """Return what an installed package calls a law; TypeError or ValueError says what keeps it from being one."""
+    """Return the law of an installed package after checking it; raise TypeError or ValueError if it is invalid."""
     if not isinstance(value, Law):
         raise TypeError(f"is a {type(value).__name__}, must be a Law")
     if value.name != name:
@@ -314,26 +313,26 @@ def checked_law(name: str, value: Any) -> Law:
     return value
 
 
-# Every section of a law has these fields, so code that does not know the law may use them.
+# Every section of a law has these fields, which code for any law uses.
 _SHARED_FIELDS = ("position_scale", "force_scale", "silence_limit_s")
 
 
-# the most periods of one step of the slave half: its force is that of the beginning
+# Longest step of the slave half in periods; it is short because the force of a step is that of its beginning.
 MOST_PERIODS_A_STEP = 3
 
 
 @compiled
 def paced(behind: int, elapsed: int, silent: int) -> tuple[int, int]:
-    """Return how many periods the slave half is behind the hand after its next step, and the periods of that step.
+    """Return the periods by which the slave half lags the hand after its next step, and the length of that step.
 
-    Its calls come with signals that are late, lost and overtaken, and from an instrument that waits a period and a half
-    for the next: they are no clock. So a step is as many periods long as the half is behind, and none long between
-    signals if it is not.
+    The calls of the slave half are no clock: signals are late, lost or overtaken, and the instrument waits a period and
+    a half for the next one. So a step is as many periods long as the half lags, and has length 0 between signals if it
+    does not lag.
 
     Args:
-        behind: How many periods the half is behind the hand before the step; negative is ahead.
-        elapsed: The periods of the hand that a signal brings, 0 for a step between signals.
-        silent: The whole periods since the last signal.
+        behind: Periods by which the half lags the hand before the step; negative if it is ahead.
+        elapsed: Periods of the hand that a signal brings, 0 for a step between signals.
+        silent: Whole periods since the last signal.
     """
     behind += elapsed
     periods = min(max(behind + silent, 1 if elapsed > 0 else 0), MOST_PERIODS_A_STEP)

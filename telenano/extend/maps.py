@@ -1,4 +1,4 @@
-"""Recorded maps of your own format under the tip: where a map is, the step over it, and the units of its values.
+"""Formats of recorded maps under the tip, for packages: extent of a map, the step over it, and units of its values.
 
 NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)     # entry `npz` of `telenano.maps`
 """
@@ -15,7 +15,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 _PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
 _QUANTITIES = {"N": "force", "Hz": "frequency_shift", "A": "current", "m": "amplitude", "rad": "phase"}
-# A unit represents a quantity and a factor to its SI unit.
+# Quantity and factor to its SI unit, by unit.
 UNITS: dict[str, tuple[str, float]] = {
     **{prefix + unit: (name, scale) for unit, name in _QUANTITIES.items() for prefix, scale in _PREFIXES.items()},
     **{prefix + "V": ("voltage", scale) for prefix, scale in _PREFIXES.items()},
@@ -25,7 +25,7 @@ SI_UNITS = {name: unit for unit, name in _QUANTITIES.items()}
 
 
 class Span(NamedTuple):
-    """What a map says without its values: z from and to, half width, half depth [m], k [N/m] and quantity."""
+    """Extent of a map: z from and to, half width, half depth [m], stiffness k [N/m], and quantity of its values."""
 
     low_m: float
     high_m: float
@@ -36,10 +36,10 @@ class Span(NamedTuple):
 
 
 class OverMap(NamedTuple):
-    """What an instrument steps over where a map lies under its tip.
+    """A map as the sample of an instrument.
 
-    params: of the step; stiffness_n_per_m: of the cantilever that the map is felt through [N/m]; channel: what the map
-    has in place of a force, empty for a force; about: the map in words.
+    params: parameters of the step; stiffness_n_per_m: stiffness of the cantilever with which the map is felt [N/m];
+    channel: quantity of the map if it is not a force, else empty; about: description of the map.
     """
 
     params: Any
@@ -50,13 +50,13 @@ class OverMap(NamedTuple):
 
 @dataclass(frozen=True)
 class MapFormat:
-    """How a package feels the maps of a format.
+    """A format of maps and the step over them, from a package.
 
     params: the class of the step's parameters, a NamedTuple; `start(params, inputs) -> state` of a tip that came from
     above, and `step(params, state, inputs, dt) -> (state, AfmSample)`, compiled, with inputs.base_m, x_m, y_m and
-    height_m [m]. `span(path)` says where a map is without its values, None where the file cannot be read here.
-    `read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)` reads it, with the height of a base at 0 [m], the
-    cantilever for a map that says none [N/m], and the gain of the read-out [V/m].
+    height_m [m]. `span(path)` returns the extent of a map without reading its values, None if the file cannot be read
+    here. `read(path, rest_distance_m, stiffness_n_per_m, volts_per_m)` reads a map, given the height of a base at 0
+    [m], the stiffness of the cantilever for a map without one [N/m], and the gain of the read-out [V/m].
 
     Raises:
         ConfigError: `read` cannot use the file; the message names it.

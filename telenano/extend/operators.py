@@ -1,4 +1,4 @@
-"""A simulated hand: settings, and a pure step from motion of the arm to force on it."""
+"""The interface of a simulated hand: settings, and a pure step from the motion of the arm to the force on it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ Step = Callable[..., Any]
 
 
 class OperatorInputs(NamedTuple):
-    """Session time (negative: not started) at the end of the step, and the arm's position at its two ends."""
+    """Session time at the end of the step [s] (negative: not started), and the arm's position at both ends [m]."""
 
     session_time_s: float
     start_position_m: float
@@ -18,7 +18,7 @@ class OperatorInputs(NamedTuple):
 
 
 class OperatorOutputs(NamedTuple):
-    """F_m on the device, positive towards the sample, after the limit of hand and sensor."""
+    """Force F_m on the device [N], positive towards the sample, after the limits of hand and sensor."""
 
     force_n: float
     limited: bool
@@ -28,8 +28,8 @@ class OperatorOutputs(NamedTuple):
 class OperatorModel:
     """A model of the hand on the device.
 
-    config: settings with `kind: Literal[name]`, `max_force_n` [N] and `to_params()`, which gives a `params`;
-    params: a NamedTuple of the model's own, with `max_force_n`; `start(params, position_m) -> state`, a hand at rest;
+    config: settings with `kind: Literal[name]`, `max_force_n` [N] and `to_params()`, which returns a `params`;
+    params: the model's NamedTuple, with `max_force_n`; `start(params, position_m) -> state`, a hand at rest;
     `step(params, state, OperatorInputs, dt) -> (state, OperatorOutputs)`, pure and compiled, over dt [s] > 0.
     """
 

@@ -1,4 +1,4 @@
-"""The slave half of laws that need none: the reference is passed on to the base, the measured force is sent back."""
+"""The slave half of laws without steps of their own: it passes the reference to the base, and sends the force back."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from telenano.numerics.compiler import compiled
 
 
 class SlaveState(NamedTuple):
-    """The reference that was last passed on [m]."""
+    """The last reference passed to the base [m]."""
 
     position_m: float
 
@@ -22,5 +22,5 @@ def slave_start(params: object, tip: TipMeasurement) -> SlaveState:
 def slave_receive(
     params: object, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Pass the reference on to the base."""
+    """Pass the reference to the base."""
     return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)

@@ -1,8 +1,8 @@
-"""What a program of the instrument is: a class with its settings, its plan, its steps, and words about its progress.
+"""The interface of a program of the instrument: a class with its settings, plan, steps and report of progress.
 
-A program moves the tip by itself, behind the guard. One file has all of it: the settings that `set`, a scenario, the
-page and the commands take, the plan that is made of them or the reason why not, the step, and the report. A class has
-no state of its own: plan and state are NamedTuples of plain values, which the journal of the node can keep.
+A program moves the tip by itself, behind the guard. One file contains all of it: the settings for `set`, scenarios, the
+page and the commands; the plan made from them, or the reason of a refusal; the step; and the report. The class has no
+state of its own: plan and state are NamedTuples of plain values, which the journal of the node can store.
 """
 
 import math
@@ -39,38 +39,38 @@ class Span(NamedTuple):
 
 
 class Reach(Protocol):
-    """Whether the base reaches a surface of known heights, and comes clear of it again.
+    """Checks whether the base reaches a surface of known heights, and clears it again.
 
-    surface: the heights as the tip sees them, None for a plane at height 0. A fault is a sentence, empty without one.
+    surface: the heights as the tip sees them, None for a plane at height 0. A fault is a sentence, or empty.
     """
 
     @property
     def surface(self) -> Any: ...
 
     def within(self, centre: Place, width_m: float, depth_m: float) -> Span:
-        """Return the heights of a rectangle around a place."""
+        """Return lowest and highest point of a rectangle around a place."""
 
     def along(self, begin: Place, end: Place) -> Span:
-        """Return the heights of a straight line."""
+        """Return lowest and highest point along a straight line."""
 
     def depth_fault(self, span: Span, press_m: float = 0.0) -> str:
-        """Return why the base does not bring the tip to the lowest point, pressed by press_m [m]."""
+        """Return the fault that the base cannot bring the tip to the lowest point and press it by `press_m` [m]."""
 
     def clearance_fault(self, span: Span, base_m: float, remedy: str, lift_m: float = 0.0) -> str:
-        """Return why a tip with its base at base_m [m] hits the highest point; remedy names {base:g} [m]."""
+        """Return the fault that a tip with its base at `base_m` [m] hits the highest point; `remedy` has {base:g}."""
 
     def retracted_fault(self, span: Span, lift_m: float = 0.0) -> str:
-        """Return why a retracted tip hits the highest point."""
+        """Return the fault that a retracted tip hits the highest point."""
 
 
 class Instrument(NamedTuple):
-    """What a program may know of the instrument before it begins.
+    """Facts on the instrument for a program, known before it begins.
 
-    limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m]; stiffness_n_per_m,
-    of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what is left of a change of the
-    amplitude after a period; reach, of the base over a surface whose heights are known, None for an instrument that
-    has to find the surface; lateral_uncertainty, relative, of the calibration of the lateral force; scans, the
-    instrument takes images by its own scan.
+    limits: of the guard; lateral: limits of the stage, None without a stage; size_m: sides of the sample [m];
+    stiffness_n_per_m: of the cantilever; period_s: of the node; can_vibrate: whether the base can be driven; lag: share
+    of a change of the amplitude that remains after a period; reach: of the base over a surface of known heights, None
+    for an instrument that must find the surface; lateral_uncertainty: relative, of the calibration of the lateral
+    force; scans: whether the instrument takes images by its own scan.
     """
 
     limits: SafetyParams
@@ -85,16 +85,16 @@ class Instrument(NamedTuple):
     scans: bool = False
 
     def approach_limit_s(self, speed_m_per_s: float) -> float:
-        """Return the time after which an approach at a speed [m/s] has certainly found no surface [s]."""
+        """Return the time after which an approach at a speed [m/s] that has found no surface is hopeless [s]."""
         return approach_limit_s(self.limits, self.limits.retract_position_m, speed_m_per_s)
 
 
 class Inputs(NamedTuple):
-    """What a program is given at each step.
+    """Inputs of a program's step.
 
-    Measured at the step before: base x_s [m] and place of the stage; force along z, and along x and y, on the tip [N];
-    vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is; own,
-    the next line of an image that the instrument takes by itself.
+    Measurements of the previous step: base x_s [m] and place of the stage; force on the tip along z, and along x and y
+    [N]; oscillation of the tip. pointer: place where a person wants the tip; is_paused: whether the program must stand
+    still; own: the next line of an image that the instrument takes by itself.
     """
 
     base_m: float
@@ -109,14 +109,14 @@ class Inputs(NamedTuple):
 
 @dataclass(frozen=True)
 class Way:
-    """A step towards the surface: phase, time in it [s], and where base [m] and stage are to go."""
+    """A step towards the surface: phase, time in it [s], and targets of base [m] and stage."""
 
-    # the phases of the way; those of a program itself come after
+    # The phases of the approach; those of the program itself follow.
     RISE: ClassVar[int] = 0
     TRAVEL: ClassVar[int] = 1
     APPROACH: ClassVar[int] = 2
     ARRIVED: ClassVar[int] = 3
-    # Each phase is reported in these words.
+    # Texts in which the phases are reported.
     TEXTS: ClassVar[tuple[str, ...]] = ("the tip rises", "the stage moves to the first point", "approach")
 
     phase: int
@@ -136,16 +136,16 @@ class Way:
         touches: bool,
         dt: float,
     ) -> "Way":
-        """Take the tip up, above the first point, and down until it touches; then the phase is ARRIVED.
+        """Move the tip up, above the first point, and down until it touches; then the phase is ARRIVED.
 
         Args:
             phase: RISE, TRAVEL or APPROACH.
             elapsed_s: Time in the phase [s].
-            inputs: What was measured at the last step.
+            inputs: The measurements of the last step.
             first: The first point.
-            clear_m: Base above every point [m].
-            step_m: How far the base approaches in dt [m].
-            touches: Whether the tip feels what it approaches for.
+            clear_m: Base position that is above every point [m].
+            step_m: Approach of the base in dt [m].
+            touches: Whether the tip has reached its criterion of contact.
             dt: Time of the step [s].
         """
         if phase == cls.RISE:
@@ -153,16 +153,16 @@ class Way:
         if phase == cls.TRAVEL:
             return cls(cls.APPROACH if inputs.place == first else cls.TRAVEL, 0.0, clear_m, first)
         if touches:
-            # the base continues from where it is
+            # The program continues from the present base position.
             return cls(cls.ARRIVED, 0.0, inputs.base_m, first)
         return cls(cls.APPROACH, elapsed_s + dt, inputs.base_m + step_m, first)
 
 
 class FinishedLine(NamedTuple):
-    """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
+    """A line of an image: number, direction, ends (centres of the outer pixels), heights [m], forces in x [N].
 
-    Amplitude [m], lag behind the drive [rad] and energy that the sample takes in a period [J], None in contact mode;
-    the forces are None where the instrument takes the image and measures none.
+    Amplitude [m], phase lag behind the drive [rad] and energy dissipated by the sample per period [J] are None in
+    contact mode. The forces are None if the instrument takes the image by itself and does not measure them.
     """
 
     line: int
@@ -177,7 +177,7 @@ class FinishedLine(NamedTuple):
 
 
 class Begun(NamedTuple, Generic[P, T]):
-    """A program that begins: its plan and first state, a sentence for the caller, and a warning for the events."""
+    """Start of a program: its plan and first state, a sentence for the caller, and a warning for the events."""
 
     plan: P
     state: T
@@ -186,10 +186,11 @@ class Begun(NamedTuple, Generic[P, T]):
 
 
 class Wanted(NamedTuple, Generic[T]):
-    """What a program asks for the next step: its state, and where base x_s [m] and stage are to go.
+    """Result of a program's step: its state, and targets of base x_s [m] and stage.
 
-    is_done: the tip is to retract; line, an image line that was finished; amplitude_m, of the vibration without a
-    sample [m]; notice, a warning for the events; image, what the instrument is to take by its own scan.
+    is_done: the program is over and the tip must retract; line: a finished line of an image; amplitude_m: of the
+    vibration without a sample [m]; notice: a warning for the events; image: the image to take by the instrument's own
+    scan.
     """
 
     state: T
@@ -203,7 +204,7 @@ class Wanted(NamedTuple, Generic[T]):
 
 
 class Progress(NamedTuple):
-    """How far a program is: in words, as a share of 1, in lines where it has any, and what it has measured by name."""
+    """Progress of a program: a text, a share from 0 to 1, finished and total lines, and measured values by name."""
 
     text: str
     share: float
@@ -215,10 +216,10 @@ class Progress(NamedTuple):
 class Program(ABC, Generic[S, P, T]):
     """A program of the instrument.
 
-    settings: the model of its section, with units, bounds and defaults; title: what the page calls it; about: one line
-    for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
-    where it is, and continue; leaves_tip: the stage stays where the program ends, for a hand that continues from there;
-    moves_across: it needs an instrument that moves the tip over the sample.
+    settings: the model of its section, with units, bounds and defaults; title: its name on the page; about: one line
+    for a person; label: its name in sentences, if it differs from that in the table; can_pause: whether it can stand
+    still and continue; leaves_tip: whether the stage stays where the program ends, for a hand that continues there;
+    moves_across: whether it needs an instrument that moves the tip over the sample.
     """
 
     settings: type[S]
@@ -238,32 +239,32 @@ class Program(ABC, Generic[S, P, T]):
 
     @abstractmethod
     def begin(self, settings: S, instrument: Instrument, place: Place) -> Begun[P, T]:
-        """Return the plan and the first state for a tip at `place`; RefusedError says why it cannot be done."""
+        """Return plan and first state for a tip at `place`; raise RefusedError, with the reason, if impossible."""
 
     @abstractmethod
     def step(self, plan: P, state: T, inputs: Inputs, dt: float) -> Wanted[T]:
-        """Return the next state and where base and stage are to go in the next dt [s]; it is a pure function."""
+        """Return the next state and the targets of base and stage for the next dt [s]; a pure function."""
 
     @abstractmethod
     def progress(self, plan: P, state: T) -> Progress:
-        """Return how far it is."""
+        """Return the progress of the program."""
 
     def searching_s(self, plan: P, state: T) -> tuple[float, float]:
-        """Return for how long it has looked for the surface, and how long it may [s]; (0, inf) where it does not."""
+        """Return the time of the present search for the surface, and its limit [s]; (0, inf) if there is none."""
         return 0.0, math.inf
 
     def shortfall(self, plan: P, state: T) -> str:
-        """Return in words what a program that is finished did not reach; empty for nothing."""
+        """Return a sentence on the parts that a finished program did not reach; empty if it reached all."""
         return ""
 
 
 AnyProgram = Program[Any, Any, Any]
 
-# The base needs this time besides that of its whole way, because it may still be taking up its speed after a hold.
+# Additional time for the base's whole travel, because it may still be accelerating after a hold.
 _SPARE_S = 1.0
 
 
 def approach_limit_s(limits: SafetyParams, clear_m: float, speed_m_per_s: float) -> float:
-    """Return the time [s] in which a base that approaches from clear_m [m] has certainly gone its whole way."""
+    """Return the time [s] in which a base that approaches from `clear_m` [m] has certainly covered its whole travel."""
     speed = min(speed_m_per_s, limits.base_speed_m_per_s)
     return (limits.base_max_m - clear_m) / speed + _SPARE_S

@@ -1,4 +1,4 @@
-"""A sample under the tip: settings, and a pure step from a position of the base to force and distance."""
+"""The interface of a sample under the tip: settings, and a pure step from base position to force and distance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ Step = Callable[..., Any]
 
 
 class PlantInputs(NamedTuple):
-    """What acts on a part in a step.
+    """Inputs of the simulated instrument's parts in one step.
 
-    base_m: base position towards the sample [m]; x_m, y_m: place of the tip over the sample [m], 0, 0 is its middle;
-    height_m: of the surface under the tip [m]; voltage_v: between tip and sample [V]; amplitude_m: that the drive of
-    the base gives the tip without a sample [m], 0 without a drive; temperature_k: of a cantilever that has a motion
-    [K], 0 without thermal impulses, and seed, which decides these.
+    base_m: base position towards the sample [m]; x_m, y_m: place of the tip over the sample [m], (0, 0) is its centre;
+    height_m: height of the surface under the tip [m]; voltage_v: voltage between tip and sample [V]; amplitude_m:
+    amplitude of the tip without a sample, from the drive of the base [m], 0 without a drive; temperature_k: of a
+    cantilever with thermal motion [K], 0 without thermal impulses; seed: seed of these impulses.
     """
 
     base_m: float
@@ -29,12 +29,13 @@ class PlantInputs(NamedTuple):
 
 
 class AfmSample(NamedTuple):
-    """What the device reports for one base position.
+    """Sample of the device for one base position.
 
-    base_m: base position applied [m]; deflection_m: zeta [m], positive away from the sample; force_n: on the tip [N],
-    positive is repulsive; bridge_voltage_v: Eq. 3 [V]; distance_m: h [m], meaningful if distance_valid (a real
-    instrument does not know it); in_contact; meniscus: a bridge exists (`as_printed`: the retract law is in force);
-    lateral_x_n, lateral_y_n: force on the tip by the sample in x and y [N].
+    base_m: base position applied [m]; deflection_m: zeta [m], positive away from the sample; force_n: force on the tip
+    [N], repulsive positive; bridge_voltage_v: Eq. 3 [V]; distance_m: h [m], meaningful if distance_valid (a real
+    instrument does not know it); in_contact: whether the tip touches; meniscus: whether a liquid bridge exists
+    (`as_printed`: whether the retract law is in force); lateral_x_n, lateral_y_n: force on the tip by the sample in x
+    and y [N].
     """
 
     base_m: float
@@ -52,8 +53,8 @@ class AfmSample(NamedTuple):
 class Oscillation(NamedTuple):
     """Amplitude of the deflection at the frequency of the drive [m], and its lag behind the drive [rad].
 
-    The lag is pi/2 in free motion at the resonance, more in attraction and less in repulsion (`dynamic.lag_rad`).
-    dissipated_j: energy that the sample takes in a period [J].
+    The lag is pi/2 in free motion at resonance, more in attraction and less in repulsion (`dynamic.lag_rad`).
+    dissipated_j: energy dissipated by the sample in a period [J].
     """
 
     amplitude_m: float
@@ -65,12 +66,12 @@ class Oscillation(NamedTuple):
 class SampleModel:
     """A sample under the tip.
 
-    config: settings with `to_params()`, which gives a `params`; params: a NamedTuple of the sample's own;
+    config: settings with `to_params()`, which returns a `params`; params: the sample's NamedTuple;
     `start(params, base_m) -> state`, for a base at base_m [m] towards the sample;
     `measure(params, state, inputs, dt) -> (state, AfmSample)`, pure and compiled, with inputs.base_m, the place of the
     tip over the sample inputs.x_m and inputs.y_m [m], and the time since the last step dt [s], which is 0 at the start.
-    stiffness_n_per_m: of the contact where it is pressed, nominal, for a reader who has to know how far to press; where
-    config has a field of that name, studies set it.
+    stiffness_n_per_m: nominal stiffness of the pressed contact, for code that must know how far to press; if config has
+    a field of that name, studies set it.
     """
 
     name: str

@@ -1,23 +1,23 @@
-"""The lateral stage: where it may go, how fast, and where it is."""
+"""The lateral stage: its limits of range and speed, and its motion."""
 
 import math
 from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
 
-LATERAL_BY_RANGE = 1  # bits of what limited a motion
+LATERAL_BY_RANGE = 1  # Bits that tell which limit acted on a motion.
 LATERAL_BY_SPEED = 2
 
 
 class LateralParams(NamedTuple):
-    """Reach either way of the centre [m] and greatest speed [m/s], the same on both axes."""
+    """Reach to either side of the centre [m] and greatest speed [m/s], the same on both axes."""
 
     reach_m: float
     speed_m_per_s: float
 
 
 class Place(NamedTuple):
-    """A place of the tip over the sample in the AFM frame [m]; 0, 0 is the middle of the sample."""
+    """A place of the tip over the sample in the AFM frame [m]; (0, 0) is the centre of the sample."""
 
     x_m: float
     y_m: float
@@ -25,10 +25,10 @@ class Place(NamedTuple):
 
 @compiled
 def moved(params: LateralParams, place: Place, wanted: Place, dt: float) -> tuple[Place, int]:
-    """Return where the stage is after dt [s], moving to `wanted`, in a straight line, and what limited it.
+    """Return the place of the stage after moving towards `wanted` for dt [s] in a straight line, and the limits' bits.
 
     Raises:
-        ValueError: dt is not positive and finite, or the target is no number.
+        ValueError: dt is not positive and finite, or the target is not finite.
     """
     if not (dt > 0.0 and math.isfinite(dt)):
         raise ValueError("dt in s must be finite and > 0")

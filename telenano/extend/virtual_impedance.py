@@ -89,9 +89,9 @@ def master_receive(
 ) -> tuple[MasterState, MasterReference]:
     """Integrate the virtual impedance over dt [s], a whole number of periods (Eq. 16-17).
 
-    The hand is let go, and the virtual mass stays with it, while either device does not follow or the other half has
-    been silent for longer than the limit: a force that is not measured must move nothing. Over a retracted tip hand and
-    tip are on the line through zero again.
+    While a device does not follow, or the other half is silent for longer than the limit, the virtual mass stays with
+    the hand and no force acts: an unmeasured force must not move anything. Over a retracted tip the offset between hand
+    and tip is zero again.
     """
     scaled_force = params.force_scale * signal.force_n
     may = at_hand(params, hand, signal, False, 0.0, dt, False)
@@ -113,7 +113,7 @@ def master_receive(
 
 @compiled
 def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, position_m: float) -> float:
-    """Return the offset with which the tip's reference stays constant while the virtual mass is moved to the hand."""
+    """Return the offset that keeps the tip's reference constant while the virtual mass is moved to the hand [m]."""
     return state.tip_offset_m + params.position_scale * (state.position_m - position_m)
 
 
@@ -125,7 +125,7 @@ def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: Mast
 
 
 def rest_force(params: VirtualImpedanceParams, force_n: float) -> float:
-    """Return alpha_f F_s = F_m / (1 + 1/K_f) [N]; NaN where a virtual spring holds the hand back by its own way."""
+    """Return alpha_f F_s = F_m / (1 + 1/K_f) [N]; NaN with a virtual spring, whose force depends on the position."""
     gain = params.force_gain
     return gain / (1.0 + gain) * force_n if abs(params.impedance.phi_xx - 1.0) < 1e-12 else float("nan")
 

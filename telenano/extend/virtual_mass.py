@@ -1,13 +1,12 @@
-"""What the laws share at the master: a virtual mass that turns forces into motion of a position-controlled device.
+"""Common parts of the laws: a virtual mass that turns forces into motion of a position-controlled device.
 
-The device is a non-backdrivable screw, so each law ends in a position reference. All of them but the paper's move
+The device is a non-backdrivable screw, so each law produces a position reference. All of them except the paper's move
 
     M_v x'' + B_v x' = F_m - F_e,
 
 where F_m is the operator's force and F_e the force that the law ascribes to the environment, at the hand's scale:
-F = alpha_f F_s, x = x_s / alpha_p. The product F v at the hand's scale is then the same on both sides, and it is that
-product whose passivity the laws are about. The discretisation is exact for forces held over a period, so F dx is the
-exact energy.
+F = alpha_f F_s, x = x_s / alpha_p. The power F v at the hand's scale is then the same on both sides, and the passivity
+of the laws refers to it. The discretisation is exact for forces held over a period, so F dx is the exact energy.
 """
 
 import math
@@ -20,25 +19,24 @@ from telenano.numerics.discretisation import exact_discretisation
 from telenano.settings.config import Settings, filled
 from telenano.wire.topics import deadline_of
 
-# No hand and no tip comes so far, or so fast; in an unstable loop a reference stays finite here.
+# Limits of position [m] and speed [m/s] that no hand or tip reaches; they keep references finite in an unstable loop.
 FARTHEST_M = 1e6
 FASTEST_M_PER_S = 1e9
-# A base that is off the reference of the command that it has carried out by less than this [m] counts as one that
-# follows it: half a step of a converter of 12 bits over a stage of 0.4 um, with some margin.
+# A base follows if it deviates by less than this [m] from the reference of the command that it has carried out: half a
+# step of a 12-bit converter over a stage of 0.4 um, with some margin.
 FOLLOWED_M = 6e-11
-# A base that is further away than this, at the hand's scale, was sent there by something else than the loop of the half
-# [m].
+# A base further away than this, at the hand's scale [m], was moved by something other than the half's own loop.
 ARRIVED_M = 1e-3
-# A device that follows is behind its reference by less than this [m]; a reference goes no further from one that is
-# stuck, at the end of its travel say.
+# Greatest lead of a reference over its device [m]: a device that follows lags by less, and one that is stuck, such as
+# at the end of its travel, is led no further.
 LONGEST_LEAD_M = 2e-3
-# A tip that has got more than was paid for by this presses no further until more has come [J]: what its last step alone
-# has taken is less.
+# A tip that has received more energy than was paid for, by this amount [J], presses no further until more arrives; a
+# single step takes less.
 OVERDRAWN_J = 1e-5
-# The counter received of a half that begins while the other one may have counted for long [J]: the first signal that it
-# hears is where it begins to count, so that nothing is credited twice.
+# Initial received energy count of a half that begins after the other one [J]: it starts counting at the first signal
+# that it receives, so that nothing is credited twice.
 NOTHING_HEARD = -1.0
-# Work of the hand that a law has not used is kept up to this, for the energy of its moving mass [J].
+# Greatest stored work of the hand that a law has not used, for the kinetic energy of its mass [J].
 _KEPT_WORK_J = 1e-3
 
 
@@ -56,7 +54,10 @@ class MassParams(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """x [m], x' [m/s], and the offset [m] at the tip in x_ref = alpha_p x + offset; `coupled`: it feels the tip."""
+    """Virtual mass: x [m], x' [m/s], and the offset at the tip in x_ref = alpha_p x + offset [m].
+
+    `coupled`: True if the force of the tip acts on it.
+    """
 
     position_m: float
     velocity_m_per_s: float
@@ -65,9 +66,11 @@ class Mass(NamedTuple):
 
 
 class HandPort(NamedTuple):
-    """Where the device was [m], the work of the hand there less what the channel got, what is sent, and granted [J].
+    """Energy account of the hand's port.
 
-    The channel gets its energy from the reference, and the hand gives its at the device, which is late or stuck. A half
+    device_m: last position of the device [m]; credit_j: work of the hand at the device minus the energy that the
+    channel got [J]; sent_j: energy reported to the other half [J]; granted_j: energy granted without payment [J]. The
+    channel gets its energy at the reference, but the hand works at the device, which may be late or stuck. A half
     begins with `HandPort(device_m, 0.0, 0.0, 0.0)`.
     """
 
@@ -89,11 +92,11 @@ class ScaledConfig(Settings):
     )
 
     def limit_of_damper(self, damping_n_s_per_m: float, period_s: float, most_periods: int = 1) -> float:
-        """Return the stiffest sample K [N/m] for a base that goes against the measured force through a damper.
+        """Return the stiffest sample K [N/m] for a base that moves against the measured force through a damper.
 
-        The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
-        1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond
-        more.
+        The force F_s of a step is that of its beginning. Over n periods Ts the force error is multiplied by
+        1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should dissipate, and
+        beyond that even more.
 
         Args:
             damping_n_s_per_m: The damping B at the hand's scale [N s/m].
@@ -110,7 +113,7 @@ class MassConfig(ScaledConfig):
     damping_n_s_per_m: float = parameter(100.0, "N s/m", "Virtual damping B_v [N s/m]")
 
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
-        """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
+        """Return the constants for a period [s]; `line_n_s_per_m` is another damper of the law on the mass [N s/m]."""
         damping = self.damping_n_s_per_m + line_n_s_per_m
         step = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
         return filled(
@@ -126,13 +129,13 @@ class MassConfig(ScaledConfig):
 
 @compiled
 def periods_in(dt: float, period_s: float) -> int:
-    """Return the whole periods in dt [s], at least one."""
+    """Return dt [s] as a whole number of periods, at least one."""
     return max(1, round(dt / period_s))
 
 
 @compiled
 def bounded(value: float, most: float) -> float:
-    """Return a value within -most and most; the same bits where it is."""
+    """Limit a value to the range from -most to most; a value within it keeps its bits."""
     if value > most:
         return most
     return -most if value < -most else value
@@ -140,11 +143,12 @@ def bounded(value: float, most: float) -> float:
 
 @compiled
 def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> float:
-    """Return from where a base continues [m]: where it will be when it has done all that was asked, up to reference_m.
+    """Return the position from which the base's reference continues [m].
 
-    A base that did not go where it was sent, because it was held or its speed was limited, continues from where it is:
-    what is still missing of the commands that it has carried out is no longer due. What it has not carried out yet is
-    no such lead, because a late instrument still will.
+    A base that did not reach its reference, because it was held or its speed was limited, continues from where it is:
+    the missing distance of commands that it has carried out is dropped. Pending commands count as carried out, because
+    a late instrument will still do so. A deviation up to FOLLOWED_M is kept, and a base that has not arrived
+    (`has_arrived`) continues at `reference_m`.
     """
     if not has_arrived(params, reference_m, tip):
         return reference_m
@@ -154,20 +158,20 @@ def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> flo
 
 @compiled
 def has_arrived(params: MassParams, reference_m: float, tip: TipMeasurement) -> bool:
-    """Return whether a base is near where it was sent [m]: until then its motion is not one of the law's."""
+    """Return whether the base is near its reference [m]; until then its motion is not caused by the law."""
     missing = reference_m - (tip.base_position_m + tip.outstanding_m)
     return abs(missing) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
 
 
 @compiled
 def at_rest(position_m: float) -> Mass:
-    """Return the mass at rest, not coupled, with tip and hand on the line through zero."""
+    """Return the mass at rest, not coupled, with zero offset between hand and tip."""
     return Mass(position_m, 0.0, 0.0, False)
 
 
 @compiled
 def resumed(params: MassParams, hand: HandSample, tip_reference_m: float) -> Mass:
-    """Return the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference."""
+    """Return the mass with the hand's motion, and the offset that makes `tip_reference_m` [m] the tip's reference."""
     offset = tip_reference_m - params.position_scale * hand.position_m
     return Mass(hand.position_m, hand.velocity_m_per_s, offset, False)
 
@@ -187,13 +191,13 @@ def tip_reference(params: MassParams, mass: Mass) -> float:
 
 @compiled
 def mass_signal(params: MassParams, mass: Mass, hand: HandSample, energy_j: float, active: bool) -> PortSignal:
-    """Return what the master sends of its mass: the tip's reference, its velocity, and the force of the hand.
+    """Return the signal of a master half with a mass: the tip's reference, its velocity, and the force of the hand.
 
     Args:
         params: The scales.
         mass: The virtual mass.
         hand: The newest sample.
-        energy_j: What the law counts at its port [J]; 0 where it counts nothing.
+        energy_j: Energy that the law counts at its port [J]; 0 if it counts none.
         active: Whether the tip may follow.
     """
     return port_signal(
@@ -207,25 +211,25 @@ def mass_signal(params: MassParams, mass: Mass, hand: HandSample, energy_j: floa
 
 @compiled
 def is_coupled(params: Any, signal: PortSignal) -> bool:
-    """Return whether the tip follows and its last signal is recent enough."""
+    """Return whether the tip follows and its last signal is within the silence limit."""
     return signal.active and signal.silence_s <= params.silence_limit_s
 
 
 @compiled
 def is_retracted(params: Any, signal: PortSignal) -> bool:
-    """Return whether the other half says that the tip neither follows nor touches, and lately: it has to be armed."""
+    """Return whether a recent signal says that the tip neither follows nor touches, so that it must be armed."""
     return not signal.active and not signal.in_contact and signal.silence_s <= params.silence_limit_s
 
 
 class AtHand(NamedTuple):
-    """What the master half of a law may do with a sample of the hand: `at_hand` decides it for all laws.
+    """Decision on a sample of the hand at the master half; `at_hand` makes it for all laws.
 
-    acts: what the law has of the tip, its model, store or reference, moves the hand; stands: the device is off for a
-    moment, so the hand stays where it is and the law continues; where neither is true the hand is let go, and what is
-    rendered begins anew when it is taken up, without a force that nobody has paid. renews: the tip has to be armed, so
-    what was learnt, stored and parted begins again as in a new session. counts: the way to this sample was made at a
-    device that the law moved, so its work is the law's. coupled: the tip follows and was heard of lately; stood_s: for
-    how long the device has been off [s].
+    acts: the law's knowledge of the tip (model, store or reference) moves the hand. stands: the device is off for a
+    moment, so the hand stays where it is and the law continues. If neither holds, the hand is released, and rendering
+    restarts on the next coupling, without a force whose energy was not paid. renews: the tip must be armed, so learnt
+    values, stored energy and offsets restart as in a new session. counts: the device was moved by the law up to this
+    sample, so the work of the hand counts for it. coupled: the tip follows and was heard recently. stood_s: time for
+    which the device has been off [s].
     """
 
     acts: bool
@@ -240,19 +244,19 @@ class AtHand(NamedTuple):
 def at_hand(
     params: Any, hand: HandSample, signal: PortSignal, was_coupled: bool, stood_s: float, dt: float, bridges: bool
 ) -> AtHand:
-    """Return what the master half may do: arming, return, silence and a device that is off or begins anew all end here.
+    """Decide what the master half may do, in all cases of arming, return, silence, and a device off or restarting.
 
-    A tip is armed, and a hand comes back, by the same condition: the tip follows, its answer is recent, and the device
-    follows. Nothing that was known before is another reason to act.
+    After arming and after an interruption the same condition applies: the tip follows, its answer is recent, and the
+    device follows. Earlier knowledge is never a reason to act.
 
     Args:
-        params: With `silence_limit_s`.
+        params: Parameters with `silence_limit_s` [s].
         hand: The newest sample.
         signal: The newest answer, with the time since.
-        was_coupled: Whether the half acted or stood at the sample before.
-        stood_s: For how long the device had been off then [s].
+        was_coupled: Whether the half acted or stood at the previous sample.
+        stood_s: Time for which the device had been off then [s].
         dt: The time since that sample [s].
-        bridges: Whether the law continues over a device that is off for no longer than the silence limit.
+        bridges: Whether the law continues over a device that is off for at most the silence limit.
     """
     coupled = is_coupled(params, signal)
     off_s = 0.0 if hand.following else stood_s + dt
@@ -268,11 +272,11 @@ def at_hand(
 
 
 class AtTip(NamedTuple):
-    """What the slave half of a law may do with a measurement: `at_tip` decides it for all laws.
+    """Decision on a measurement at the slave half; `at_tip` makes it for all laws.
 
-    leads: the hand leads the base; elsewhere the base is at `base_m`: where it was sent last, or where a tip that does
-    not follow is placed. renews: the tip has to be armed, so what was stored begins again. counts: the way to this
-    measurement is the law's. heard: the other half was heard of lately.
+    leads: the hand leads the base; otherwise the base goes to `base_m` [m], its last reference, or the place for a tip
+    that does not follow. renews: the tip must be armed, so stored energy restarts. counts: the motion up to this
+    measurement was caused by the law. heard: the other half was heard recently.
     """
 
     leads: bool
@@ -284,14 +288,14 @@ class AtTip(NamedTuple):
 
 @compiled
 def at_tip(params: Any, signal: PortSignal, tip: TipMeasurement, position_m: float, was_coupled: bool) -> AtTip:
-    """Return what the slave half may do.
+    """Decide what the slave half may do.
 
     Args:
-        params: With `silence_limit_s`.
+        params: Parameters with `silence_limit_s` [s].
         signal: The newest signal of the master half, with the time since.
         tip: The newest measurement.
-        position_m: Where the base was sent last [m].
-        was_coupled: Whether the hand led the base at the measurement before.
+        position_m: The last reference of the base [m].
+        was_coupled: Whether the hand led the base at the previous measurement.
     """
     return AtTip(
         leads=is_coupled(params, signal) and tip.following,
@@ -304,10 +308,9 @@ def at_tip(params: Any, signal: PortSignal, tip: TipMeasurement, position_m: flo
 
 @compiled
 def let_go(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal) -> Mass:
-    """Leave the mass with the hand, at rest, while the tip's reference stays where it is.
+    """Return the mass at rest at the hand's position, with the offset that keeps the tip's reference constant.
 
-    Over a retracted tip it is alpha_p x without an offset, as before the first arming: what an interruption has left
-    between hand and tip ends there.
+    Over a retracted tip the offset is zero, as before the first arming: an offset from an interruption ends there.
     """
     offset = mass.tip_offset_m + params.position_scale * (mass.position_m - hand.position_m)
     return Mass(hand.position_m, 0.0, 0.0 if is_retracted(params, signal) else offset, False)
@@ -323,7 +326,7 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
 
 @compiled
 def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
-    """Return the mass after a step, stopped where its device cannot be following any more [m]."""
+    """Return the mass `after` a step, stopped if it leads the device at `hand_m` [m] too far for one that follows."""
     most = max(LONGEST_LEAD_M, abs(mass.position_m - hand_m))
     lead = after.position_m - hand_m
     if abs(lead) <= most:
@@ -333,16 +336,16 @@ def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
 
 @compiled
 def worked(port: HandPort, hand: HandSample, counts: bool) -> HandPort:
-    """Count the work of the hand at its device since the last sample, where a law moved it."""
+    """Add the work of the hand at its device since the last sample, if the law moved the device (`counts`)."""
     work_j = hand.force_n * (hand.position_m - port.device_m) if counts else 0.0
     return HandPort(hand.position_m, port.credit_j + work_j, port.sent_j, port.granted_j)
 
 
 @compiled
 def begun_again(port: HandPort, all_j: float, is_restart: bool) -> HandPort:
-    """Forget what the hand has left over, and what was not sent of all that there was to send [J], as it is not paid.
+    """Restart the account: drop the hand's unused credit and the unsent part of `all_j`, the total energy to send [J].
 
-    What was sent and is not paid stays so; again, after an arming, it is granted.
+    Energy that was sent but not paid stays owed; after an arming (`is_restart`) it is granted instead.
     """
     owed_j = max(port.sent_j - all_j - port.credit_j, 0.0)
     return HandPort(
@@ -352,20 +355,20 @@ def begun_again(port: HandPort, all_j: float, is_restart: bool) -> HandPort:
 
 @compiled
 def unpaid_j(port: HandPort) -> float:
-    """Return the energy [J] that the channel has got and no hand has put into its device: it is not to be spent."""
+    """Return the energy [J] that the channel got but the hand has not put into its device, which must not be spent."""
     return max(-port.credit_j, 0.0)
 
 
 @compiled
 def put_in(port: HandPort, into_j: float, all_j: float) -> HandPort:
-    """Book what the channel got at the reference [J], and send as much of all that it has to send as is paid."""
+    """Book the energy that the channel got at the reference [J], and send the paid part of `all_j`, the total [J]."""
     credit_j = min(port.credit_j - into_j, _KEPT_WORK_J)
     return HandPort(port.device_m, credit_j, max(port.sent_j, all_j + min(credit_j, 0.0)), port.granted_j)
 
 
 @compiled
 def placed(mass: Mass, position_m: float, velocity_m_per_s: float) -> Mass:
-    """Set position and velocity of the mass; offset and coupling stay."""
+    """Return the mass with another position [m] and velocity [m/s]; offset and coupling stay."""
     return Mass(position_m, velocity_m_per_s, mass.tip_offset_m, mass.coupled)
 
 
@@ -373,9 +376,9 @@ def placed(mass: Mass, position_m: float, velocity_m_per_s: float) -> Mass:
 def paid_stretch(
     stretch_m: float, motion_m: float, stiffness_n_per_m: float, remaining_j: float
 ) -> tuple[float, float]:
-    """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
+    """Limit a motion d [m] of the coupling's end to the remaining energy [J]; return it and the work on the channel.
 
-    The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
+    The channel gives out exactly F d + K d^2 / 2 with F = K stretch; the work done on it [J] is the negative of that.
     """
     force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
     out = force * motion_m + 0.5 * k * motion_m * motion_m

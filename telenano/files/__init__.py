@@ -1,4 +1,4 @@
-"""Files that people and other programs write: read within limits, and written whole or not at all."""
+"""Files of people and other programs: reading within limits, and writing that is complete or leaves no trace."""
 
 from typing import TYPE_CHECKING
 

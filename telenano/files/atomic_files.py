@@ -1,10 +1,10 @@
-"""Results written whole or not at all: under a temporary name in the same folder, and renamed when they are complete.
+"""Atomic writing of files: under a temporary name in the same folder, renamed when the file is complete.
 
-A temporary name is hidden and says whose it is: `.NAME.MACHINE.PROCESS.part`. What a killed process has left behind
-does not stand in the way of anything, and goes when the same result is written again on that machine.
+A temporary name is hidden and names its owner: `.NAME.MACHINE.PROCESS.part`. Leftovers of a killed process do no harm;
+they are removed when the same result is written again on that machine.
 
-A file that several processes change, such as a list of keys, is changed by `changed` alone: each reads what the one
-before it has written, so that no change is lost.
+A file that several processes change, such as a list of keys, is changed only through `changed`: each process reads the
+result of the previous one, so that no change is lost.
 
     changed(folder / "allowed.yaml", lambda before: with_one_more(before or b""))
 """
@@ -23,34 +23,34 @@ from pathlib import Path
 from telenano.files.optional_modules import optional_module
 from telenano.wire.errors import RigError
 
-# A change takes milliseconds, so a process that has had the lock for this long stands still [s].
+# A change takes milliseconds, so a process that holds the lock for this long must be stuck [s].
 LOCK_WAIT_S = 1.0
 _RETRY_S = 0.005
-# Windows has no such module, and no processes of a rig.
+# Windows lacks this module, but does not run processes of a rig either.
 fcntl = optional_module("fcntl")
-# There is no room, or none of it can be written.
+# Errors of a write that mean a full or failing disk.
 WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-# A temporary name is that of a process, so that its threads write one after the other.
+# Temporary names are unique for a process only, so its threads write one after the other.
 _one_thread = threading.Lock()
 _SUFFIX = ".part"
-# the temporary name of several files of one run
+# Name in the temporary name of a folder with several results.
 _RESULTS = "results"
-# A name of this length stays, with machine and process, within the 255 bytes of a file system.
+# With machine and process, a name of this length stays within the 255 bytes of a file system.
 _LONGEST = 120
 
 
 @contextlib.contextmanager
 def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Yield the temporary path of a file that gets its name when the block ends, and is removed if it fails.
+    """Yield a temporary path to write; the file gets its name when the block ends, and is removed if the block fails.
 
-    A link is followed; a device or a pipe is written to as it is.
+    A link is followed; a device or a pipe is written directly.
 
     Args:
         path: The path of the file.
-        replace: Whether a file of that name is replaced.
+        replace: Whether to replace a file of that name.
 
     Raises:
-        FileExistsError: A file of that name exists and is not to be replaced.
+        FileExistsError: A file of that name exists and `replace` is False.
         OSError: The file cannot be written.
     """
     if replace and path.is_symlink():
@@ -69,7 +69,7 @@ def atomic_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 
 def _require_reader(path: Path) -> None:
-    """Raise OSError for a pipe that nobody reads, whose writer would wait for a reader for ever."""
+    """Raise OSError for a pipe without a reader, in which a writer would wait for ever."""
     if path.is_fifo():
         try:
             os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
@@ -87,20 +87,20 @@ def changed(
     is_forced: bool = True,
     wait_s: float = LOCK_WAIT_S,
 ) -> None:
-    """Change a file that several processes share: one process at a time, and whole or not at all.
+    """Change a file that several processes share, one process at a time and atomically.
 
     Args:
-        path: The file. `path.lock` beside it is the lock, and stays.
-        step: What turns the content into the new one, None to leave the file as it is. It gets None where there is no
-            file. Its own errors pass.
-        read: What reads the file, and judges who else can change it.
-        mode: Who may read and write the file, before the mask of this process is applied.
-        is_forced: Whether the change is on the disk when this returns.
-        wait_s: How long the lock is waited for [s].
+        path: The file. Its lock is `path.lock` beside it, which is not removed.
+        step: Function from the old content (None without a file) to the new one, or None to leave the file unchanged.
+            Its exceptions are passed on.
+        read: Function that reads the file; it may also check who else can change it.
+        mode: Permissions of the file, before the umask.
+        is_forced: Whether to force the change to the disk before returning.
+        wait_s: Longest wait for the lock [s].
 
     Raises:
-        RigError: Another process has had the lock for `wait_s`, or the system refuses; the text names the file, which
-            is as it was.
+        RigError: Another process holds the lock for `wait_s`, or the system refuses. The text names the file, which is
+            unchanged.
     """
     with locked(path, wait_s, mode=mode):
         try:
@@ -115,17 +115,16 @@ def changed(
 
 @contextlib.contextmanager
 def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600, busy: str = "") -> Iterator[None]:
-    """Have a shared file alone while the block runs; a process that is killed has it no longer.
+    """Hold the lock of a shared file while the block runs; the system releases it if the process is killed.
 
     Args:
-        path: The file. `path.lock` beside it is the lock, and stays.
-        wait_s: How long the lock is waited for [s].
-        mode: Who may read and write the lock, before the mask of this process is applied.
-        busy: What a person has to do where another process has it, in words; empty for ending that process.
+        path: The file. Its lock is `path.lock` beside it, which is not removed.
+        wait_s: Longest wait for the lock [s].
+        mode: Permissions of the lock file, before the umask.
+        busy: Error text if another process holds the lock; empty for the advice to end that process.
 
     Raises:
-        RigError: Another process has had it for `wait_s`, or the lock cannot be had for another reason, which the text
-            states.
+        RigError: Another process holds the lock for `wait_s`, or locking fails; the text states the reason.
     """
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
@@ -140,7 +139,7 @@ def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600, busy: 
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o600, *, is_forced: bool = True) -> None:
-    """Write a file of one process whole or not at all; a link in its place is replaced, not followed.
+    """Write a file of a single process atomically; a link of that name is replaced, not followed.
 
     Raises:
         OSError: The file cannot be written.
@@ -172,7 +171,7 @@ def _lock(descriptor: int, path: Path, wait_s: float, busy: str) -> None:
 
 @contextlib.contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """Yield the temporary path of a new folder that gets its name when the block ends, and is removed if it fails.
+    """Yield a temporary folder, which gets its name when the block ends and is removed if the block fails.
 
     Raises:
         FileExistsError: The folder exists; the error names it.
@@ -187,17 +186,17 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Yield a temporary folder whose files go into a folder, which may have others, when the block ends.
+    """Yield a temporary folder, whose files are moved into `path` beside other files there when the block ends.
 
-    If it fails the folder is as it was, and one that was not there is not there again. The temporary folder is in that
-    folder, which may be all that this process can write to.
+    If the block fails, `path` is unchanged, and removed if it is new. The temporary folder lies within `path`, because
+    the process may have no other place to write to.
 
     Args:
         path: The path of the folder.
-        replace: Whether files of the same names are replaced.
+        replace: Whether to replace files of the same names.
 
     Raises:
-        FileExistsError: A file of one of the names exists and is not to be replaced.
+        FileExistsError: A file of one of the names exists and `replace` is False.
         OSError: A file cannot be written.
     """
     with new_folder(path), _temporary(path / _RESULTS, path, replace=True) as part:
@@ -211,7 +210,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
         try:
             _move_into(part, path)
         except KeyboardInterrupt as error:
-            # Only a few renames are left, so that the results of one run stay together.
+            # Complete the few renames that are left, so that the results of one run stay together.
             _move_into(part, path)
             error.add_note(f"{path} is complete")
             raise
@@ -219,7 +218,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Make a folder where there is none, and remove it if it is empty when the block ends; OSError if it cannot be."""
+    """Create a folder if it does not exist, or raise OSError; remove a new one if it is empty when the block ends."""
     is_new = not path.exists()
     path.mkdir(parents=True, exist_ok=True)
     try:
@@ -232,7 +231,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _report_interruption(path: Path) -> Iterator[None]:
-    """Let an interruption of what makes a result say that it is lost, for who reports it."""
+    """Add a note to a KeyboardInterrupt that the result was not written, for its report to the user."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -247,13 +246,13 @@ def _move_into(part: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
-    """Yield the temporary path of a result, after what killed processes have left of it was removed.
+    """Yield the temporary path of a result, after removing the leftovers of killed processes.
 
-    An OSError names `named` instead of the temporary path, and where there is no room for what is written as well.
+    An OSError names `named` instead of the temporary path, and also if the disk is full.
     """
     if not replace and os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    # "." and ".." have no name of their own
+    # "." and ".." are resolved to a path with a name.
     path = path if path.name not in ("", "..") else path.resolve()
     _remove_leftovers(path)
     part = path.with_name(f"{_stem(path)}{os.getpid()}{_SUFFIX}")
@@ -263,7 +262,7 @@ def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
     except OSError as error:
         beginning = str(part)
         if error.filename is None and error.errno in WRITE_ERRORS:
-            # A write has no path in its error, as an opening has.
+            # Unlike the error of open(), that of a write has no path.
             error.filename = str(named)
         elif isinstance(error.filename, str) and error.filename.startswith(beginning):
             error.filename = f"{named}{error.filename.removeprefix(beginning)}"
@@ -277,27 +276,27 @@ def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
 
 
 def _name_once(part: Path, path: Path) -> None:
-    """Give a file its name unless there is one of that name by now."""
+    """Rename a temporary file; raise FileExistsError if a file of that name exists by now."""
     try:
         os.link(part, path)
     except FileExistsError:
         raise
     except OSError:
-        # The file system has no links.
+        # The file system has no hard links.
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         part.rename(path)
 
 
 def _stem(path: Path) -> str:
-    """Return the beginning of the temporary names of a result on this machine."""
+    """Return the part of a result's temporary name that is common to all processes of this machine."""
     machine = re.sub(r"[^\w-]", "_", platform.node())[:_LONGEST]
     name = os.fsencode(path.name)[:_LONGEST].decode(errors="ignore")
     return f".{name}.{machine}."
 
 
 def _remove_leftovers(path: Path) -> None:
-    """Remove what processes of this machine that are no more have left of a result."""
+    """Remove the temporary files of a result whose processes on this machine no longer exist."""
     stem = _stem(path)
     with contextlib.suppress(OSError):
         for entry in path.parent.iterdir():
@@ -307,7 +306,7 @@ def _remove_leftovers(path: Path) -> None:
 
 
 def _runs(process: int) -> bool:
-    # Windows has no signal that only asks
+    # Windows has no signal 0, which only tests for existence.
     if os.name != "posix":
         return True
     try:

@@ -1,9 +1,9 @@
-"""Roles of the columns of a curve, by their names in the languages that laboratories have: what moves, what is read."""
+"""Roles of the columns of a force curve, such as base, force or time, from their names in many languages."""
 
 import re
 import unicodedata
 
-# The first that fits is the role, so that a lateral force is no force, and a separation is no height of the base.
+# The first match decides, so that a lateral force is not taken for a force, nor a separation for a base height.
 _ROLES = (
     ("lateral", r"lateral|friction|torsion|horizontal|\bhdefl|reibung|querkraft|frottement|friccion|attrito|wrijving|"
                 r"torcion|\blfm\b|\bl-r\b|twist|shear|scher|cisaill|摩擦|侧向|横向|латерал|трени|кручени"),
@@ -26,16 +26,16 @@ _PATTERNS = tuple((role, re.compile(words)) for role, words in _ROLES)
 
 
 def role_of(name: str) -> str:
-    """Return what a column of a curve has by its name, an empty text where the name does not say.
+    """Return the role of a column of a force curve according to its name; empty if the name does not tell.
 
-    The roles are base (the way or height that moves), separation, force, deflection, lateral, amplitude, phase, sum,
-    time, index, current and frequency.
+    The roles are base (the travel or height that is moved), separation, force, deflection, lateral, amplitude, phase,
+    sum, time, index, current and frequency.
 
     Example:
         >>> role_of("Lateral force"), role_of("Normalkraft"), role_of("Höhe"), role_of("Ch1")
         ('lateral', 'force', 'base', '')
     """
     plain = "".join(one for one in unicodedata.normalize("NFKD", name) if not unicodedata.combining(one))
-    # a low line and a change to capitals part words: Calc_Ramp_Ex, ZSensor
+    # Split words at underscores and before capitals: Calc_Ramp_Ex, heightSensor.
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain.replace("_", " ")).lower()
     return next((role for role, words in _PATTERNS if words.search(parted) or words.search(plain.lower())), "")

@@ -1,4 +1,4 @@
-"""Parts of a curve by the course of its way: there, back, and where it rests, without a word of which end is near."""
+"""Segmentation of a force curve by the course of its travel: approach, return and rests, in either direction."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -8,22 +8,22 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# A way that turns by less than this share of its span goes on: it is modulated, or it is noise.
+# A reversal by less than this share of the whole travel is modulation or noise, and no turn.
 _TURN = 0.1
-# A part is looked at in so many blocks, and rests where it moves by less than this share of what it does elsewhere.
+# A stretch is divided into this many blocks; it rests where it moves by less than the share `_RESTS` of its speed.
 _BLOCKS = 100
 _RESTS = 0.2
 _FEWEST_IN_BLOCK = 4
-# A rest has this number of blocks, and of rows.
+# Least number of blocks, and of rows, of a rest.
 _FEWEST_BLOCKS = 3
 _FEWEST_ROWS = 12
-# The lever is free at an end where the value changes by less than this share of the steepest change, of so many bins.
+# The lever is free at an end where the value changes by less than this share of its steepest change, over `_BINS` bins.
 _FREE = 0.2
 _BINS = 20
 
 
 class Part(NamedTuple):
-    """Rows [start, end) in which the way rises (1), falls (-1) or rests (0)."""
+    """Rows [start, end) in which the travel rises (direction 1), falls (-1) or rests (0)."""
 
     direction: int
     start: int
@@ -36,11 +36,11 @@ class Part(NamedTuple):
 
 
 def parts_of(way: Array) -> list[Part]:
-    """Return the parts of a course, one after another: where its way rises, falls and rests."""
+    """Return the parts of a curve in order: where its travel `way`, shape (n,), rises, falls and rests."""
     parts: list[Part] = []
     stretches = list(zip(*_turns(way), strict=True))
     travel = sum(float(np.ptp(way[start:end])) for start, end in stretches)
-    # A way moves by as much as a row does on average, so that noise in a rest is none.
+    # The least movement of a row follows from the mean movement, so that noise in a rest does not count.
     least = _RESTS * travel / max(len(way), 1)
     for start, end in stretches:
         for part in _rests(way, start, end, least):
@@ -52,7 +52,7 @@ def parts_of(way: Array) -> list[Part]:
 
 
 def _turns(way: Array) -> tuple[list[int], list[int]]:
-    """Return where each stretch between two turns begins and ends."""
+    """Return the first rows and the end rows of the stretches between turns."""
     threshold = _TURN * float(np.ptp(way))
     if len(way) < 2 or not threshold > 0.0:
         return [0], [len(way)]
@@ -78,7 +78,7 @@ def _turns(way: Array) -> tuple[list[int], list[int]]:
 
 
 def _rests(way: Array, start: int, end: int, least: float) -> list[Part]:
-    """Return a stretch as its moving parts and those in which it rests: a row moves by less than the least there."""
+    """Split rows [start, end) into moving and resting parts; in a rest a row moves by less than `least` on average."""
     count = end - start
     size = max(_FEWEST_IN_BLOCK, count // _BLOCKS)
     direction = 1 if way[end - 1] >= way[start] else -1
@@ -89,7 +89,7 @@ def _rests(way: Array, start: int, end: int, least: float) -> list[Part]:
     means = np.array([way[low:high].mean() for low, high in pairwise(edges.tolist())])
     moved = direction * np.gradient(means)
     still = moved < max(_RESTS * float(np.quantile(moved, 0.85)), least * size)
-    # a few blocks beside rests move by noise
+    # A few moving blocks between rests are noise.
     for first, last in _runs(~still):
         if last - first < _FEWEST_BLOCKS:
             still[first:last] = True
@@ -111,13 +111,16 @@ def _rests(way: Array, start: int, end: int, least: float) -> list[Part]:
 
 
 def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where each run of true flags begins and ends."""
+    """Return start and end [start, end) of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 class Orientation(NamedTuple):
-    """The sign of heights that rise away from the sample, that of values that push, and whether a part is free."""
+    """Signs of a curve: `away`, of heights that rise away from the sample; `turned`, of values that push.
+
+    `is_free` tells whether the lever is free at one end of the curve.
+    """
 
     away: float
     turned: float
@@ -125,10 +128,10 @@ class Orientation(NamedTuple):
 
 
 def orientation_of(height: Array, value: Array, *, falls_first: bool) -> Orientation:
-    """Return how a curve lies: at which end of its height the sample is, and which sign pushes.
+    """Return the orientation of a curve: at which end of its height the sample is, and which sign of value pushes.
 
-    The lever is free at the end where the value hardly changes. Where it changes at both ends, or at neither, the end
-    at which the value is farther from its middle is at the sample, or that at which the first way ends.
+    The lever is free at the end where the value hardly changes. If that holds at both ends, the sample is at the end
+    whose value is farther from the median; if at neither, at the end of the first movement (`falls_first`: downwards).
     """
     edges = np.linspace(height.min(), height.max(), _BINS + 1)
     place = np.clip(np.searchsorted(edges, height, side="right") - 1, 0, _BINS - 1)
@@ -145,7 +148,7 @@ def orientation_of(height: Array, value: Array, *, falls_first: bool) -> Orienta
     elif low_is_flat or high_is_flat:
         away = 1.0 if high_is_flat else -1.0
     else:
-        # a curve begins with its approach
+        # A curve begins with its approach.
         away = 1.0 if falls_first else -1.0
     near = means if away > 0.0 else means[::-1]
     if low_is_flat or high_is_flat:

@@ -1,12 +1,12 @@
-"""Files that one process holds for those that it starts, so that a later start needs nothing that can vanish.
+"""Files that a process holds for its child processes, so that a later restart of a child does not need the disk.
 
     held = HeldFiles()
-    held.keep(Path("/home/me/site.yaml"), content)      # read in place of the file
-    held.keep_spare(Path("/home/me/dots.npy"), file)    # read where the file is gone
+    held.keep(Path("/home/me/site.yaml"), content)      # is read instead of the file
+    held.keep_spare(Path("/home/me/dots.npy"), file)    # is read if the file is gone
     start([..., "--held", str(held.table)], pass_fds=held.descriptors)
 
-    receive(held_descriptor)                            # in the process that was started
-    open_regular(Path("/home/me/site.yaml"))            # as if it were still there
+    receive(held_descriptor)                            # in the child process
+    open_regular(Path("/home/me/site.yaml"))            # as if it still existed
 
 Contents are in memory (`memfd_create`), or in a file that is kept open, whose bytes outlive its name.
 """
@@ -26,12 +26,12 @@ _PRIVATE = 0o600
 
 class _Entry(NamedTuple):
     descriptor: int
-    # Whether it is read although a file stands at the path.
+    # Whether it is read even if a file exists at the path.
     is_fixed: bool
 
 
 class HeldFiles:
-    """What a process holds for those that it starts; `table` is the descriptor that tells them what there is."""
+    """Files held for child processes; `table` is the descriptor of the list of them, which `receive` reads."""
 
     def __init__(self) -> None:
         self._entries: dict[str, _Entry] = {}
@@ -40,11 +40,11 @@ class HeldFiles:
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """What a process that is started has to inherit."""
+        """The descriptors that a child process must inherit."""
         return (self.table, *(entry.descriptor for entry in self._entries.values()))
 
     def keep(self, path: Path, content: bytes, *, is_spare: bool = False) -> None:
-        """Hold a content, which is read in place of the file at a path, or as a spare only where that is gone."""
+        """Hold a content that children read instead of the file at a path; as a spare, only if that file is gone."""
         before = self._entries.get(str(path))
         descriptor = _in_memory(path.name) if before is None else before.descriptor
         os.ftruncate(descriptor, 0)
@@ -53,13 +53,13 @@ class HeldFiles:
         self._write_table()
 
     def keep_spare(self, path: Path, file: BinaryIO) -> None:
-        """Keep a file open as well, so that it can be read after it is gone from its path."""
+        """Hold a duplicate of an open file, which children read if the file is gone from its path."""
         if str(path) not in self._entries:
             self._entries[str(path)] = _Entry(os.dup(file.fileno()), is_fixed=False)
             self._write_table()
 
     def close(self) -> None:
-        """Let everything go."""
+        """Close all descriptors."""
         for descriptor in self.descriptors:
             os.close(descriptor)
         self._entries = {}
@@ -75,7 +75,7 @@ _copies: list[Path] = []
 
 
 def receive(table: int) -> None:
-    """Take what the process that started this one holds for it, by the descriptor of its table."""
+    """Register the files that the parent process holds, from the descriptor of its table."""
     with _opened(table) as file:
         entries: Mapping[str, tuple[int, bool]] = json.loads(file.read())
     for path, (descriptor, is_fixed) in entries.items():
@@ -84,7 +84,7 @@ def receive(table: int) -> None:
 
 
 def opened(path: Path) -> BinaryIO | None:
-    """Return what is held in place of a file, open for reading; None where the file itself is to be read."""
+    """Return the held content of a path, open for reading; None if the file itself is to be read."""
     entry = _received.get(str(path))
     if entry is None or (not entry.is_fixed and os.path.lexists(path)):
         return None
@@ -92,15 +92,15 @@ def opened(path: Path) -> BinaryIO | None:
 
 
 def is_held(path: Path) -> bool:
-    """Return whether something is held in place of a file."""
+    """Return whether a held content replaces the file at a path."""
     entry = _received.get(str(path))
     return entry is not None and (entry.is_fixed or not os.path.lexists(path))
 
 
 def standing(path: Path) -> Path:
-    """Return where a file can be read by its path: there, or where it is gone and held, in a copy of the same name.
+    """Return a path at which a file can be read: its own, or that of a temporary copy if its content is held.
 
-    It is for libraries and other processes, which open files themselves; `open_regular` needs no copy.
+    It is for libraries and other processes, which open files by path; `open_regular` needs no copy.
     """
     held = opened(path)
     if held is None:
@@ -116,7 +116,7 @@ def standing(path: Path) -> Path:
 
 
 def listed(folder: Path, suffix: str) -> list[Path]:
-    """Return the files of a folder whose names end so, in their order, with those that are held for it."""
+    """Return the files of a folder whose names end with a suffix, sorted, including those that are held for it."""
     found = set(folder.glob(f"*{suffix}"))
     found |= {path for text in _received if (path := Path(text)).parent == folder and path.name.endswith(suffix)}
     return sorted(found)
@@ -126,17 +126,17 @@ def _in_memory(name: str) -> int:
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create(name)
     else:
-        # Other systems have no such files; one without a name in the folder of temporary files serves them.
+        # Systems without memfd_create use an unlinked temporary file.
         with tempfile.TemporaryFile() as file:
             descriptor = os.dup(file.fileno())
-    # What is held may be a secret key, which only its owner may read.
+    # The content may be a secret key, which only its owner may read.
     os.fchmod(descriptor, _PRIVATE)
     return descriptor
 
 
 def _opened(descriptor: int) -> BinaryIO:
     file = Path(f"/dev/fd/{descriptor}").open("rb")  # noqa: SIM115
-    # Where this is a second handle of the same open file, it may stand anywhere.
+    # This may share the offset of another handle of the same open file.
     file.seek(0)
     return file
 

@@ -1,10 +1,10 @@
-"""A file read by a library that cannot be trusted with it: in a child process with limits, which hands back arrays.
+"""Reading of files by untrusted libraries in a child process with limits, which returns arrays.
 
-What libraries of the field make of a damaged file is theirs alone: gigabytes for a flipped bit, a loop without an end,
-a segmentation fault. In a child it costs what the limits allow, and a sentence. The child is Python with the module of
-the reading function and nothing else: 0.2 s for a small file, of which the libraries themselves are the most.
+On a damaged file, libraries of the field may allocate gigabytes for a flipped bit, loop for ever, or crash with a
+segmentation fault. In a child this costs at most the limits, and becomes an error message. The child is Python with
+only the module of the reading function; it takes 0.2 s for a small file, mostly for importing the library.
 
-The answer is a line of JSON and the bytes of the arrays after it, in a file without a name: nothing in it is executed.
+The answer is a line of JSON followed by the bytes of the arrays, in an unnamed file; nothing in it is executed.
 """
 
 import importlib
@@ -24,29 +24,29 @@ import numpy.typing as npt
 
 from telenano.signals import children
 
-# Other systems have no such limits; there the headers and the wall time are checked.
+# Systems without this module have no such limits; there only the wall time limits the child.
 try:
     import resource
 except ImportError:
     resource = None  # type: ignore[assignment]
 
 LARGEST_FILE_BYTES = 1 << 30
-# The limit of address space of a child: Python and the libraries need 120 MB of it.
+# Address space of a child [bytes]; Python and the libraries need 120 MB of it.
 _MEMORY_BYTES = 512 << 20
-# The limit grows by this for each byte of the file, because a reader needs some copies of what it reads.
+# Additional address space for each byte of the file, because a reader makes some copies of it.
 _MEMORY_PER_BYTE = 6
-# The limit of processor time of a child.
+# Processor time of a child.
 _CPU_S = 20.0
-# The limit grows by this for each byte of the file.
+# Additional processor time for each byte of the file.
 _CPU_S_PER_BYTE = 2.5e-7
-# The limit of wall time is this multiple of it: the machine may be busy with something else.
+# Ratio of wall time to processor time at the limit, because the machine may be busy.
 _WALL_FACTOR = 4.0
-# The text of an error is cut to this number of characters.
+# Most characters of an error text.
 _LONGEST_TEXT = 500
 
 
 class Limits(NamedTuple):
-    """What a child may take: address space [bytes], processor time [s] and time [s]."""
+    """Limits of a child: address space [bytes], processor time [s] and wall time [s]."""
 
     memory_bytes: int
     cpu_s: int
@@ -54,13 +54,13 @@ class Limits(NamedTuple):
 
     @classmethod
     def of_size(cls, size_bytes: int) -> "Limits":
-        """Return what reading a file of that size may take."""
+        """Return the limits for reading a file of this size."""
         cpu_s = round(_CPU_S + _CPU_S_PER_BYTE * size_bytes)
         return Limits(_MEMORY_BYTES + _MEMORY_PER_BYTE * size_bytes, cpu_s, _WALL_FACTOR * cpu_s)
 
 
 class Answer(NamedTuple):
-    """What was read: plain values by name, and arrays of numbers."""
+    """Result of a reading function: plain values by name, and arrays of numbers."""
 
     facts: dict[str, Any]
     arrays: list[npt.NDArray[Any]]
@@ -73,20 +73,21 @@ def read_in_child(
     limits: Limits | None = None,
     watch: Callable[[float], None] | None = None,
 ) -> Answer:
-    """Call a function, given as `module:name`, with a path and texts in a child; return what it returns, an `Answer`.
+    """Call a reading function with a path and texts in a child process; return its facts and arrays.
 
     Args:
-        function: The function, as `module:name`.
+        function: The function, as `module:name`; it returns facts and arrays.
         path: Its first argument.
         *arguments: Its further arguments.
-        limits: The limits of the child; None takes those for the size of the file.
-        watch: Called with the share that is done, from 0 to 1. The function then has one more argument, a descriptor to
-            which it writes a byte for each advance: how many percent are done.
+        limits: The limits of the child; None for `Limits.of_size` of the file.
+        watch: Called with the finished share, from 0 to 1. The function then has one more argument, a descriptor to
+            which it writes one byte for each advance, the percentage done. `wall_s` then limits the time between two.
 
     Raises:
-        ImportError: A package is missing; the message names it.
-        OSError: The child got this error when it read the file.
-        ValueError: The function raised any other error, or reached a limit; the message says which.
+        ImportError: A package is missing; `name` is its name.
+        OSError: Reading the file raised this error in the child.
+        ValueError: The file is larger than `LARGEST_FILE_BYTES`, or the function raised any other error or reached a
+            limit; the message tells which.
     """
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:
@@ -94,7 +95,7 @@ def read_in_child(
     limits = limits or Limits.of_size(size)
     command = [sys.executable, "-m", __name__, function]
     orders = [limits, os.fspath(path), *arguments]
-    # A single thread is used, because each thread of a linear algebra library reserves memory.
+    # A single thread, because each thread of a linear algebra library reserves memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     with _answer_file() as out:
         try:
@@ -119,7 +120,7 @@ def _watched(
     wall_s: float,
     watch: Callable[[float], None],
 ) -> int:
-    """Run a child that reports its advance, each within wall_s [s] of the one before; return its exit code."""
+    """Run a child that reports its advance at least every `wall_s` [s]; return its exit code."""
     reader, writer = os.pipe()
     try:
         process = children.start(
@@ -143,7 +144,7 @@ def _watched(
 
 
 def _answer_file() -> BinaryIO:
-    """Open a file without a name, in memory where the system can: a container may have no folder to write to."""
+    """Open an unnamed file, in memory if the system can: a container may have no writable folder."""
     if hasattr(os, "memfd_create"):
         return os.fdopen(os.memfd_create("answer"), "w+b")
     return cast(BinaryIO, tempfile.TemporaryFile())
@@ -194,7 +195,7 @@ def _limit(limits: Limits) -> None:
 
 
 def _described(error: BaseException) -> list[Any]:
-    """Return what the parent needs to raise the same."""
+    """Return an error as a list from which the parent raises the corresponding one."""
     if isinstance(error, MemoryError):
         return ["MemoryError"]
     if isinstance(error, ImportError):
@@ -202,16 +203,16 @@ def _described(error: BaseException) -> list[Any]:
     text = (" ".join(str(error).split()) or type(error).__name__)[:_LONGEST_TEXT]
     if isinstance(error, OSError) and error.errno is not None and error.strerror:
         return ["OSError", error.errno, error.strerror[:_LONGEST_TEXT]]
-    # the text of a KeyError is the key alone
+    # The text of a KeyError is only the key, so its class is added.
     return ["", f"{type(error).__name__}: {text}" if isinstance(error, LookupError) else text]
 
 
 def main() -> None:
-    """Read as the command line says, and write the answer to standard output."""
+    """Call the function that the command line names, and write the answer to standard output."""
     function, texts = sys.argv[1:]
     limits, *arguments = json.loads(texts)
     out = os.fdopen(os.dup(1), "wb")
-    # Output that a library prints is no part of the answer.
+    # Redirect the prints of a library, which are no part of the answer.
     os.dup2(2, 1)
     _limit(Limits(*limits))
     module, _, name = function.partition(":")
@@ -219,14 +220,14 @@ def main() -> None:
         facts, arrays = getattr(importlib.import_module(module), name)(*arguments)
         kept = [np.ascontiguousarray(each) for each in arrays]
         head = {"facts": facts, "arrays": [[each.dtype.str, each.shape] for each in kept]}
-    # some of these libraries have errors that are no `Exception`
+    # Some of these libraries raise errors that are not derived from `Exception`.
     except BaseException as error:  # noqa: BLE001
         head, kept = {"error": _described(error)}, []
     out.write(json.dumps(head).encode() + b"\n")
     for each in kept:
         out.write(each.tobytes())
     out.flush()
-    # Work at exit could take as long as the file wants, so it is skipped.
+    # Skip the work at exit, which a malicious file could prolong.
     os._exit(0)
 
 

@@ -1,4 +1,4 @@
-"""Modules of Python that not every system has, for what also works without them, such as reading a recording."""
+"""Import of modules that not every system has, for code that also works without them or names the missing extra."""
 
 import importlib
 from typing import Any
@@ -8,7 +8,7 @@ from telenano.wire.extras import how_to_install
 
 
 def optional_module(name: str) -> Any:
-    """Return a module, None where this system has none of that name."""
+    """Return a module; None if this system lacks it."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -16,7 +16,7 @@ def optional_module(name: str) -> Any:
 
 
 def required_module(name: str, absent: str, extra: str) -> Any:
-    """Return a module of an extra; ConfigError says `absent` and how the extra is installed where it is not there."""
+    """Return a module of an extra; if it is missing, raise ConfigError with the text `absent` and how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

@@ -1,7 +1,7 @@
-"""The one way to open a file that a person names: a regular file of a bounded size.
+"""The only way to open a file that a person names: it must be a regular file of bounded size.
 
-A pipe without a writer would keep its reader for ever, a device may have no end or do something when it is opened, and
-a file of many gigabytes would fill the memory before anything in it could be judged.
+A pipe without a writer would block its reader for ever, a device may be endless or act when it is opened, and a file of
+many gigabytes would fill the memory before its content could be checked.
 """
 
 import errno
@@ -14,28 +14,28 @@ from telenano.files import held_files
 
 
 class NotRegularError(OSError):
-    """What stands at a path is a pipe, socket or device, or a link where none counts; `strerror` says it in words."""
+    """The path is a pipe, socket or device, or a link where none is allowed; `strerror` says so in a sentence."""
 
 
 def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
-    """Open a regular file for reading, or what the process that started this one holds in its place.
+    """Open a regular file for reading, or the content that the parent process holds for it (`held_files`).
 
     Args:
         path: The path of the file.
-        follows_links: False for a file that this project alone writes, in whose place a link is none of it.
+        follows_links: False for a file that only this project writes, which is never a link.
 
     Raises:
         OSError: The file cannot be opened.
         IsADirectoryError: It is a folder.
-        NotRegularError: It is a pipe, a socket or a device, or a link and none is followed.
+        NotRegularError: It is a pipe, a socket or a device, or a link and `follows_links` is False.
     """
     if (held := held_files.opened(path)) is not None:
         return held
     if "\0" in str(path):
         raise OSError(errno.EINVAL, "its name has a character that no file can have", str(path))
-    # The check comes before opening, which a device may answer by an action.
+    # Check before opening, because opening a device may trigger an action.
     _require_regular(path, path.stat(follow_symlinks=follows_links).st_mode)
-    # Other systems have no such flags; a file that appears between the two calls must not keep this process.
+    # O_NONBLOCK: a pipe that appears between the check and the call must not block. Some systems lack these flags.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     flags |= 0 if follows_links else getattr(os, "O_NOFOLLOW", 0)
     file = os.fdopen(os.open(path, flags), "rb")
@@ -48,13 +48,13 @@ def open_regular(path: Path, *, follows_links: bool = True) -> BinaryIO:
 
 
 def read_regular(path: Path, most_bytes: int, *, follows_links: bool = True) -> bytes:
-    """Return the content of a regular file; arguments as those of `open_regular`.
+    """Return the content of a regular file of at most `most_bytes`; path and links are treated as in `open_regular`.
 
     Raises:
-        OSError: The file cannot be read, or has more than most_bytes; its `strerror` then names both sizes.
+        OSError: The file cannot be read, or is larger; `strerror` then names both sizes.
     """
     with open_regular(path, follows_links=follows_links) as file:
-        # A file that the kernel makes up while it is read states no size.
+        # Read instead of asking for the size, because a virtual file of the kernel states none.
         content = file.read(most_bytes + 1)
         if len(content) > most_bytes:
             stated = max(os.fstat(file.fileno()).st_size, len(content))
@@ -64,15 +64,15 @@ def read_regular(path: Path, most_bytes: int, *, follows_links: bool = True) -> 
 
 
 def _is_own(status: os.stat_result) -> bool:
-    """Return whether a file belongs to this user and no other user can write it, so that what is in it may be run."""
+    """Return whether a file belongs to this user and no other user can write it, so that it is safe to run."""
     return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
 def is_own(path: Path) -> bool:
-    """Return whether no other user can write or replace a file or folder, so that what is in it may be run.
+    """Return whether no other user can write or replace a file or folder, so that it is safe to run.
 
     Raises:
-        OSError: It cannot be looked at.
+        OSError: Its status cannot be read.
     """
     return is_own_path(path) and (not path.exists() or _is_own(path.stat()))
 
@@ -80,13 +80,13 @@ def is_own(path: Path) -> bool:
 def is_own_path(path: Path) -> bool:
     """Return whether only this user and root can replace a file or folder, which may be absent, or its parents.
 
-    A folder in which only the owner of an entry can rename it, such as /tmp, counts as safe. So does one that the group
-    can write whose number is that of the user, because that group has no other member.
+    A sticky folder such as /tmp counts as safe, because only the owner of an entry can rename it. So does a folder
+    writable by the group whose number is that of the user, because that group has no other member.
     """
     if not hasattr(os, "getuid"):
         return True
     user = os.getuid()
-    # Who owns a link, or the folder with it, decides what stands there: both ways are looked at.
+    # The owner of a link, or of its folder, can redirect it, so check the paths of both the link and its target.
     links = [path.absolute()] if path.is_symlink() else []
     for folder in {*links, *path.absolute().parents, *Path(os.path.realpath(path)).parents}:
         status = folder.lstat()

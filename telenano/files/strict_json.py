@@ -1,4 +1,4 @@
-"""Numbers as JSON has them: it knows neither infinity nor NaN, which other readers refuse.
+"""Conversion of numbers to strict JSON, which has neither infinity nor NaN, so that other readers accept it.
 
 json.dumps(finite({"delay_s": math.inf}), allow_nan=False)
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def finite(value: Any) -> Any:
-    """Return plain data as strict JSON holds it: what overflows at the greatest number, and no number as null."""
+    """Return plain data for strict JSON: infinity becomes the largest float with its sign, and NaN becomes null."""
     if isinstance(value, dict):
         return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""The head of a text table: the title of each column, its name and its unit, from the lines above the numbers."""
+"""Parsing of the head of a text table: title, name and unit of each column, from the lines above the numbers."""
 
 import csv
 import re
@@ -8,19 +8,19 @@ from telenano.files.units import unit_of
 
 COMMENT = re.compile(r"\s*(?:#|%|//|\*|!)+\s*")
 _ROW_NAMES = re.compile(r"(?i)\s*(?:columns?|fields?|names?|units?|headers?)\s*[:=]\s*")
-# words in the brackets of a name that are no unit
+# Words in the brackets of a column's name that are no unit.
 _DIRECTIONS = re.compile(
     r"(?i)(?:fwd|bwd|forward|backward|avg|filt|raw|trace|retrace|approach|retract|extend|rel|abs(?:olute)?|"
     r"meas(?:ured)?|piezo|sensor|\d+)"
 )
-# a unit at the end of a name behind a low line, often written small, before a word for the way: z_nm, Defl_pN_Ex
+# A unit after an underscore at the end of a name, often in lower case, before a word for the branch: z_nm, Defl_pN_Ex.
 _SUFFIX = re.compile(r"(.+)_([munpkMµ]?(?:s|m|[Vv]|[Hh]z|N)|[nup]n|percent)(_(?i:ex|rt|extend|re\w+|approach|trace))?")
-# A line of a head that is longer says no units: to look for them takes the square of its length.
+# Longer lines of a head are not searched for units, because the search takes the square of their length.
 LONGEST_LINE = 4000
 
 
 def split(row: str, separator: str) -> list[str]:
-    """Return the cells of a line, without quotes and blanks around them; an empty separator is any blanks."""
+    """Return the cells of a line without surrounding quotes and blanks; an empty separator means any whitespace."""
     if not separator:
         return row.split()
     if '"' in row and row.count('"') % 2 == 0 and len(row) < csv.field_size_limit():
@@ -31,7 +31,7 @@ def split(row: str, separator: str) -> list[str]:
 
 
 def _bare(row: str) -> str:
-    """Return a line of a head without the mark of a comment, and without a word such as `units:`, before it."""
+    """Return a line of a head without a leading comment mark and a leading word such as `units:`."""
     comment = COMMENT.match(row)
     row = row[comment.end() :] if comment else row
     word = _ROW_NAMES.match(row)
@@ -39,7 +39,7 @@ def _bare(row: str) -> str:
 
 
 def split_head(row: str, separator: str) -> list[str]:
-    """Return the words of a line of a head, a unit in brackets or behind a stroke with the word before it."""
+    """Return the titles in a line of a head; a unit in brackets or after a slash stays with the word before it."""
     row = _bare(row)
     if separator:
         return split(row, separator)
@@ -48,7 +48,11 @@ def split_head(row: str, separator: str) -> list[str]:
 
 
 def titles_of(rows: Sequence[str], width: int, separator: str) -> tuple[list[str], list[tuple[str, str, int]]]:
-    """Return the head, and title, unit of a row of units, and line of each column."""
+    """Return the lines of the head, and for each of `width` columns its title, its unit and its line number.
+
+    The unit comes from a separate row of units and is empty without one. Line numbers count from 1; 0 means that the
+    head names no columns.
+    """
     head = [row.strip() for row in rows if row.strip()]
     numbered = [(number, row) for number, row in enumerate(rows, start=1) if row.strip()]
     fitting = []
@@ -77,7 +81,7 @@ def titles_of(rows: Sequence[str], width: int, separator: str) -> tuple[list[str
 
 
 def named(title: str, unit: str) -> tuple[str, str]:
-    """Return the name of a column without its unit, and the unit as it stands."""
+    """Return the name of a column without its unit, and the unit as written; empty if there is none."""
     if unit:
         return title, unit
     if unit_of(title):
@@ -102,7 +106,7 @@ def named(title: str, unit: str) -> tuple[str, str]:
 
 
 def _bracketed(title: str) -> tuple[str, str]:
-    """Return what stands before the last pair of brackets of a title, and in it; empty where it does not end so."""
+    """Return the text before the brackets at the end of a title, and the text in them; empty without such brackets."""
     title, depth = title.strip(), 0
     for place in range(len(title) - 1, -1, -1):
         depth += (title[place] in ")]}") - (title[place] in "([{")

@@ -1,8 +1,8 @@
-"""Text tables of other programs: curves, spectra, records, delays and maps, with the unit that a head gives a column.
+"""Reader of text tables of other programs: curves, spectra, records, delays and maps, with the units of their heads.
 
-A table is rows of numbers, separated by tabs, semicolons, commas or blanks, below a head that may name the columns and
-their units. A comma is the decimal one where a tab or semicolon separates. Comments (#, %, //, *) and a mark of the
-order of bytes are left out. Whatever is taken in another way than it stands there is among the remarks.
+A table consists of rows of numbers, separated by tabs, semicolons, commas or blanks, below a head that may name the
+columns and their units. If tabs or semicolons separate, a comma is a decimal comma. Comments (#, %, //, *) and a byte
+order mark are skipped. Every interpretation that departs from the text is listed in the remarks.
 """
 
 import math
@@ -24,34 +24,34 @@ from telenano.wire.errors import ConfigError
 
 Array = npt.NDArray[np.float64]
 
-# a record of some seconds at some MHz, as text
+# Enough for a record of some seconds at some MHz, as text.
 LARGEST_BYTES = 256_000_000
 _MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "nat", "none", "null", "-", "--", "inf", "-inf", "+inf"))
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
 _SEPARATORS = ("\t", ";", "", ",")
 _LONGEST_NUMBER = 64
-# Lines of a head, before the first row of numbers.
+# Most lines of a head, before the first row of numbers.
 _LONGEST_HEAD = 4000
-# A line that says that the table begins below it: of Nanonis, NanoScope, LabVIEW, SPIP and others.
+# A line after which the table begins, in files of Nanonis, NanoScope, LabVIEW, SPIP and others.
 _BEGINS = re.compile(
     r"(?i)[\W_]*(?:\[data\]|file list end|end[ _]of[ _]header|end[ _]header|header[ _]end|start of data|begin of data|"
     r"begin data|daten|donn[eé]es|data)[\W_]*"
 )
-# Below such a line there are this number of lines of names and units at most.
+# Most lines of names and units below such a line.
 _MOST_TITLES = 8
-# Rows of numbers in a head are fewer than this, and this many times fewer than those of the table.
+# A run of numeric rows in a head is shorter than `_SHORT_RUN`, and the table is `_TIMES_AS_LONG` times as long.
 _SHORT_RUN = 16
 _TIMES_AS_LONG = 4
-# A run of so many rows is the table.
+# A run of this many rows must be the table.
 _LONG_RUN = 400
-# Comments among the rows of a table, of which so many are kept.
+# Most comments among the rows of a table that are kept.
 _MOST_NOTES = 1000
 
 
 class Column(NamedTuple):
-    """A column: title as it stands, name without the unit, unit as it stands ("": none), line of the head (0: none).
+    """A column: title as written, name without the unit, unit as written ("": none), line of the head (0: none).
 
-    values: as they stand, nan where missing, shape (n,); bad: line and text of the first that is no number.
+    values: numbers in that unit, nan where missing, shape (n,); bad: line and text of the first cell that is no number.
     """
 
     title: str
@@ -63,14 +63,14 @@ class Column(NamedTuple):
 
     @property
     def known(self) -> Unit | None:
-        """The unit, None where none is named or it is not known."""
+        """The unit; None if the head names none or an unknown one."""
         return unit_of(self.unit)
 
 
 class TextTable(NamedTuple):
-    """A table: name of the file, columns, lines of the rows, lines of the head, what separates, and remarks.
+    """A table: name of the file, columns, line number of each row, lines of the head, separator, and remarks.
 
-    ends_whole: whether its last line has an end; without one its last number may have lost digits. notes: comments
+    ends_whole: whether the last line has a line end; without one its last number may lack digits. notes: comments
     among the rows, each with the count of rows before it.
     """
 
@@ -85,14 +85,14 @@ class TextTable(NamedTuple):
     notes: tuple[tuple[int, str], ...] = ()
 
     def find(self, *beginnings: str) -> Column | None:
-        """Return the first column whose name begins with a word, in the order of the words, whatever its capitals."""
+        """Return the first column whose name begins with a word (in lower case), in order of the words, or None."""
         return next((one for word in beginnings for one in self.columns if one.name.lower().startswith(word)), None)
 
     def column(self, word: str) -> Column:
-        """Return the column with a title or name, or with a number, the first being 1.
+        """Return the column with a title, a name, or a number counted from 1.
 
         Raises:
-            ConfigError: There is none; the message names those that there are.
+            ConfigError: There is no such column; the message lists the columns.
         """
         word = word.strip()
         by_number = {str(number): one for number, one in enumerate(self.columns, start=1)}
@@ -103,16 +103,16 @@ class TextTable(NamedTuple):
         return match
 
     def in_si(self, column: Column, wanted: Sequence[str], given: str = "", option: str = "") -> Array | None:
-        """Return the values of a column in SI units; None where neither its head nor `given` names a unit.
+        """Return the values of a column in SI units, shape (n,); None if neither its head nor `given` names a unit.
 
         Args:
-            column: One of this table.
-            wanted: Units of which it must have the kind, such as ("m",).
-            given: Its unit in the place of that in the head.
-            option: How a person gives it, for the message.
+            column: A column of this table.
+            wanted: The accepted units, up to a factor, such as ("m",).
+            given: A unit that replaces that of the head.
+            option: The command line option for `given`, for the error message.
 
         Raises:
-            ConfigError: A cell is no number, or the unit is not known or of another kind; the message names the line.
+            ConfigError: A cell is no number, or the unit is unknown or of another kind; the message names the line.
         """
         numbers = self.numbers(column)
         word = given or column.unit
@@ -129,7 +129,7 @@ class TextTable(NamedTuple):
         return numbers * unit.factor
 
     def numbers(self, column: Column) -> Array:
-        """Return the values of a column as they stand.
+        """Return the values of a column in the unit of the file, shape (n,).
 
         Raises:
             ConfigError: A cell is no number; the message names the line.
@@ -140,7 +140,7 @@ class TextTable(NamedTuple):
         return column.values
 
     def units_in_head(self, *wanted: str) -> set[str]:
-        """Return the words of the head, as they stand, that are units of one of these kinds."""
+        """Return the words of the head, as written, that are units of one of the wanted kinds."""
         kinds = [kind.powers for kind in map(unit_of, wanted) if kind]
         text = "\n".join(line for line in self.head if len(line) <= LONGEST_LINE)
         words = re.findall(r"\[([^\]\n]+)\]|\(([^()\n]+)\)|([^\s,;]+)", text)
@@ -153,10 +153,10 @@ class TextTable(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> "TextTable":
-        """Return the table in a text file.
+        """Read the table in a text file.
 
         Raises:
-            ConfigError: The file cannot be read or holds no table; the message names it, and the line.
+            ConfigError: The file cannot be read or has no valid table; the message names it and the line.
         """
         try:
             content = read_regular(path, LARGEST_BYTES)
@@ -166,7 +166,7 @@ class TextTable(NamedTuple):
 
     @classmethod
     def parse(cls, content: bytes, name: str) -> "TextTable":
-        """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read`."""
+        """Parse the bytes of a text file, which errors call `name`; raise ConfigError as `read`."""
         text, remarks = decoded(content, name), []
         rows = text.splitlines()
         if not any(map(str.strip, rows)):
@@ -174,10 +174,10 @@ class TextTable(NamedTuple):
         first, separator, in_head = _first_row(rows, name)
         fold = _Folding(separator)
         ends_whole = text.endswith(("\n", "\r"))
-        # The table has as many columns as most of its first rows.
+        # The number of columns is that of most of the first rows.
         counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
         width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
-        # rows of numbers with another width, such as a count of points, belong to the head
+        # Leading rows of numbers with another width, such as a count of points, belong to the head.
         while width and len(fold.split(rows[first])) != width:
             first += 1
         width = width or len(fold.split(rows[first]))
@@ -186,7 +186,7 @@ class TextTable(NamedTuple):
                 f"{run.start + 1} to {run.end}" if run.end > run.start + 1 else f"{run.end}" for run in in_head[:4]
             )
             remarks.append(f"the table begins in line {first + 1}: the numbers in lines {places} are of its head")
-        # a row of numbers in a head names no column
+        # Blank out rows of numbers in the head, which name no column.
         above = [
             "" if any(run.start <= place < run.end for run in in_head) else row
             for place, row in enumerate(rows[:first])
@@ -222,10 +222,10 @@ class TextTable(NamedTuple):
                 f"{name}: line {fold.commas} has a decimal comma and line {fold.points} a point; write one of them, and"
                 " nothing between thousands"
             )
-        # a sentence above the table names no column
+        # Count the names in the last line of the head; a sentence there names no column.
         last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
         names = len(split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
-        # no program writes 05 for a whole number: it is behind a decimal comma
+        # No program writes 05 for an integer, so such digits follow a decimal comma.
         if (
             separator == ","
             and not fold.points
@@ -253,7 +253,7 @@ class TextTable(NamedTuple):
 
 
 def as_number(cell: str) -> float | None:
-    """Return the number in a cell with a decimal point or comma, nan for a word that says it is missing, else None."""
+    """Return the number in a cell with a decimal point or comma, nan for a word of a missing value, None for others."""
     if "_" in cell or len(cell) > _LONGEST_NUMBER:
         return None
     if not _NUMBER.fullmatch(cell):
@@ -267,7 +267,7 @@ def as_number(cell: str) -> float | None:
 
 
 class _Run(NamedTuple):
-    """Rows of numbers one after another, [start, end), what separates their cells, and what stands before them."""
+    """A run of numeric rows [start, end), its separator, and the kind of line before it (blank, comment or text)."""
 
     start: int
     end: int
@@ -276,13 +276,13 @@ class _Run(NamedTuple):
 
 
 class _Folding:
-    """Splits the lines of a file by what separates its columns, and notes which decimal marks it has."""
+    """Splits the lines of a file by its column separator, and notes its decimal marks."""
 
     def __init__(self, separator: str) -> None:
         self.split = partial(split, separator=separator)
-        # the first line with a decimal comma, and with a decimal point
+        # Number of the first line with a decimal comma, and of the first with a decimal point; 0 for none.
         self.commas, self.points = 0, 0
-        # whether a whole number begins with a 0
+        # Whether an integer begins with a 0.
         self.zeros = False
 
     def number(self, cell: str, line: int) -> float | None:
@@ -298,13 +298,13 @@ class _Folding:
 
 
 def decoded(content: bytes, name: str) -> str:
-    """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text."""
+    """Decode a file as UTF-8, UTF-16 with byte order mark, or else Windows-1252; raise ConfigError for binary data."""
     try:
         if content.startswith((b"\xff\xfe", b"\xfe\xff")):
             return content.decode("utf-16")
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # what programs of an older Windows write, with its own signs for µ and ²
+        # The encoding of older Windows programs, with their codes for µ and ².
         text = content.decode("cp1252", "replace")
     if "\0" in text:
         raise ConfigError(f"{name}: is no text: it has zero bytes")
@@ -317,7 +317,7 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def _runs_of(rows: Sequence[str]) -> list[_Run]:
-    """Return the runs of rows of numbers among the first lines, up to the first that is as long as a table's."""
+    """Return the runs of numeric rows among the first lines, up to the first that must be the table."""
     runs: list[_Run] = []
     after = ""
     for place, row in enumerate(rows[:_LONGEST_HEAD]):
@@ -339,12 +339,15 @@ def _runs_of(rows: Sequence[str]) -> list[_Run]:
 
 
 def _is_empty(row: str, separator: str) -> bool:
-    """Return whether each cell of a row says that its number is missing."""
+    """Return whether each cell of a row is a number or marks a missing one."""
     return all(as_number(cell) is not None for cell in split(row, separator))
 
 
 def _is_damaged(rows: Sequence[str], place: int, separator: str) -> bool:
-    """Return whether a row between two of numbers has as many cells, and numbers too: it is damaged, and no title."""
+    """Return whether a row is a damaged numeric row rather than a title.
+
+    It stands between two numeric rows, has as many cells as they, and some of them are numbers.
+    """
     if place + 1 >= len(rows) or _separator_of(rows[place + 1]) != separator:
         return False
     before, here, behind = (split(rows[near], separator) for near in (place - 1, place, place + 1))
@@ -356,20 +359,20 @@ def _break_of(row: str, before: str) -> str:
 
 
 def _separator_of(row: str) -> str | None:
-    """Return what separates the numbers of a row, None for a row of something else."""
+    """Return the separator of a numeric row; None for another row."""
     for separator in _SEPARATORS:
         cells = split(row, separator)
-        # 1,5 alone may be two columns; with another beside it, it is not
+        # Blanks are the separator only between several cells or without a comma: 1,5 alone may be two columns.
         if separator in row and _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
             return separator
     return None
 
 
 def _first_row(rows: Sequence[str], name: str) -> tuple[int, str, tuple[_Run, ...]]:
-    """Return the place of the first row of the table, what separates its columns, and the runs of numbers before it.
+    """Return the index of the first row of the table, its separator, and the runs of numeric rows in the head.
 
-    The table begins below a line that says so, such as [DATA] or *File list end. Without one, a few rows of numbers
-    with a line of text or a blank one behind them are of the head where many more follow.
+    The table begins below a line such as [DATA] or *File list end. Without one, a few numeric rows followed by a line
+    of text or a blank one belong to the head if many more follow.
     """
     runs = _runs_of(rows)
     marks = [place for place, row in enumerate(rows[:_LONGEST_HEAD]) if _BEGINS.fullmatch(row.strip())]
@@ -383,7 +386,7 @@ def _first_row(rows: Sequence[str], name: str) -> tuple[int, str, tuple[_Run, ..
         if run.end - run.start >= _SHORT_RUN or longest <= _TIMES_AS_LONG * (run.end - run.start):
             return run.start, run.separator, tuple(runs[:number])
     begin = rows[:_LONGEST_HEAD]
-    # A column of texts, such as the name of a machine, beside columns of numbers: below a head without a number.
+    # A table with a column of texts, such as machine names, beside columns of numbers, below a head without numbers.
     for place, (head, row) in enumerate(pairwise(begin), start=1):
         for separator in _SEPARATORS:
             above, numbers = split(head, separator), [as_number(cell) for cell in split(row, separator)]

@@ -1,11 +1,11 @@
-"""Units as people write them: `kHz`, `µm`, `V/√Hz`, `nm/V`, `%`, each a factor to SI and the powers of base units."""
+"""Parsing of units in common spellings, such as `kHz`, `µm`, `V/√Hz`, `nm/V`, `%`, to a factor and base units."""
 
 import re
 from typing import NamedTuple
 
 _PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9}
 _LONG_PREFIXES = {"femto": "f", "pico": "p", "nano": "n", "micro": "u", "milli": "m", "kilo": "k", "mega": "M"}
-# base unit, and how much of it
+# Base unit of each unit, and the factor to it.
 _BASES = {
     **{name: (name, 1.0) for name in ("m", "V", "N", "Hz", "s", "A", "Pa", "rad")},
     **{"v": ("V", 1.0), "Å": ("m", 1e-10), "min": ("s", 60.0), "%": ("", 0.01), "1": ("", 1.0)},
@@ -26,14 +26,14 @@ _FACTOR = re.compile(r"(sqrt)?\(?([^\W\d_]+|[%°]|1(?![\d.]))\)?(?:\^?\(?(-?\d*\
 
 
 class Unit(NamedTuple):
-    """A factor to SI, and the powers of base units such as (("Hz", -0.5), ("V", 1.0)); none is a pure number."""
+    """A factor to SI, and the powers of base units such as (("Hz", -0.5), ("V", 1.0)); empty for a pure number."""
 
     factor: float
     powers: tuple[tuple[str, float], ...]
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit that a text is, None if it is none that is known, or could be two, such as `mhz`.
+    """Parse a unit; return None if it is unknown or ambiguous, such as `mhz`.
 
     Example:
         >>> unit_of("kHz")
@@ -62,14 +62,14 @@ def unit_of(text: str) -> Unit | None:
 
 
 def _simple(word: str) -> tuple[str, float] | None:
-    """Return the base unit and the factor of a word without a power: `mV`, `khz`, `nanometres`."""
+    """Return base unit and factor of a word without a power: `mV`, `khz`, `nanometres`; None if unknown."""
     if word in _BASES:
         return _BASES[word]
     if word[1:] in _BASES and word[1:] not in _NEVER_PREFIXED and word[0] in _PREFIXES:
         base, factor = _BASES[word[1:]]
         return base, factor * _PREFIXES[word[0]]
     lower = word.lower()
-    # mHz and MHz differ by their capital alone, so that mhz is neither
+    # mHz and MHz differ only in case, so mhz is rejected.
     if lower.endswith("hz") and (lower in ("hz", "khz", "ghz") or word.startswith("M")) and len(word) <= 3:
         return "Hz", {"h": 1.0, "k": 1e3, "g": 1e9, "m": 1e6}[lower[0]]
     if lower in ("msec", "usec", "nsec"):

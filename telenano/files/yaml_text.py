@@ -1,6 +1,6 @@
-"""YAML as people write it, within bounds: what a few lines of it stand for may not fill memory, nor take minutes.
+"""Reading of YAML within limits, so that a few lines of it can neither fill the memory nor take minutes.
 
-This module needs PyYAML alone, for the emergency stop, which has no time to load anything else.
+This module imports only PyYAML, because the emergency stop has no time to load anything else.
 """
 
 import re
@@ -8,25 +8,24 @@ from typing import Any
 
 import yaml
 
-# a scenario with every key has 8 kB; the parser takes some seconds for this much
+# A scenario with every key has 8 kB; the parser takes some seconds for this size.
 LARGEST_BYTES = 1 << 18
-# A text may stand for this number of values when each alias is written out, because validation and printing walk
-# through them.
+# Most values of a text with all aliases expanded, because validation and printing walk through them.
 _MOST_VALUES = 100_000
-# No number of a quantity has more digits than this, and Python takes the square of their count to read one.
+# Most characters of a number: no quantity needs more, and Python's parsing takes the square of the count.
 _LONGEST_NUMBER = 100
-# A surrogate by itself; an escape such as "\\ud800" makes one.
+# A lone surrogate, which an escape such as "\\ud800" makes.
 _HALF = re.compile("[\ud800-\udfff]")
 _MERGE_TAG = "tag:yaml.org,2002:merge"
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
 
 class YamlError(ValueError):
-    """A text is no YAML, or beyond the bounds; the text says what is wrong, and where that is known."""
+    """A text is not YAML, or beyond the limits; the message names the fault and, if known, its line."""
 
 
-# What YAML 1.1 takes for another number than a person who writes it. Digits with an 8 or 9 behind a 0 are a text to it,
-# such as the identity of a device, which its writers leave without quotes.
+# Numbers that YAML 1.1 reads otherwise than people mean them. It reads digits with an 8 or 9 after a leading 0 as text,
+# such as the identity of a device, which its writers leave unquoted.
 _OTHER_BASE = re.compile(
     r"[-+]?(?:0[0-7_]+|0[0-9_]+\.[0-9_]*(?:[eE][-+]?[0-9]+)?|0[0-9_]+[eE][-+]?[0-9]+|0[xXoObB][0-9a-fA-F_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)"
 )
@@ -34,9 +33,9 @@ _REPLACED = ("tag:yaml.org,2002:bool", *_NUMBER_TAGS)
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader, which makes plain values only: 1e-9 is a number, on and off are words, numbers have base 10.
+    """A safe loader of plain values in which 1e-9 is a number, on and off are texts, and numbers have base 10.
 
-    YAML 1.1 has 1e-9 (without a point) a text, on, off, yes and no truth values, 1:30 is 90 and 012 is 10.
+    In YAML 1.1, 1e-9 (without a point) is a text, on, off, yes and no are booleans, 1:30 is 90 and 012 is 10.
     """
 
 
@@ -57,10 +56,10 @@ _Loader.add_implicit_resolver(
 
 
 def yaml_value(text: str) -> Any:
-    """Return what a YAML text represents.
+    """Return the value of a YAML text: plain Python data, None if it is empty.
 
     Raises:
-        YamlError: The text is not YAML.
+        YamlError: The text is not YAML, beyond a limit, or has a duplicate key or a number of another base than 10.
     """
     if len(text) > LARGEST_BYTES:
         raise YamlError(f"it has {len(text)} characters, and at most {LARGEST_BYTES} are read")
@@ -82,7 +81,7 @@ def yaml_value(text: str) -> Any:
         raise YamlError(_sentence(error)) from error
     except YamlError:
         raise
-    # The value is not what its own tag, or its look, says, such as the 45th of a month or `!!int x`.
+    # A value does not fit its tag or its form, such as the 45th of a month or `!!int x`.
     except Exception as error:
         raise YamlError(f"a value in it cannot be read: {_sentence(error)}") from error
     finally:
@@ -98,7 +97,7 @@ def _line(node: yaml.Node) -> str:
 
 
 def _check_size(root: yaml.Node) -> None:
-    """Raise YamlError where aliases make more values of a text than anybody wrote, or a number has no end of digits."""
+    """Raise YamlError if expanded aliases have too many values or a cycle, or a number is too long or not base 10."""
     counts: dict[int, int] = {}
 
     def count(node: yaml.Node) -> int:
@@ -129,7 +128,7 @@ def _check_size(root: yaml.Node) -> None:
 
 
 def _refusal_of_base(node: yaml.ScalarNode) -> str:
-    """Return what to write in place of a number that has another base than 10, or looks as if it had."""
+    """Return an error text for a number that has, or seems to have, another base than 10, with the decimal form."""
     word, plain = node.value, ""
     if ":" in word:
         total = 0.0
@@ -148,7 +147,7 @@ def _refusal_of_base(node: yaml.ScalarNode) -> str:
 
 
 def _check_characters(root: yaml.Node) -> None:
-    """Raise YamlError where an escape makes half of a character, which no file and no terminal can be written."""
+    """Raise YamlError if an escape makes a lone surrogate, which cannot be written to a file or a terminal."""
     seen: set[int] = set()
     waiting = [root]
     while waiting:
@@ -165,8 +164,8 @@ def _check_characters(root: yaml.Node) -> None:
 
 
 def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:
-    """Raise YamlError naming a key that a mapping has twice by its path, and the line."""
-    # an alias repeats a node, and may be part of itself
+    """Raise YamlError for a duplicate key of a mapping; the message has its dotted path and the line."""
+    # An alias repeats a node, and may be part of itself.
     if id(node) in seen or isinstance(node, yaml.ScalarNode):
         return
     seen.add(id(node))
@@ -177,9 +176,9 @@ def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: s
     names: set[str] = set()
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            # Reading reports a key that no plain mapping can have.
+            # The construction reports a key that no plain mapping can have.
             continue
-        # Keys are compared after reading: `true` and `True` are one key; only `<<` is not read by itself.
+        # Compare constructed keys, because `true` and `True` are one key; only `<<` cannot be constructed by itself.
         name = key.value if key.tag == _MERGE_TAG else str(loader.construct_object(key))
         if name in names:
             line = key.start_mark.line + 1

@@ -1,4 +1,4 @@
-"""What the network between the sites does to messages: models of delay, loss and queues, the engine."""
+"""Emulation of the network between the sites: models of delay, loss and queues, and the impairment engine."""
 
 from typing import TYPE_CHECKING
 

@@ -1,8 +1,9 @@
 """One direction of the link: messages with arrival times in, messages with release times out.
 
-No clock, no socket. All times are integer nanoseconds of one clock that the caller reads. What happens to a message
-is decided by the settings, the seed and the sequence of (arrival time, topic, size) alone, not by when the caller asks
-for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
+It uses neither a clock nor a socket. All times are integer nanoseconds of one clock that the caller reads. The fate of
+a message depends only on the settings, the seed and the sequence of (arrival time, topic, size), not on the times at
+which the caller asks for due messages. Order of the stages: outage, loss, corruption, duplication, queue and rate,
+delay, order, slots.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,12 +20,12 @@ from telenano.settings.link_files import Files, read_files
 from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.wire.node_state import FindInput
 
-# The limit is a day: no setting asks for more than an hour, but a heavy tail may draw anything.
+# One day: no setting exceeds an hour, but a heavy-tailed distribution may draw any value.
 _LONGEST_DELAY_NS = 86_400_000_000_000
 
 
 class QueuedMessage(NamedTuple):
-    """A message that waits in a queue, as `InFlight` describes it; its payload only where bits of it were flipped."""
+    """A message that waits in a queue, with the fields of `InFlight`; `damaged` is the payload if bits were flipped."""
 
     topic: str
     size_bytes: int
@@ -44,9 +45,8 @@ class QueuedMessage(NamedTuple):
 class DirectionState(NamedTuple):
     """The state of a direction.
 
-    topics: those that it has had messages of; in_flight: when a message is released [ns], its place among those of that
-    time, its payload only where bits of it were flipped, and its fate, which has its name; waiting: by the pattern of a
-    block.
+    topics: the topics of messages so far; in_flight: release time of each message [ns], its rank among equal times, its
+    payload if bits were flipped (else empty), and its fate; waiting: queued messages by the pattern of their block.
     """
 
     now_ns: int
@@ -63,14 +63,14 @@ class DirectionState(NamedTuple):
 class DirectionEngine:
     """One direction of the link.
 
-    Times given to it should not decrease from call to call: a message stamped earlier than the one before it counts as
-    arriving together with that one.
+    The times passed to it should not decrease: a message with an earlier time than the previous one counts as arriving
+    together with that one.
     """
 
     def __init__(self, direction: Direction, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
-        """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
+        """Start with settings whose files are searched in `folder`; `start_ns` is the origin of their times [ns].
 
-        The caller has to call `take_fates` regularly.
+        The caller must call `take_fates` regularly, because fates are kept until then.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
@@ -89,9 +89,9 @@ class DirectionEngine:
     def submit(
         self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "", *, at_once: bool = False
     ) -> Sequence[Release]:
-        """Accept a message that arrived at now_ns [ns] and return all that is due now, in order.
+        """Accept a message that arrived at `now_ns` [ns], and return all messages that are due now, in order.
 
-        Nothing impairs, holds or delays a message that continues `at_once`.
+        With `at_once` the message is not impaired, held or delayed.
         """
         if now_ns < self._now_ns:
             now_ns = self._now_ns
@@ -111,7 +111,7 @@ class DirectionEngine:
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
 
     def leave_out(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str, cause: str) -> None:
-        """Drop a message that arrived at now_ns [ns] for a cause that is no impairment, which its fate names."""
+        """Drop a message that arrived at `now_ns` [ns] for a cause other than an impairment, and record it as fate."""
         pipeline = self._topics.get(topic) or self._pipeline.open(topic)
         self._figures.messages_in += 1
         self._figures.bytes_in += len(payload)
@@ -139,18 +139,18 @@ class DirectionEngine:
         *,
         folder: Path = Path(),
     ) -> list[Fate]:
-        """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
+        """Return the fate of each message of a stream, and of each copy, sorted by seq.
 
-        For simulations that need the delays of the link beforehand: seq counts from 0; the origin of traces and
-        schedules, and the start of the session, is the first arrival.
+        Simulations use it to know the delays of the link in advance. seq counts from 0; the first arrival is the origin
+        of traces and schedules and the start of the session.
 
         Args:
             settings: The settings of the link.
             direction: The direction of the stream.
-            topic: The topic of its messages.
-            arrivals_ns: When each of them arrives at the link, which must not decrease [ns].
-            size_bytes: The size of each of them.
-            folder: The folder in which the files of the settings are sought.
+            topic: The topic of the messages.
+            arrivals_ns: Arrival time of each message at the link, not decreasing [ns].
+            size_bytes: Size of each message.
+            folder: The folder in which the files of the settings are searched.
 
         Raises:
             ConfigError: A file cannot be used.
@@ -167,12 +167,12 @@ class DirectionEngine:
         return sorted(engine.take_fates(), key=lambda fate: (fate.seq, fate.copy))
 
     def draw_losses(self, topic: str, count: int) -> list[bool]:
-        """Return whether each of the next messages of a topic is lost, where nothing else but a delay impairs it."""
+        """Return the loss of each of the next `count` messages of a topic, under settings with only loss and delay."""
         pipeline = self._topics.get(topic) or self._pipeline.open(topic)
         return [pipeline.lost_by(self._now_ns, 0) != "" for _ in range(count)]
 
     def due(self, now_ns: int) -> list[Release]:
-        """Return the messages whose release time has come, in the order of release."""
+        """Return the messages whose release time has come by `now_ns`, in order of release."""
         if self._queues:
             self._advance(now_ns)
         heap = self._heap
@@ -184,7 +184,7 @@ class DirectionEngine:
         return released
 
     def next_release_ns(self) -> int | None:
-        """Return when to call `due` next, or None if nothing is in flight. Nothing can be due earlier."""
+        """Return the next time at which to call `due` [ns]; None if nothing is in flight. Nothing is due earlier."""
         next_ns = self._heap[0][0] if self._heap else None
         for queue in self._queues:
             leave_ns = queue.leave_ns
@@ -193,16 +193,16 @@ class DirectionEngine:
         return next_ns
 
     def take_fates(self) -> list[Fate]:
-        """Return the fates decided since the last call, in the order of decision, and forget them."""
+        """Return and remove the fates decided since the last call, in the order of decision."""
         taken, self._fates = self._fates, []
         return taken
 
     def stats(self) -> DirectionStats:
-        """Return the live figures; the delays begin again with each call."""
+        """Return the live figures; those of the delays are reset by each call."""
         return self._figures.take(sum(len(queue) for queue in self._queues), len(self._heap))
 
     def files_of(self, settings: LinkSettings) -> dict[str, Files]:
-        """Read the files that the settings name: the first half of a change, the one that may fail.
+        """Read the files that the settings name; this is the first half of a change, which may fail.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
@@ -211,17 +211,17 @@ class DirectionEngine:
         return read_files(direction, self._folder, self._direction)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        """Apply settings to the messages that arrive from now on; the second half, which cannot fail.
+        """Apply settings to the messages that arrive from now on; the second half of a change, which cannot fail.
 
-        Messages in flight keep their fate. A model whose own settings stay the same continues as if nothing had
-        happened (`carry_over`); one that is new or changed begins its course (outage schedule, trace, slots) now.
+        Messages in flight keep their fate. A model whose own settings are unchanged continues (`carry_over`); a new or
+        changed one begins its course (outage schedule, trace, slots) now.
         """
         now_ns = self._now_ns = max(self._now_ns, now_ns)
         self._advance(now_ns)
         before = self._pipeline.shared_models
         self._pipeline.adopt(settings, files, now_ns)
         self._note_models()
-        # What waits goes from a queue to the next of its block, unless topics may have moved between blocks.
+        # Queued messages move to the new queue of their block, unless topics may have moved between blocks.
         next_of = self._pipeline.shared_models
         may_wait_on = tuple(before) == tuple(next_of)
         for pattern, shared in before.items():
@@ -231,16 +231,16 @@ class DirectionEngine:
     def _hand_over(
         self, queue: ServedQueue[InFlight], block: SharedModels | None, now_ns: int, *, may_wait_on: bool
     ) -> None:
-        """Take over what waits in a queue under the settings of before, unless the queue continues.
+        """Take over the messages that wait in a queue of the previous settings, unless the queue continues.
 
-        What waited for the end of an outage alone waits on in the queue of the same block. What a server has yet to
-        send is sent by the server of before, and the next one begins after it.
+        Messages that only wait for the end of an outage wait on in the queue of the same block. Other messages are sent
+        by the old server, and the new one begins after them.
 
         Args:
-            queue: The queue under the settings of before.
-            block: The models that the same block has now, None for a block that is gone.
-            now_ns: When the settings have come into force [ns].
-            may_wait_on: Whether each block has the topics that it had.
+            queue: The queue under the previous settings.
+            block: The present models of the same block; None for a block that no longer exists.
+            now_ns: Time at which the settings come into force [ns].
+            may_wait_on: Whether each block still has the same topics.
         """
         _hold_again(queue, None if block is None else block.outages, now_ns)
         successor = None if block is None else block.queue
@@ -256,14 +256,14 @@ class DirectionEngine:
             successor.wait_until(queue.free_ns)
 
     def begin_session(self, now_ns: int) -> None:
-        """Count the schedules that are given in session time from now on [ns]."""
+        """Begin a session at `now_ns` [ns], the origin of schedules that are given in session time."""
         self._pipeline.begin_session(now_ns)
         for shared in self._pipeline.shared_models.values():
             if shared.queue is not None:
                 _hold_again(shared.queue, shared.outages, now_ns)
 
     def capture(self) -> DirectionState:
-        """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
+        """Return the state; raise ValueError while a message waits under an order or slots no longer in force."""
         return DirectionState(
             now_ns=self._now_ns,
             arrivals=self._arrivals,
@@ -284,11 +284,11 @@ class DirectionEngine:
         )
 
     def restore(self, state: DirectionState, settings: LinkSettings, find: FindInput) -> None:
-        """Continue from a state, which had these settings.
+        """Continue from a state that was captured under these settings; `find` returns payloads from a recording.
 
         Raises:
             ConfigError: A file cannot be used.
-            KeyError: The state is not one of this engine; ValueError and TypeError mean the same.
+            KeyError: The state does not fit this engine; ValueError and TypeError mean the same.
         """
         files = self.files_of(settings)
         pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
@@ -298,7 +298,7 @@ class DirectionEngine:
         self._note_models()
         self._now_ns, self._arrivals, self._pushed = state.now_ns, state.arrivals, state.pushed
         self._figures, self._fates = state.figures, state.fates
-        # The entries keep the order of the heap, so that the list is a heap again.
+        # The entries are in the order of the heap, so the list is a heap again.
         self._heap = []
         for release_ns, pushed, damaged, fate in state.in_flight:
             payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
@@ -314,7 +314,7 @@ class DirectionEngine:
     def _captured(self, message: InFlight) -> QueuedMessage:
         pipeline, order, seq, copy, payload, *rest = message
         topic, now = pipeline.topic, self._topics[pipeline.topic]
-        # The way of a message from the queue on depends on these settings only.
+        # The processing of a message after the queue depends only on these settings.
         if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
             raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
         damaged = payload if message.corrupted else b""
@@ -327,7 +327,7 @@ class DirectionEngine:
         return message._replace(payload=payload)
 
     def _note_models(self) -> None:
-        """Note which topics are open and which queues there are, after either may have changed."""
+        """Cache the open topics and the queues after either may have changed."""
         self._topics = self._pipeline.topics
         shared_models = self._pipeline.shared_models.values()
         self._queues = [shared.queue for shared in shared_models if shared.queue is not None]
@@ -335,13 +335,13 @@ class DirectionEngine:
     def _delay(
         self, pipeline: TopicPipeline, delay_ns: int, now_ns: int, payload: bytes, seq: int, src: str
     ) -> Release | None:
-        """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
+        """Pass a message through a constant delay; return it if the delay is zero and nothing is due before it.
 
-        The case of a plain bridge, kept short: it has to carry 6000 messages a second.
+        This case of a plain bridge is kept short, because it must carry 6000 messages a second.
         """
         release_ns = now_ns + delay_ns
         latest_release = pipeline.latest_release
-        # The delay may have become shorter with messages in flight.
+        # The delay may have been shortened while messages are in flight.
         reordered = release_ns < latest_release.latest_ns
         if reordered:
             self._figures.reordered += 1
@@ -371,7 +371,7 @@ class DirectionEngine:
         return None
 
     def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> None:
-        # All draws come first: whether one model draws may not depend on what another has decided.
+        # All draws come first, because whether one model draws must not depend on the decision of another.
         applies = pipeline.applies is None or pipeline.applies()
         number = pipeline.next_number()
         lost_by = pipeline.lost_by(now_ns, number)
@@ -414,16 +414,16 @@ class DirectionEngine:
         )
         self._figures.corrupted += corrupted
         self._figures.duplicated += duplicated
-        # A line that stands still cannot be overtaken, and what it holds is bounded by its queue.
+        # During an outage no message overtakes, so that the queue bounds all messages that are held.
         self._enqueue(message, bypass=overtakes and end_ns is None)
         if duplicated:
             self._enqueue(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
 
     def _enqueue(self, message: InFlight, *, bypass: bool) -> None:
-        """Put a message into the queue, or schedule it at once where it bypasses the queue."""
+        """Put a message into the queue, or schedule it at once if there is no queue or the message bypasses it."""
         pipeline = message.pipeline
         queue = pipeline.shared.queue
-        # With order, no message leaves the line, not even one that passes untouched.
+        # If messages are ordered, none bypasses the queue, not even one that is not impaired.
         ready_ns = message.ready_ns
         if (
             queue is None
@@ -438,9 +438,9 @@ class DirectionEngine:
         self._advance(message.arrived_ns)
 
     def _advance(self, now_ns: int) -> None:
-        """Decide the fate of every message that has left its queue by now, in the order of leaving."""
+        """Decide the fate of every message that has left its queue by `now_ns`, in order of leaving."""
         while True:
-            # The earliest first, whatever queue it waits in: the record must not depend on how often this is called.
+            # The earliest of all queues first, so that the result does not depend on how often this is called.
             foremost, reached_ns = None, now_ns
             for queue in self._queues:
                 leave_ns = queue.leave_ns
@@ -452,9 +452,9 @@ class DirectionEngine:
             self._schedule(message, sent_ns, reached_ns)
 
     def _schedule(self, message: InFlight, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
-        """Fix the release of a message sent at sent_ns; none that comes later can be sent before reached_ns.
+        """Determine the release time of a message sent at `sent_ns`; no later message is sent before `reached_ns`.
 
-        `past_queue`: it has left messages of its topic behind in the queue.
+        `past_queue`: the message has overtaken messages of its topic in the queue.
         """
         pipeline = message.pipeline
         release_ns = sent_ns + message.delay_ns
@@ -487,12 +487,12 @@ class DirectionEngine:
 
 
 def _random_delay_ns(fixed_ns: int, jitter: RandomDelay | None, now_ns: int) -> int:
-    # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
+    # A delay that a wide jitter makes negative is limited to zero: no network delivers before it has received.
     return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter(now_ns))), _LONGEST_DELAY_NS)
 
 
 def _hold_again(queue: ServedQueue[InFlight], outages: Outages | None, now_ns: int) -> None:
-    """Let what waits for the end of an outage wait for the end of the one that is in force now, if there is any."""
+    """Let the messages that wait for the end of an outage wait for the end of the present outage, if there is one."""
     if any(entry.ready_ns > now_ns for entry in queue.waiting):
         end_ns = (None if outages is None else outages.end_ns(now_ns)) or now_ns
         queue.refill(
@@ -514,7 +514,7 @@ def _waiting(message: InFlight) -> Waiting[InFlight]:
 
 
 def _fate(direction: Direction, message: InFlight) -> Fate:
-    """Return what is known of a message before its release is decided."""
+    """Return the fate of a message as far as it is known before its release is decided."""
     return Fate(
         direction=direction,
         topic=message.pipeline.topic,

@@ -10,7 +10,7 @@ from telenano.wire.node_state import FindInput
 
 
 class LinkState(NamedTuple):
-    """The state of both directions, and the settings in force where they were changed since the start."""
+    """The state of both directions, and the settings in force if they were changed since the start, else None."""
 
     settings: dict[str, Any] | None
     forward: DirectionState
@@ -21,7 +21,7 @@ class LinkEngine:
     """Both directions of the link under one set of settings."""
 
     def __init__(self, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
-        """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
+        """Start with the settings at `start_ns` [ns], the origin of outage schedules, traces and slots.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
@@ -45,20 +45,20 @@ class LinkEngine:
         self._changed_settings = settings.model_dump(exclude_unset=True)
 
     def begin_session(self, now_ns: int) -> None:
-        """Count the schedules that are given in session time from now on [ns]."""
+        """Begin a session at `now_ns` [ns], the origin of schedules that are given in session time."""
         self.forward.begin_session(now_ns)
         self.backward.begin_session(now_ns)
 
     def capture(self) -> LinkState:
-        """Return the state; ValueError as for a direction."""
+        """Return the state; raise ValueError as `DirectionEngine.capture`."""
         return LinkState(self._changed_settings, self.forward.capture(), self.backward.capture())
 
     def restore(self, state: LinkState, find: FindInput) -> None:
-        """Continue from a state; `find` returns the payloads of what is in flight.
+        """Continue from a state; `find` returns the payloads of messages in flight.
 
         Raises:
             ConfigError: A file cannot be used.
-            KeyError: The state is not one of this engine; ValueError and TypeError mean the same.
+            KeyError: The state does not fit this engine; ValueError and TypeError mean the same.
         """
         self._changed_settings = state.settings
         if self._changed_settings is not None:
@@ -67,12 +67,12 @@ class LinkEngine:
         self.backward.restore(state.backward, self.settings, find)
 
     def next_release_ns(self) -> int | None:
-        """Return when to call `due` of a direction next, or None if nothing is in flight."""
+        """Return the next time at which to call `due` of the directions [ns]; None if nothing is in flight."""
         forward_ns, backward_ns = self.forward.next_release_ns(), self.backward.next_release_ns()
         if forward_ns is None or backward_ns is None:
             return backward_ns if forward_ns is None else forward_ns
         return min(forward_ns, backward_ns)
 
     def take_fates(self) -> list[Fate]:
-        """Return and forget the fates decided since the last call, forward first."""
+        """Return and remove the fates decided since the last call, forward first."""
         return self.forward.take_fates() + self.backward.take_fates()

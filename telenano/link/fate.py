@@ -1,4 +1,4 @@
-"""What the engine reports about messages: ground truth of each, live figures of all."""
+"""Reports of the impairment engine: ground truth on each message, and live figures on all."""
 
 from typing import Literal, NamedTuple
 
@@ -40,7 +40,7 @@ def delayed(
     reordered: bool,
     src: str,
 ) -> Fate:
-    """Return the fate of a message on a plain bridge: keywords of the class itself take nearly twice as long."""
+    """Return the fate of a message on a plain bridge; calling the class with keywords takes nearly twice as long."""
     return Fate(
         direction, topic, seq, 0, size_bytes, arrived_ns, release_ns, delay_ns, 0, 0, "", False, reordered, False, src
     )
@@ -74,7 +74,7 @@ class DirectionStats(NamedTuple):
 
 
 class Figures(msgspec.Struct, array_like=True):
-    """The counters behind the live figures; the last four are of the releases since they were last taken."""
+    """The counters behind the live figures; the last four cover the releases since the last `take`."""
 
     messages_in: int = 0
     messages_out: int = 0
@@ -100,7 +100,7 @@ class Figures(msgspec.Struct, array_like=True):
         self.sum_ns += delay_ns
 
     def take(self, queued: int, scheduled: int) -> DirectionStats:
-        """Return the figures and reset those of the delays."""
+        """Return the figures and reset those of the delays; the arguments are numbers of messages in flight."""
         count = self.count
         stats = DirectionStats(
             messages_in=self.messages_in,

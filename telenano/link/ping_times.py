@@ -1,44 +1,43 @@
-"""When the link asks the other site for its time: ten times a second, and often while the line may have changed.
+"""Schedule of the link's clock questions to the other site: ten a second, and more while the line may have changed.
 
-What the line takes now follows from exchanges (`telenano.timing.line_present`), and one in a tenth of a second would
-tell of a longer route half a second late. So a question that is not answered when it should be, answers that came
-later, or the silence of the other half of the law begins a series of questions a hundredth of a second apart. It ends
-when the line is as it was or has been seen to be longer, and after half a second in any case. The next one then begins
-a second later at the earliest, and after each that shows nothing twice as late, and never before an answer has come, so
-that a line that is cut or full is left alone.
+The present round trip follows from exchanges (`telenano.timing.line_present`), and ten of them a second would reveal a
+longer route half a second late. Therefore an overdue answer, slow answers, or silence of the other half of the law
+starts a series of questions 10 ms apart. It ends when the line proves unchanged or longer, at the latest after half a
+second. The next series begins at least one second later, twice as late after each series without a result, and never
+before an answer has come, so that a line that is cut or full gets no additional load.
 """
 
 import msgspec
 
-# No time: a question is never due by itself [ns].
+# Represents a time that never comes [ns].
 NEVER_NS = 2**62
-# A question each [ns], within a series.
+# Interval of the questions in a series [ns].
 _APART_NS = 10_000_000
-# A series lasts for this time at most, and the next one begins this long after it [ns].
+# Longest duration of a series, and first and longest pause after it [ns].
 _SERIES_NS = 500_000_000
 _PAUSE_NS = 1_000_000_000
 _LONGEST_PAUSE_NS = 8_000_000_000
-# One that found the line unchanged, or longer, may be followed after this time [ns].
+# Pause after a series that found the line unchanged or longer [ns].
 _BREATH_NS = 200_000_000
-# An answer may be later by this than the line takes [ns].
+# An answer is overdue after the round trip plus this time [ns].
 _LATE_NS = 10_000_000
-# A silence of the law is this number of mean distances of its messages, and at least that long [ns].
+# The other half of the law is silent after this number of mean intervals of its messages, but at least `_SILENT_NS`.
 _SILENT = 3
 _SILENT_NS = 15_000_000
-# Messages of the law that are further apart than this show no change of the line by their silence [ns].
+# If the mean interval of the law's messages exceeds this, their silence says nothing about the line [ns].
 _SPARSE_NS = 50_000_000
 _NEWEST_SHARE = 0.1
-# A series has this number of answers at least before the line counts as unchanged.
+# Least number of answers in a series before the line counts as unchanged.
 _ENOUGH = 5
 
 
 class Questions(msgspec.Struct, array_like=True):
-    """When the next question is due beside the ten a second; times of the monotonic clock [ns].
+    """Schedule of the questions beyond the ten a second; times are of the monotonic clock [ns].
 
-    unanswered_ns: when the oldest question was sent that none after it was answered; until_ns: the end of the series
-    under way; next_ns: its next question; rest_until_ns: no series begins before; answers: how many came since the last
-    one began; heard_ns, apart_ns: the newest message of the other half of the law, and their mean distance; pause_ns:
-    the pause behind a series that shows nothing.
+    unanswered_ns: send time of the first question since the last answer; until_ns: end of the present series; next_ns:
+    its next question; rest_until_ns: earliest start of the next series; answers: number since the last series began;
+    heard_ns, apart_ns: time of the newest message of the law's other half, and the mean interval of its messages;
+    pause_ns: pause after a series without a result.
     """
 
     unanswered_ns: int = NEVER_NS
@@ -51,17 +50,17 @@ class Questions(msgspec.Struct, array_like=True):
     pause_ns: int = _PAUSE_NS
 
     def hear(self, now_ns: int) -> None:
-        """Note a message of the other half of the law."""
+        """Record a message of the other half of the law."""
         if self.heard_ns:
             self.apart_ns += _NEWEST_SHARE * (now_ns - self.heard_ns - self.apart_ns)
         self.heard_ns = now_ns
 
     def ask(self, now_ns: int) -> None:
-        """Note a question that is sent."""
+        """Record a question that is sent."""
         self.unanswered_ns = min(self.unanswered_ns, now_ns)
 
     def answer(self, now_ns: int, *, in_doubt: bool, is_longer: bool) -> None:
-        """Note an answer, whether those of late leave the line in doubt, and whether it is now seen to be longer."""
+        """Record an answer; `in_doubt`: the latest ones are slow; `is_longer`: the line has proved to be longer."""
         self.unanswered_ns = NEVER_NS
         self.answers += 1
         if now_ns < self.until_ns and (is_longer or (not in_doubt and self.answers >= _ENOUGH)):
@@ -72,7 +71,7 @@ class Questions(msgspec.Struct, array_like=True):
             self.pause_ns = _PAUSE_NS
 
     def due_ns(self, round_trip_ns: int) -> int:
-        """Return when `take` is to be called [ns], for a line that takes so long."""
+        """Return the time at which to call `take` [ns], given the present round trip [ns]."""
         if self.next_ns < self.until_ns:
             return self.next_ns
         if not self.answers:
@@ -85,12 +84,12 @@ class Questions(msgspec.Struct, array_like=True):
         return due_ns if due_ns == NEVER_NS else max(due_ns, self.rest_until_ns)
 
     def take(self, now_ns: int, round_trip_ns: int) -> bool:
-        """Return whether a question is to be sent now."""
+        """Return whether a question must be sent now, and schedule the next one."""
         if now_ns < self.due_ns(round_trip_ns):
             return False
         self._begin(now_ns)
         if now_ns >= self.until_ns:
-            # The series has ended before its next question, which would stay due and let the loop take turn after turn.
+            # The series is over. Its next question would remain due, and the loop would never wait.
             self.next_ns = self.until_ns
             return False
         self.next_ns = now_ns + _APART_NS
@@ -103,5 +102,5 @@ class Questions(msgspec.Struct, array_like=True):
         self.rest_until_ns = self.until_ns + self.pause_ns
         self.pause_ns = min(2 * self.pause_ns, _LONGEST_PAUSE_NS)
         self.answers = 0
-        # A silence begins one series.
+        # One silence starts only one series.
         self.heard_ns = 0

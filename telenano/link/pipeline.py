@@ -1,6 +1,6 @@
-"""From settings to models: which models a topic goes through, and what survives a change of settings.
+"""Construction of the models from the settings: the pipeline of each topic, also after a change of settings.
 
-Loss, delay, duplication, corruption and reordering belong to a topic; queue, slots, outages and the origin of traces
+Loss, delay, duplication, corruption and reordering belong to a topic. Queue, slots, outages and the origin of traces
 belong to a block of settings and are shared by all topics under it (`carry_over`).
 """
 
@@ -27,14 +27,14 @@ NS_PER_S = 1_000_000_000
 
 
 class LatestRelease(msgspec.Struct, eq=False, array_like=True):
-    """Latest release of a topic, or of an ordered group, and the place in the order of arrival it had."""
+    """Latest release time of a topic or of an ordered group [ns], and the order of arrival of that message."""
 
     latest_ns: int = -1
     order: int = -1
 
 
 class MessageCount:
-    """The number of the next message under a block of settings, where a trace goes by it."""
+    """Number of the next message under a block of settings, for traces that go by message number."""
 
     __slots__ = ("state",)
 
@@ -43,7 +43,7 @@ class MessageCount:
 
 
 class SharedModels(NamedTuple):
-    """What the topics under the same settings share; None represents a model that does nothing."""
+    """Models shared by the topics under the same settings; None represents a model that does nothing."""
 
     settings: Impairment
     files: Files
@@ -76,7 +76,7 @@ class TopicPipeline(NamedTuple):
     copy_jitter: RandomDelay | None
 
     def next_number(self) -> int:
-        """Return the number of a message that arrives now, 0 where none counts; reliable ones do not count."""
+        """Return the number of a message that arrives now; 0 without a counter. Reliable messages do not count."""
         counter = self.shared.counter
         if counter is None:
             return 0
@@ -86,7 +86,7 @@ class TopicPipeline(NamedTuple):
         return number
 
     def fixed_delay_ns(self, now_ns: int, number: int) -> int:
-        """Return fixed and recorded delay [ns] of a message that arrives now, with its number."""
+        """Return the fixed delay plus that of the trace [ns], for a message with this arrival time [ns] and number."""
         course, trace = self.shared.files.course, self.shared.settings.delay_trace
         if course is None:
             return self.fixed_ns
@@ -94,7 +94,7 @@ class TopicPipeline(NamedTuple):
         return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
 
     def lost_by(self, now_ns: int, number: int) -> str:
-        """Return the first model that loses a message that arrives now; each draws, whatever the others decide."""
+        """Return the name of the first model that loses the message, or empty; every model draws in any case."""
         lost = [cause for cause, loses in self.losses if loses()]
         course = self.shared.files.losses
         if course is not None and not self.reliable and not lost:
@@ -123,9 +123,9 @@ class InFlight(NamedTuple):
 
 
 class PipelineState(NamedTuple):
-    """By their keys: how many numbers were drawn of a stream, the states of the models, and the latest releases.
+    """State of a pipeline, by key: count of numbers drawn from each stream, states of the models, latest releases.
 
-    session_ns: when the newest session began [ns].
+    session_ns: start of the newest session [ns].
     """
 
     drawn: list[tuple[tuple[str, ...], int]]
@@ -135,7 +135,7 @@ class PipelineState(NamedTuple):
 
 
 class Pipeline:
-    """Builds the models of one direction, those of the topics that it has had messages of and those that they share."""
+    """Builds the models of one direction: those of the topics that have had messages, and those that they share."""
 
     def __init__(self, direction: Direction, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         self._direction: Direction = direction
@@ -147,22 +147,21 @@ class Pipeline:
         self._build(settings, files, now_ns, ModelTable())
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        """Build the models for settings; what continues is in `carry_over`, and what begins has its origin at now_ns.
+        """Build the models for new settings; `carry_over` says which continue. New ones have their origin at `now_ns`.
 
-        The topics open again at once: the state of a topic after a change follows from the settings and from its state
-        before.
+        All topics are rebuilt at once, so that their state follows from the settings and their previous state.
         """
         before = self._table.models
         if settings.seed != self._seed:
             self._streams.clear()
             before = {}
         if tuple(files) != tuple(self.shared_models):
-            # Topics may move between queues.
+            # Topics may move between queues, so all queues are rebuilt.
             before = {key: model for key, model in before.items() if key[:2] != ("shared", "queue")}
         self._build(settings, files, now_ns, ModelTable(before))
 
     def begin_session(self, now_ns: int) -> None:
-        """Count the schedules that are given in session time from now on."""
+        """Begin a session at `now_ns` [ns], the origin of schedules that are given in session time."""
         self._session_ns = now_ns
         for shared in self.shared_models.values():
             if shared.outages is not None:
@@ -178,10 +177,10 @@ class Pipeline:
         )
 
     def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
-        """Continue from a state, with the topics open that were.
+        """Continue from a state; the topics that were open then must be open.
 
         Raises:
-            KeyError: The state is not one of a pipeline with these settings and topics; ValueError and TypeError mean
+            KeyError: The state does not fit a pipeline with these settings and topics; ValueError and TypeError mean
                 the same.
         """
         self._session_ns = state.session_ns
@@ -195,7 +194,7 @@ class Pipeline:
             else:
                 model.state = kept.like(model.state)
         self._progress.update(state.latest_release)
-        # Blocks and topics copy some values of their models, so they are built again of these.
+        # Rebuild blocks and topics, because they copy some values of their models.
         self._build(settings, files, 0, ModelTable(models))
 
     def _build(self, settings: LinkSettings, files: dict[str, Files], now_ns: int, table: ModelTable) -> None:
@@ -206,7 +205,7 @@ class Pipeline:
         table.close()
 
     def open(self, topic: str) -> TopicPipeline:
-        """Return the models that a topic goes through, which this makes for its first message."""
+        """Build and return the pipeline of a topic, at its first message."""
         pipeline = self.topics[topic] = self._models_of(topic)
         return pipeline
 
@@ -275,7 +274,7 @@ class Pipeline:
         elif rate_bytes_per_s is not None:
             server = RateServer(rate_bytes_per_s, s.rate.overhead_bytes)
         elif s.outage.is_on:
-            # What a line without any limit holds while it stands still is bounded as what waits for a slow one.
+            # A line without a rate limit also needs a queue, which bounds the messages held during an outage.
             server = RateServer(math.inf, 0)
         else:
             return None
@@ -299,7 +298,7 @@ class Pipeline:
         if not outage.is_on:
             return None
         draw = self._stream("shared", "outage", pattern)
-        # Whether an outage drops or holds does not move it.
+        # The mode (drop or hold) does not change the times of outages.
         definition = outage.model_copy(update={"mode": "drop"})
         session_ns = self._session_ns
         return self._table.take(
@@ -315,7 +314,7 @@ class Pipeline:
         )
 
     def _applies(self, topic: str, probability: float) -> Occurrence:
-        # Not through _event: a probability of 0 has to be a model here, one that never applies.
+        # Not through `_event`, because a probability of 0 needs a model here, one that never applies.
         draw = self._stream(topic, "apply")
         return self._table.take((topic, "apply"), probability, lambda: Occurrence(probability, 0.0, draw))
 

@@ -1,8 +1,8 @@
 """Random numbers of the link: one stream for each direction, topic and model, all from one seed.
 
-Only `random.Random.random` is used, the one method whose sequence Python guarantees for a seed. Every enabled model
-draws for every message, even for one that another model has already dropped, so that switching one model on or
-off never shifts the draws of another.
+Only `random.Random.random` is used, the only method whose sequence Python guarantees for a seed. Every enabled model
+draws for every message, even for one that another model has already dropped, so that switching one model on or off
+never shifts the draws of another.
 """
 
 import hashlib
@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 Draw = Callable[[], float]
 
-# A uniform number stays off 0 and 1, where the quantiles of unbounded distributions are infinite.
+# Uniform numbers are kept away from 0 and 1, where the quantiles of unbounded distributions are infinite.
 SMALLEST = 2.0**-54
 LARGEST = 1.0 - 2.0**-53
 
 
 class RandomStream:
-    """A stream that counts its numbers: with what it was made of, the count is its whole state."""
+    """A stream that counts its numbers; with the seed and names of the stream, the count is its whole state."""
 
     __slots__ = ("_draw", "drawn")
 
@@ -35,7 +35,7 @@ class RandomStream:
         return self() or SMALLEST
 
     def advance_to(self, drawn: int) -> None:
-        """Draw until this number of numbers have been drawn in all; ValueError if more have been already."""
+        """Draw until `drawn` numbers have been drawn in total; raise ValueError if more have been drawn already."""
         if drawn < self.drawn:
             raise ValueError(f"drawn is {drawn}, {self.drawn} numbers have been drawn already")
         for _ in range(drawn - self.drawn):
@@ -44,7 +44,7 @@ class RandomStream:
 
 
 def stream(seed: int, *names: str) -> RandomStream:
-    """Return the uniform [0, 1) stream that belongs to the names; other names give an independent one."""
+    """Return the uniform [0, 1) stream of a seed and names; other names give an independent stream."""
     digest = hashlib.sha256("\n".join((str(seed), *names)).encode()).digest()
     return RandomStream(random.Random(int.from_bytes(digest)).random)
 
@@ -62,7 +62,7 @@ class Occurrence:
         self._draw = draw
         self._after_event = probability + correlation * (1.0 - probability)
         self._after_none = probability * (1.0 - correlation)
-        # probability of an event at the next draw
+        # Probability of an event at the next draw.
         self.state = probability
 
     def __call__(self) -> bool:
@@ -92,11 +92,11 @@ class CorrelatedUniform:
         if self._rho == 0.0:
             return u
         fresh = self._inverse(u)
-        # The first score has no predecessor: it comes from the stationary distribution itself.
+        # The first score has no predecessor, so it is drawn from the stationary distribution.
         self.score = fresh if self.score is None else self._rho * self.score + self._fresh * fresh
         return share_below(self.score)
 
 
 def share_below(score: float) -> float:
-    """Return the share of normal scores below this one, within (0, 1)."""
+    """Return the standard normal distribution function Phi(score), limited to the open interval (0, 1)."""
     return min(max(0.5 * math.erfc(-score / math.sqrt(2.0)), SMALLEST), LARGEST)

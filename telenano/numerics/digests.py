@@ -1,4 +1,4 @@
-"""The sources of compiled steps, their digest, and the folder of compiled code that it names (ADR 0010)."""
+"""Digest of the sources of compiled steps, and the folder of compiled code that is named by it (ADR 0010)."""
 
 import contextlib
 import hashlib
@@ -14,7 +14,7 @@ from telenano.settings.plugins import digest_of_all, in_lockstep, package_files,
 from telenano.settings.plugins import modules as package_modules
 
 _ROOT = Path(__file__).resolve().parents[2]
-# These folders and files hold the steps, and everything else that the outcome of a study depends on.
+# Folders and files with the steps, and with everything else on which the result of a study depends.
 SOURCES = (
     *(
         "telenano/numerics",
@@ -27,58 +27,61 @@ SOURCES = (
         "telenano/sections",
         "telenano/settings",
     ),
-    # a verdict
+    # The verdict.
     *("telenano/analysis/modes.py", "telenano/analysis/verdict_thresholds.py", "telenano/analysis/read_out.py"),
     *("telenano/analysis/motion_fit.py", "telenano/analysis/envelope.py", "telenano/analysis/findings.py"),
     *("telenano/analysis/decision.py", "telenano/analysis/verdict_sentences.py", "telenano/analysis/verdict.py"),
-    # deadlines and the step of a reported delay, which are compiled into the loop
+    # Deadlines and the step of a reported delay, which are compiled into the loop.
     *("telenano/wire/topics.py", "telenano/wire/messages.py", "telenano/timing/freshness.py"),
 )
-# Each edit begins a folder of a few megabytes; as many are kept as were used last.
+# Number of most recently used folders that are kept; each edit of a source creates one of a few megabytes.
 KEPT_FOLDERS = 8
-# Every module with steps imports this one before it defines them.
+# Start time of the process: every module with steps imports this one before it defines them.
 _STARTED_S = time.time()
 
 
 def source_digest(root: Path = _ROOT) -> str:
-    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
+    """Return the digest (16 hex digits) of every Python file with compiled steps or the constants that they use."""
     digest = hashlib.sha256(version("numba").encode())
     for path in _source_files(root):
         digest.update(str(path.relative_to(root)).encode())
         digest.update(path.read_bytes())
-    # installed packages have steps as well
+    # Installed packages also have steps.
     digest.update(digest_of_all(in_lockstep()).encode())
     return digest.hexdigest()[:16]
 
 
 def stamp(module: str) -> str:
-    """Return what the compiled code of a module depends on: the name of its folder, and packages that only it uses."""
+    """Return the cache stamp of a module's code: the name of the cache folder, and a digest of packages with steps.
+
+    The digest is added only for modules of such packages.
+    """
     return cache_folder().name + (digest_of_all(with_steps()) if _has_own_steps(module) else "")
 
 
 def digest_covers(module: str, classes: Iterable[str]) -> bool:
-    """Return whether its stamp represents the code of a module, given classes of others, as this process imported it.
+    """Return whether the stamp of a module covers its code and the classes, given by module, that the code uses.
 
-    It does not where one is neither of SOURCES nor of an installed package with steps, nor where a source was edited
-    after this process began: what was imported may be older than its file.
+    It does not if a module belongs neither to SOURCES nor to an installed package with steps, or if a source was edited
+    after this process started: the imported code may then be older than its file.
     """
     modules = _known_modules() + (package_modules(with_steps()) if _has_own_steps(module) else ())
     return all((name + ".").startswith(modules) for name in (module, *classes)) and not _edited_since(_STARTED_S)
 
 
 def cache_directory() -> Path:
-    """Return the folder in which each digest has a folder of compiled code."""
+    """Return the folder that contains a folder of compiled code for each digest."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(os.environ.get("NUMBA_CACHE_DIR") or Path(base) / "telenano")
 
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of the code that is compiled from the sources as they are, made if that is possible."""
+    """Return the folder for code compiled from the present sources; create it if possible."""
     folder = cache_directory() / f"numba-{source_digest()}"
     with contextlib.suppress(OSError):
         if not folder.exists():
-            # Numba makes folders in it that others may write, if the user's umask allows it.
+            # Private, because numba creates folders in it that others may write if the user's umask allows it.
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             remove_unused(folder.parent)
         os.utime(folder)
@@ -86,7 +89,7 @@ def cache_folder() -> Path:
 
 
 def remove_unused(directory: Path) -> None:
-    """Delete the folders of compiled code but the KEPT_FOLDERS that were used last."""
+    """Delete all folders of compiled code except the KEPT_FOLDERS most recently used."""
     used = {folder: folder.stat().st_mtime for folder in directory.glob("numba-" + 16 * "[0-9a-f]")}
     for folder in sorted(used, key=lambda folder: used[folder])[:-KEPT_FOLDERS]:
         shutil.rmtree(folder, ignore_errors=True)
@@ -116,7 +119,7 @@ def _watched() -> tuple[Path, ...]:
 
 def _edited_since(time_s: float) -> bool:
     try:
-        # the time of the last change of a file, which copying it with its times does not set back
+        # Use the time of the last status change, which copying a file with its times does not set back.
         return any(path.stat().st_ctime > time_s for path in _watched())
     except OSError:
         return True

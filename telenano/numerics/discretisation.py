@@ -1,14 +1,13 @@
 """Exact discretisation of the linear systems of the laws, with the same bits on every processor.
 
-LAPACK and BLAS choose their kernels, and with them the last digit, by the processor that they find; so do the
-elementary functions of the C library. Decimal arithmetic does not. It runs once for a set of parameters, never in a
-loop.
+LAPACK, BLAS and the elementary functions of the C library choose their kernels by the processor, which changes the last
+digit. Decimal arithmetic does not depend on the processor. It runs once for a set of parameters, never in a loop.
 """
 
 from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, localcontext
 from typing import NamedTuple
 
-# far beyond the 17 digits of a double, for what rows of very different size lose to one another
+# Far more than the 17 digits of a double, because rows of very different size lose digits.
 _DIGITS = 60
 _LARGEST_STEP = Decimal("0.25")
 
@@ -25,7 +24,7 @@ class Discretisation(NamedTuple):
 
 
 def exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> Discretisation:
-    """Return the step of M x'' + B x' + K x = u over a period [s] for u held, each figure the double nearest to it.
+    """Return the discrete step of M x'' + B x' + K x = u over a period [s] with u held, each number correctly rounded.
 
     phi = exp(A T) with A = [[0, 1], [-K/M, -B/M]], gamma = psi [0, 1/M]' with psi the integral of exp(A t) from 0 to T.
     Taylor's series gives both for a part T / 2^n; then psi(2 t) = psi(t) (1 + phi(t)), phi(2 t) = phi(t)^2, n times.
@@ -41,7 +40,7 @@ def exact_discretisation(mass: float, damping: float, stiffness: float, period_s
         step, doublings = Decimal(period_s), 0
         while (spring.sqrt() + damper) * step > _LARGEST_STEP:
             step, doublings = step / 2, doublings + 1
-        # Each doubling may cost a bit.
+        # Each doubling may cost one bit of precision.
         context.prec += doublings // 3
         phi, psi = _series((Decimal(0), Decimal(1), -spring, -damper), step)
         for _ in range(doublings):
@@ -55,26 +54,26 @@ def exact_discretisation(mass: float, damping: float, stiffness: float, period_s
 
 
 def decay(ratio: float) -> float:
-    """Return exp(-ratio), the double nearest to it; ratio [1], >= 0."""
+    """Return exp(-ratio), rounded to the nearest double; ratio [1], >= 0."""
     with localcontext(Context(prec=_DIGITS, Emin=MIN_EMIN, Emax=MAX_EMAX)):
         return float((-Decimal(ratio)).exp())
 
 
 def approach(ratio: float) -> float:
-    """Return 1 - exp(-ratio), the double nearest to it: the share of a first-order step; ratio [1], >= 0."""
+    """Return 1 - exp(-ratio), rounded to the nearest double: the share of a first-order step; ratio [1], >= 0."""
     exact = Decimal(ratio)
-    # The difference from 1 loses this number of digits, so as many more are computed.
+    # The subtraction from 1 loses this number of digits, so as many more are computed.
     lost = max(0, -exact.adjusted()) if exact.is_finite() else 0
     with localcontext(Context(prec=_DIGITS + lost, Emin=MIN_EMIN, Emax=MAX_EMAX)):
         return float(1 - (-exact).exp())
 
 
-# a matrix of two rows and two columns, row by row
+# A 2 x 2 matrix, row by row.
 _Matrix = tuple[Decimal, Decimal, Decimal, Decimal]
 
 
 def _series(a: _Matrix, step: Decimal) -> tuple[_Matrix, _Matrix]:
-    """Return exp(A t) and its integral for a small step t, by their series to the last digit of the context."""
+    """Return exp(A t) and its integral over a small step t, from their series to the last digit of the context."""
     one = (Decimal(1), Decimal(0), Decimal(0), Decimal(1))
     phi, psi, term, order = one, _scaled(one, step), one, 1
     while True:

@@ -1,4 +1,4 @@
-"""Conversion between the paper's axis (x towards the sample) and a site's frame (z away from it): one sign."""
+"""Conversion between the paper's axis (x towards the sample) and a site's frame (z away from it), a change of sign."""
 
 from telenano.wire.messages import Vector3
 

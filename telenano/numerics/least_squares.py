@@ -1,4 +1,4 @@
-"""Linear least squares in steps of its own: LAPACK chooses its kernels, and with them the last digit, by processor."""
+"""Linear least squares without LAPACK, whose kernels, and with them the last digit, depend on the processor."""
 
 import math
 from collections.abc import Sequence
@@ -7,22 +7,21 @@ import numpy as np
 import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
-# A column that the ones before it leave less of than this share says nothing of its own.
+# A column counts as dependent on those before it if its remainder is below this share of its norm.
 _OWN_SHARE = 1e-9
 
 
 def regression(columns: Sequence[Series], values: Series) -> tuple[list[float], Series]:
-    """Fit values by columns.
+    """Fit values by a linear combination of columns.
 
     Args:
-        columns: Each of shape (n,).
-        values: What they are fitted to, shape (n,).
+        columns: The columns, each of shape (n,).
+        values: The values to fit, shape (n,).
 
     Returns:
-        The factor of each column, 0 of one that follows from those before it, and what they leave of the values, shape
-        (n,).
+        The factor of each column, 0 for a column that depends on those before it, and the residuals, shape (n,).
     """
-    # Gram and Schmidt, each twice, as the first time leaves what rounding makes of it.
+    # Gram-Schmidt orthogonalisation, twice, to remove the rounding errors of the first pass.
     kept: list[tuple[int, Series]] = []
     upper = np.zeros((len(columns), len(columns)))
     for number, column in enumerate(columns):

@@ -1,7 +1,7 @@
-"""What the project changes of numba: where compiled code is kept, how it is called, and arrays that are borrowed.
+"""Adaptations of numba: the place of compiled code, its calls, and borrowed arrays.
 
-The cache is numba's, in the folder that the digest of the sources names, and borrowed arrays have no owner (ADR 0010).
-A signal that arrives in compiled code is raised when it has returned (ADR 0064).
+The cache is numba's, in a folder named by the digest of the sources, and borrowed arrays have no owner (ADR 0010). A
+signal that arrives in compiled code is raised after the code has returned (ADR 0064).
 """
 
 import contextlib
@@ -23,18 +23,18 @@ from telenano.numerics.digests import cache_folder, digest_covers, stamp
 from telenano.signals import interrupts
 
 _MAIN_THREAD = main_thread().ident
-# numba declares neither
+# numba declares no types for these two.
 _numba: Any = CPUDispatcher
 _call = _numba.__call__
 _compile = _numba._compile_for_args
-# their declarations name only some of their types
+# numba declares only some of the types of these.
 _build: Any = cgutils
 _declare: Any = type_callable
 _lower: Any = lower_builtin
 
 
 class _Locator(UserProvidedCacheLocator):
-    """Where the code of a function is kept. A folder that cannot be written is read all the same."""
+    """Locates the compiled code of a function. A folder that cannot be written is still read."""
 
     def __init__(self, function: Any, source: str) -> None:
         super().__init__(function, source)
@@ -56,15 +56,15 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class _Files(IndexDataCacheFile):
-    """The files of one function: an index of its signatures, and a file for each."""
+    """The cache files of one function: an index of its signatures, and a file for each signature."""
 
     def _data_name(self, number: int) -> str:
-        # Two processes that compile at once would give their files the same number, and find each other's code.
+        # A unique name, because two processes that compile at once would use the same number for different code.
         return str(super()._data_name(number)).replace(".nbc", f".{uuid4().hex}.nbc")
 
 
 class StepCache(FunctionCache):
-    """The cache of one function, in the form that Python can call or in that which only compiled code calls."""
+    """The cache of one function, either in the form that Python can call or in that for compiled code only."""
 
     _impl_class = _Implementation
 
@@ -74,14 +74,14 @@ class StepCache(FunctionCache):
         self._python_calls = python_calls
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is compiled for a signature; where nothing is, say that compiling it takes its time."""
+        """Return the cached code for a signature; if there is none, warn that compilation takes some time."""
         overload = None
         if self._can_be_kept(sig):
             try:
                 overload = super().load_overload(sig, target_context)
             except OSError:
                 pass
-            # a file that the machine had not written to its disk when it crashed
+            # A file that was not fully on the disk when the machine crashed.
             except (EOFError, UnpicklingError):
                 _warn(f"the compiled code in {cache_folder()} is incomplete, and is compiled again")
                 with contextlib.suppress(OSError):
@@ -91,7 +91,7 @@ class StepCache(FunctionCache):
         return overload
 
     def has(self, sig: Any, target_context: Any) -> bool:
-        """Return whether what is compiled for a signature is on the disk."""
+        """Return whether the code for a signature is on the disk."""
         if not self._can_be_kept(sig):
             return False
         try:
@@ -100,7 +100,7 @@ class StepCache(FunctionCache):
             return False
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled; where that is not possible it is compiled again the next time."""
+        """Save compiled code; if that fails, warn, and compile again in the next process."""
         if self._can_be_kept(sig):
             try:
                 super().save_overload(sig, data)
@@ -108,7 +108,7 @@ class StepCache(FunctionCache):
                 _warn(f"compiled code cannot be kept in {cache_folder()}: {error.strerror}")
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        # code that checks its indices (NUMBA_BOUNDSCHECK) is other code
+        # Code with bounds checking (NUMBA_BOUNDSCHECK) needs its own entry.
         return (*super()._index_key(sig, codegen), self._python_calls, vars(config)["BOUNDSCHECK"])
 
     def _can_be_kept(self, signature: Any) -> bool:
@@ -117,13 +117,13 @@ class StepCache(FunctionCache):
 
 
 def _classes(part: Any) -> Iterator[type]:
-    """Yield the classes of the tuples in a signature: numba's types know them, and not what became of their fields."""
+    """Yield the classes of the named tuples in a signature: numba does not notice if their fields have changed."""
     if isinstance(part, tuple | list):
         for inner in part:
             yield from _classes(inner)
     elif isinstance(part, types.Type):
         if isinstance(part, types.BaseNamedTuple):
-            # numba declares it for the classes below this one
+            # numba declares `instance_class` only in subclasses.
             named: Any = part
             yield named.instance_class
         for name in ("types", "dtype", "type"):
@@ -132,10 +132,10 @@ def _classes(part: Any) -> Iterator[type]:
 
 @cache
 def _is_safe() -> bool:
-    """Return whether no other user can put code into the folder, or another folder there."""
+    """Return whether no other user can put code into the cache folder, or replace the folder."""
     folder = cache_folder()
     try:
-        # Where it is absent somebody else may still make it, if the folder above lets them.
+        # If the folder is absent, `is_own` checks whether another user could create it.
         safe = is_own(folder)
     except OSError:
         safe = False
@@ -146,17 +146,17 @@ def _is_safe() -> bool:
 
 @cache
 def _warn(text: str) -> None:
-    """Log a warning once in a process: what happened to the code of one function happens to that of others."""
+    """Log a warning once in a process, because the same happens to the code of many functions."""
     logging.getLogger("studies").warning(text)
 
 
 class InterruptibleDispatcher(CPUDispatcher):
-    """A compiled function that SIGINT and SIGTERM cannot end in the middle; numba's in all else."""
+    """A compiled function of numba that SIGINT and SIGTERM cannot interrupt in the middle."""
 
     _cache: Any
 
     def __call__(self, *args: Any, **keywords: Any) -> Any:
-        # Python runs the handlers of signals in the main thread only.
+        # Python runs signal handlers only in the main thread.
         if get_ident() != _MAIN_THREAD:
             return _call(self, *args, **keywords)
         interrupts.watch()
@@ -167,12 +167,12 @@ class InterruptibleDispatcher(CPUDispatcher):
             interrupts.computing(False)
 
     def is_ready(self, arguments: tuple[Any, ...]) -> bool:
-        """Return whether a call with such arguments compiles nothing."""
+        """Return whether a call with arguments of these types needs no compilation."""
         signature = tuple(map(self.typeof_pyval, arguments))
         return signature in self.overloads or self._cache.has(signature, self.targetctx)
 
     def _compile_for_args(self, *args: Any, **keywords: Any) -> Any:
-        # The first call compiles, which takes seconds and is plain Python.
+        # The first call compiles, which takes seconds in plain Python and may be interrupted.
         if get_ident() != _MAIN_THREAD:
             return _compile(self, *args, **keywords)
         try:
@@ -185,7 +185,7 @@ class InterruptibleDispatcher(CPUDispatcher):
 def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     if isinstance(kind, types.Array):
         array = _build.create_struct_proxy(kind)(context, builder, value=value)
-        # numba counts no references to an array whose memory has no owner
+        # numba does not count references to an array without an owner.
         array.meminfo = _build.get_null_value(array.meminfo.type)
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
@@ -201,6 +201,6 @@ def _lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def register_borrowed(function: Callable[..., object]) -> None:
-    """Tell numba that compiled code is given by a function what it gave the function, borrowed."""
+    """Declare to numba a function that returns its argument with borrowed arrays; see `compiler.borrowed`."""
     _declare(function)(lambda context: lambda value: value)
     _lower(function, types.Any)(_lowered)

@@ -1,4 +1,4 @@
-"""Recordings as a library: MCAP files written, read, checked, cut and exported; no socket and no process."""
+"""Recordings as a library: write, read, check, cut and export MCAP files, without a socket or a process."""
 
 from typing import TYPE_CHECKING
 

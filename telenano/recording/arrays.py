@@ -1,4 +1,4 @@
-"""Times of a recording whose nodes were replayed, and the part of it in which a force profile ran."""
+"""Time shifts of replayed nodes, and the part of a recording in which a force profile or a session ran."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,18 +12,21 @@ from telenano.recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
 
-# topics of the loop, by their declared rate [Hz]
+# Topics with at least this declared rate belong to the loop [Hz].
 _FAST_HZ = 100.0
-# This number of older samples in a row come from a player that was set back.
+# So many older samples in a row come from a player that was set back; fewer are outliers.
 _REWIND_RUN = 8
-# They are older than the newest sample by more than this.
+# Stamps that differ by more than this belong to different runs.
 _REWIND_NS = 1_000_000_000
-# a launcher reports a session when the device has answered that its force profile runs
+# A launcher reports a session late: it waits until the device has confirmed that its force profile runs.
 _START_REPORT_NS = 2_000_000_000
 
 
 def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set[str]:
-    """Return the nodes whose messages a player sent in their place; with `newest`, by the last report of each."""
+    """Return the nodes that report in `node/health` that a player replays them; `newest` reads only the last reports.
+
+    Messages that cannot be read are counted in `recording.left_out`.
+    """
 
     def is_health(channel: RecordedChannel) -> bool:
         return channel.channel_topic == "node/health"
@@ -34,10 +37,10 @@ def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set
 
 
 def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[str, int]:
-    """Return by how much [ns] the time stamps of each replayed source lie behind those of live nodes.
+    """Return for each replayed source the delay of its time stamps behind those of live nodes [ns].
 
-    A rig in which a player stood in for some nodes has old stamps beside new ones; the time of reception puts them on
-    one axis. Empty where none was replayed, or all were: then the stamps agree with one another as they are.
+    A rig that mixes a player with live nodes has old stamps beside new ones. The delay is the median of reception time
+    minus send time. The dict is empty if no node of the loop was replayed or all were: the stamps then agree already.
     """
     replayed = replayed_sources(recording, newest=newest)
     fast = {c.src: c.channel_topic for c in recording.channels if c.via == "direct" and (c.rate_hz or 0.0) >= _FAST_HZ}
@@ -51,10 +54,10 @@ def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[s
 
 
 def in_step(t_ns: Column) -> npt.NDArray[np.bool_]:
-    """Return of each sample whether its stamp goes with those about it, of shape (n,).
+    """Return a mask of the samples whose stamp [ns] agrees with its neighbours, shape (n,).
 
-    A few stamps in a row that lie far ahead of what follows them, or far behind what stands on either side, are none of
-    a clock that was set. Whole runs are, or come from a player that was set back.
+    Fewer than `_REWIND_RUN` stamps in a row that jump by more than a second and back are outliers and are masked out.
+    Longer runs are kept: the clock was set, or a player was set back.
     """
     kept = np.ones(len(t_ns), dtype=np.bool_)
     stamps = t_ns.astype(np.int64)
@@ -65,7 +68,7 @@ def in_step(t_ns: Column) -> npt.NDArray[np.bool_]:
         first, after = runs[place]
         before_ns = int(stamps[first]) - int(stamps[runs[place - 1][1] - 1]) if place else 0
         after_ns = int(stamps[runs[place + 1][0]]) - int(stamps[after - 1]) if place + 1 < len(runs) else 0
-        # within, it goes there and back; at either end only a fall tells it from what stands after a pause
+        # In the middle an outlier jumps there and back; at either end only a fall distinguishes it from a pause.
         is_apart = before_ns * after_ns < 0 if before_ns and after_ns else before_ns + after_ns < 0
         is_next_apart = not before_ns and place + 1 < len(runs) and _is_spike(stamps, runs, place + 1)
         if after - first < _REWIND_RUN and is_apart and not is_next_apart:
@@ -78,7 +81,7 @@ def in_step(t_ns: Column) -> npt.NDArray[np.bool_]:
 
 
 def _is_spike(stamps: npt.NDArray[np.int64], runs: Sequence[tuple[int, int]], place: int) -> bool:
-    """Return whether a short run of stamps goes away from the one before it, and the next one back."""
+    """Return whether a short run of stamps jumps away from the run before it and the next run jumps back."""
     if place + 1 >= len(runs) or runs[place][1] - runs[place][0] >= _REWIND_RUN:
         return False
     away_ns = int(stamps[runs[place][0]]) - int(stamps[runs[place - 1][1] - 1])
@@ -89,12 +92,12 @@ def _is_spike(stamps: npt.NDArray[np.int64], runs: Sequence[tuple[int, int]], pl
 def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's force profile.
 
-    It begins where the time of the force profile falls while the time of sending continues, or where a player was set
-    back. A message that stands behind later ones, or is repeated, is in none.
+    A run begins where `session_s` falls while the send time continues, or where a player was set back. Messages that
+    arrived after later ones are left out.
 
     Args:
         session_s: session_s of `haptic/state` [s], negative while no force profile runs, shape (n,).
-        t_ns: The times of sending [ns], shape (n,).
+        t_ns: Send times [ns], shape (n,).
 
     Returns:
         The indices, fewer than two when no force profile ran.
@@ -117,16 +120,16 @@ def last_force_profile(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
 def last_session(
     session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequence[int] = (), ends_ns: Sequence[int] = ()
 ) -> npt.NDArray[np.intp]:
-    """Return the indices of the last session: the last force profile, and those that a restart has cut off.
+    """Return the indices of the last session: the last force profile and the earlier runs of it that a crash cut off.
 
-    A device whose process died while the force profile ran begins it again when it is commanded to; that is the same
-    session, unless a launcher has started one since. What the new process sent until then, or until a launcher ended
-    the session where no command came, is of the session too.
+    If the process of a device dies during the force profile, its successor restarts the profile on command. That is
+    the same session, unless a launcher has started another one since. Messages that the new process sent before the
+    command, or before a launcher ended the session without one, also belong to the session.
 
     Args:
         session_s: session_s of `haptic/state` [s], negative while no force profile runs, shape (n,).
         seq: The seq of its messages, shape (n,).
-        t_ns: The times of sending of its messages [ns], shape (n,).
+        t_ns: The send times of its messages [ns], shape (n,).
         starts_ns: The times at which launchers reported that a session runs [ns].
         ends_ns: The times at which launchers reported that a session is over [ns].
 
@@ -148,16 +151,16 @@ def last_session(
 
 
 def _died(last: int, seq: Column, t_ns: Column) -> bool:
-    """Return whether the message after one is the first of a new process: its number begins again, and its time not."""
+    """Return whether the message after `last` is the first of a new process: seq restarts while the time continues."""
     return bool(seq[last + 1] <= seq[last] and t_ns[last + 1] > t_ns[last])
 
 
 def _rising(places: npt.NDArray[np.intp], t_ns: Column) -> npt.NDArray[np.intp]:
-    """Return the places without those that stand behind later messages."""
+    """Return the places without those of messages that arrived after later ones."""
     return places[t_ns[places] >= np.maximum.accumulate(t_ns[places])] if places.size else places
 
 
 def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
-    """Return whether a force profile ended with its process, and the one that follows is of the same session."""
+    """Return whether the process died during a force profile and no launcher started a session before the next one."""
     is_restarted = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
     return _died(last, seq, t_ns) and not is_restarted

@@ -22,10 +22,10 @@ class _Named(Protocol):
 
 
 def matcher(pattern: str) -> Matcher:
-    """Return the predicate of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
+    """Return a predicate of names for a glob such as `teleop/*` or a regular expression between slashes, `/^afm/`.
 
     Raises:
-        ConfigError: A pattern is not a regular expression, or too long; the message names it.
+        ConfigError: The pattern is too long or not a regular expression; the message names it.
     """
     if fault := fault_of_pattern(pattern):
         raise ConfigError(fault)
@@ -39,29 +39,28 @@ def matcher(pattern: str) -> Matcher:
 
 
 def node_matcher(pattern: str) -> Matcher:
-    """Return the predicate of a pattern of nodes: `node@site`, or `node` for all of that name."""
+    """Return a predicate of nodes; the pattern matches `node@site`, or `node` at every site."""
     test = matcher(pattern)
     return lambda key: test(key) or test(name_of(key))
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Channels by the name of the channel and of the publisher; no pattern selects all.
+    """Predicate that selects channels by channel name and publisher; without patterns it selects all.
 
-    A channel is named as in the recording: `teleop/forward` where it was sent, `teleop/forward@slave` where it came out
-    of the link.
+    Channels have the names of the recording: `teleop/forward` at the sender, `teleop/forward@slave` behind the link.
     """
 
     topics: tuple[Matcher, ...] = ()
     exclude: tuple[Matcher, ...] = ()
     nodes: tuple[Matcher, ...] = ()
-    # The first pattern of topics and of nodes as they were written, for the error where no channel is selected.
+    # The first pattern of topics and of nodes as the user wrote them, for the error if no channel is selected.
     asked: str = ""
     asked_node: str = ""
 
     @classmethod
     def of(cls, topics: Iterable[str] = (), exclude: Iterable[str] = (), nodes: Iterable[str] = ()) -> "Selection":
-        """Read patterns; ConfigError names one that is wrong."""
+        """Build a selection from patterns; ConfigError names an invalid one."""
         names, publishers = tuple(topics), tuple(nodes)
         return cls(
             tuple(map(matcher, names)),
@@ -83,7 +82,7 @@ class Selection:
         return not self.topics or any(test(channel_topic) for test in self.topics)
 
     def demand_some_of(self, source: Path, channels: Collection[_Named]) -> None:
-        """Raise RecordingError, with what was asked for and what there is, if patterns select none."""
+        """Raise RecordingError if the patterns select no channel; the message names the pattern and the channels."""
         if self == ALL or any(map(self, channels)):
             return
         names = sorted({channel.channel_topic for channel in channels})
@@ -96,7 +95,7 @@ class Selection:
 
 
 def _told(asked: str, there_are: Collection[str]) -> str:
-    """Return a pattern that selects nothing, and what there is."""
+    """Return the text of an error: the pattern that selects nothing and the names that exist."""
     return f"{shown(asked)}: {known_names(asked, [shown(name) for name in there_are] or ['none'])}"
 
 

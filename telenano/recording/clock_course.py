@@ -1,4 +1,4 @@
-"""What another clock is ahead over a whole recording: straight lines, one for as long as one fits the bounds."""
+"""Offset of another clock over a whole recording, as straight lines; each lasts as long as it fits the bounds."""
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
@@ -10,26 +10,26 @@ from telenano.timing.clock_fit import Bound, Bounds, ClockLine, are_apart
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.
 _LONGEST_NS = 600 * _BLOCK_NS
-# Where two lines are further apart than this, the clock was set in between.
+# Two lines that are further apart than this mean that the clock was set in between [ns].
 _SET_NS = 2_000_000.0
-# The time at which the clock was set is sought to this.
+# Accuracy to which the search finds the time at which the clock was set [ns].
 _SOUGHT_NS = 200_000_000
 
 
 class Stretch(NamedTuple):
-    """A line, and from when until when it holds by this clock [ns]."""
+    """A line of the clock offset and the interval of this clock in which it holds [ns]."""
 
     first_ns: int
     last_ns: int
     line: ClockLine
 
 
-# Reads the bounds of a part of the recording, by this clock [ns]; None where there are none.
+# Reads the bounds of an interval of the recording, given by this clock [ns]; None if there are none.
 Read = Callable[[int, int], Bounds | None]
 
 
 def bounds_of(upper: Iterable[Bound], lower: Iterable[Bound]) -> Bounds | None:
-    """Return the least upper and the greatest lower bound of each second; None where one side has none."""
+    """Return the least upper and the greatest lower bound of each second; None if either side is empty."""
     high = _least_of_seconds(upper)
     low = [(at_ns, -value_ns) for at_ns, value_ns in _least_of_seconds((at_ns, -value_ns) for at_ns, value_ns in lower)]
     return Bounds(high, low) if high and low else None
@@ -44,10 +44,10 @@ def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
 
 
 def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
-    """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits.
+    """Fit lines to pieces of bounds, which are in order of time and not empty; each line is as long as it fits.
 
-    What is held against the pieces before are the newest one, the newest two, four and so on: few show a clock that was
-    set by much, more show one that was set by little.
+    The newest one, two, four ... pieces are compared with those before them: a few reveal a clock that was set by a
+    large step, more are needed to reveal a small one.
     """
     found_stretches: list[Stretch] = []
     run: list[Bounds] = []
@@ -68,7 +68,7 @@ def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
 
 
 def _newest_apart(run: Sequence[Bounds], drift: float, pieces: int) -> int:
-    """Return how many of the newest pieces are apart from those before; 0 where one line fits all of them."""
+    """Return the number of newest pieces that need a line of their own; 0 if one line fits all of them."""
     whole = _line_of(run, drift)
     newest = 1
     while newest < len(run):
@@ -80,7 +80,7 @@ def _newest_apart(run: Sequence[Bounds], drift: float, pieces: int) -> int:
 
 
 def _older(run: Sequence[Bounds], newest: int) -> Sequence[Bounds]:
-    """Return the pieces before the newest, without the last of them, within which the clock may have been set."""
+    """Return the pieces before the `newest` ones, without the last of them: the clock may have been set within it."""
     return run[: -newest - 1] or run[:-newest]
 
 
@@ -93,11 +93,13 @@ def _line_of(run: Sequence[Bounds], drift: float) -> ClockLine:
 
 
 def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
-    """Return times by the other clock [ns], and what it is ahead there [ns]; two of one time where it was set.
+    """Return the knots of the piecewise linear offset: times of the other clock [ns] and its lead there [ns].
+
+    A step has a knot on either side, at the same time if the clock was set back over times that it already had.
 
     Args:
-        parts: The lines, in the order of time.
-        read: Reads more of the recording, to find when the clock was set between two lines.
+        parts: The lines, in order of time.
+        read: Reads the bounds of an interval of the recording, to find when the clock was set between two lines.
     """
     runs = [[(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]]
     for part, after in itertools.pairwise(parts):
@@ -109,18 +111,18 @@ def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
         runs[-1].append((last_ns, part.line.at(last_ns)))
         runs.append([(first_ns, after.line.at(first_ns))])
     runs[-1].append((max(parts[-1].last_ns, runs[-1][-1][0] + 1), parts[-1].line.at(parts[-1].last_ns)))
-    # A clock that was set back far has the stamps of the later run before those of the earlier one.
+    # If the clock was set back far, the stamps of the later run lie before those of the earlier run.
     stamped = sorted([(at_ns + round(ahead_ns), ahead_ns) for at_ns, ahead_ns in run] for run in runs)
     for before, behind in itertools.pairwise(stamped):
         if behind[0][0] < before[-1][0]:
-            # It was set back by more than the site was silent, and has some stamps twice: each run has one half.
+            # The clock was set back by more than the site was silent, so some stamps occur twice: split them in half.
             middle_ns = (behind[0][0] + before[-1][0]) // 2
             before[-1], behind[0] = (middle_ns, before[-1][1]), (middle_ns, behind[0][1])
     return [knot for run in stamped for knot in run]
 
 
 def mean_drift(parts: Sequence[Stretch]) -> float:
-    """Return the mean of the drifts of lines, by the times for which they hold [s/s]."""
+    """Return the mean drift of the lines, weighted with their durations [s/s]."""
     lengths = [max(1, part.last_ns - part.first_ns) for part in parts]
     return sum(length * part.line.drift for length, part in zip(lengths, parts, strict=True)) / sum(lengths)
 
@@ -132,7 +134,7 @@ def _stretch(run: Sequence[Bounds], drift: float) -> Stretch:
 
 
 def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
-    """Return until when the one line holds and from when the other does [ns]."""
+    """Find by bisection the end of the first line and the start of the second, by this clock [ns]."""
     begin_ns, end_ns = last_ns, first_ns = part.last_ns, after.first_ns
     while end_ns - begin_ns > 2 * _SOUGHT_NS:
         middle_ns = (begin_ns + end_ns) // 2

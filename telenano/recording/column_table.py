@@ -28,7 +28,7 @@ class ColumnTable(Mapping[str, Column]):
         self.descriptions = dict(descriptions)
 
     def __getitem__(self, name: str) -> Column:
-        """Return a column; KeyError names the one that was probably meant, and those that there are."""
+        """Return a column, shape (n,) or more; KeyError suggests the probable name and lists the columns."""
         if not isinstance(name, str):
             raise KeyError(
                 f"{self._name} has columns by name and not {name!r}: `to_pandas()` gives rows, slices and several"
@@ -41,7 +41,7 @@ class ColumnTable(Mapping[str, Column]):
         return self._columns[name]
 
     if not TYPE_CHECKING:
-        # To a checker of types a name that is not here is none.
+        # Hidden from type checkers, so that they still report an unknown attribute.
         def __getattr__(self, name: str) -> Any:
             raise AttributeError(no_attribute(self, name, self.__dict__.get("_columns", {})))
 
@@ -59,7 +59,7 @@ class ColumnTable(Mapping[str, Column]):
         return f"<{type(self).__name__} {self._name}: {rows} rows of {', '.join(self._columns)}>"
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
+        """Return a pandas DataFrame, with `units` in its attrs; raise ConfigError if pandas is not installed."""
         pandas = required_module("pandas", "a table as data of pandas: pandas is not installed", "export")
         frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
         frame.attrs.update(units=self.units)
@@ -69,7 +69,7 @@ class ColumnTable(Mapping[str, Column]):
         """Return an xarray Dataset over `time_s`; `units` and `long_name` are attributes of each variable.
 
         Raises:
-            ConfigError: xarray is not installed; the message says what adds it.
+            ConfigError: xarray is not installed; the message says how to install it.
         """
         module = required_module("xarray", "a table as data of xarray: xarray is not installed", "export")
         facts = {name: {"units": self.units[name], "long_name": self.descriptions[name]} for name in self}
@@ -83,7 +83,7 @@ class ColumnTable(Mapping[str, Column]):
 
 
 def no_attribute(table: object, name: str, columns: Mapping[str, Any]) -> str:
-    """Return what is said of an attribute that a table has not: a column, or what pandas has, is got in another way."""
+    """Return the message of an AttributeError, which says how to get a column or a feature of pandas instead."""
     text = f"{type(table).__name__!r} object has no attribute {name!r}"
     if name in columns:
         return f"{text}: [{name!r}] is the column"

@@ -17,22 +17,22 @@ from telenano.recording.messages import LeftOut, RecordedChannel, RecordedMessag
 from telenano.wire.errors import RecordingError, probably_meant
 
 Column = npt.NDArray[Any]
-# the keys and places that lead to a field
+# The keys and indices that lead to a field.
 _Path = tuple[str | int, ...]
 
 # These belong to the record and not to the message; seq and t_ns are in the message as well.
 _RECORD_FIELDS = ("log_ns", "publish_ns")
-# this number of messages are put into arrays at once
+# Messages that are converted to arrays at once.
 _AT_ONCE = 8192
-# The types of fields that become columns, and of those that become numbers.
+# The types that a column can hold, and those that become numbers.
 _SCALARS = frozenset((bool, int, float, str, type(None)))
 _YES_OR_NUMBERS = frozenset((bool, int, float, type(None)))
-# Reasons for which a message is of a model that is not known here.
+# Reasons of rejection that mean that this version does not know the model of a message.
 _UNKNOWN = frozenset(("topic", "newer_version"))
 
 
 class Source(Protocol):
-    """What columns are read from: the part of `telenano.recording.recorded_fields.RecordedFields` that it takes."""
+    """Source of columns: the part of `telenano.recording.recorded_fields.RecordedFields` that this module needs."""
 
     path: Path
     left_out: LeftOut
@@ -55,9 +55,9 @@ def columns(recording: Source, channel_topic: str, fields: Sequence[str]) -> dic
             `publish_ns` of the record.
 
     Returns:
-        Arrays of one dimension by field: int64; float64, NaN where a message has nil or lacks the key, also of a yes or
-        no, which is 1 or 0 then; bool where each message has one; or objects for text, None where there is none. Of a
-        field whose values are of several kinds, numbers are floats, and what is text and numbers are objects.
+        Arrays of shape (n,) by field. Integers are int64 and numbers float64, NaN where a message has nil or lacks the
+        key. Booleans are bool if every message has one, else float64 of 1, 0 and NaN. Text is objects, None where
+        there is none; so is a field that mixes text and numbers.
 
     Raises:
         RecordingError: There is no such channel or field; the message names file, channel and field.
@@ -67,9 +67,9 @@ def columns(recording: Source, channel_topic: str, fields: Sequence[str]) -> dic
 
 
 def column_pieces(recording: Source, channel_topic: str, fields: Sequence[str]) -> Iterator[dict[str, Column]]:
-    """Yield what `columns` returns in pieces of some thousand messages, so that no recording is too long; at least one.
+    """Yield the result of `columns` in pieces of `_AT_ONCE` messages, at least one, so that memory is bounded.
 
-    A piece is of the types that have come so far: whole numbers become floats with the first one that is none.
+    The type of a piece follows from all values so far: integers become floats from the first piece with another number.
     """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
@@ -99,9 +99,9 @@ def column_pieces(recording: Source, channel_topic: str, fields: Sequence[str]) 
 def _fields_of(
     recording: Source, messages: Sequence[RecordedMessage], paths: Mapping[str, _Path]
 ) -> tuple[Sequence[RecordedMessage], dict[str, list[Any]]]:
-    """Return the messages that a node would take, each read as a whole, and their fields.
+    """Return the messages that a node would accept, each decoded as a whole, and the values of their fields.
 
-    The others are counted and left out. Where all are of a model that is not known here, they are taken as they are.
+    Messages that a node would reject are counted and left out. If all have an unknown model, none is checked.
 
     Raises:
         RecordingError: A message lacks a field; the error names it.
@@ -125,7 +125,7 @@ def _fields_of(
         try:
             column = list(map(attrgetter(str(first)), read))
         except AttributeError:
-            # the model has no such key, or none is known
+            # The model lacks this key, or is unknown.
             column = [_plain(recording, message, field, first) for message in taken]
         for part in rest:
             column = [
@@ -143,7 +143,7 @@ def _plain(recording: Source, message: RecordedMessage, field: str, key: str | i
 
 
 def _part(recording: Source, message: RecordedMessage, field: str, value: Any, part: str | int) -> Any:
-    """Return a part of a value of a message; of an optional vector that is nil as a whole, None."""
+    """Return one component of a field's value; None if the whole value is nil, such as an optional vector."""
     try:
         if value is None:
             return None
@@ -160,10 +160,10 @@ def _lacking(recording: Source, message: RecordedMessage, field: str) -> Recordi
 
 
 def _joined(pieces: list[Column]) -> Column:
-    """Return the pieces of a column as one array, of the last one's type: each is of all types that came before it."""
+    """Join the pieces of a column to one array of the last one's type, which covers all values before it."""
     last = pieces[-1].dtype
     if last == np.object_:
-        # a piece of numbers has none where a message has nil
+        # A numeric piece has NaN where a message has nil; an object column has None there.
         pieces = [piece if piece.dtype == last else _as_objects(piece) for piece in pieces]
     elif last == np.float64:
         pieces = [piece.astype(last, copy=False) for piece in pieces]
@@ -177,17 +177,17 @@ def _as_objects(piece: Column) -> Column:
 
 
 def _array(recording: Source, channel_topic: str, field: str, values: list[Any], kinds: set[type]) -> Column:
-    """Return values as an array; `kinds` are the types of these and of all before them, and get that of the array."""
+    """Return values as an array; `kinds`, the types of all values so far, gains float if the values exceed int64."""
     if kinds == {int}:
         try:
             return np.array(values, dtype=np.int64)
         except OverflowError:
-            # beyond 64 bits with a sign: floats from here on
+            # Beyond int64 the column has floats from here on.
             kinds.add(float)
     if kinds == {bool}:
         return np.array(values, dtype=np.bool_)
     if kinds <= _YES_OR_NUMBERS:
-        # nil alone says nothing of the kind, and may stand before text
+        # A column of nil alone becomes NaN; `_joined` converts it if text follows.
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if kinds <= _SCALARS:
         found = np.empty(len(values), dtype=np.object_)

@@ -4,7 +4,7 @@
     writer = RecordingWriter.create("recorder@master", FileSettings(directory=Path("out")), disk=disk)
     disk.read(Path("out/session.mcap"))
 
-A disk in memory keeps what was written until it is let go of.
+A disk in memory keeps its files for as long as the object exists.
 """
 
 import io
@@ -14,36 +14,36 @@ from typing import IO, Protocol
 
 from telenano.recording.disk_watch import free_bytes
 
-# Device and inode of a file, or what stands for both in memory.
+# Device and inode of a file; a file in memory has 0 and a running number.
 Identity = tuple[int, int]
 
 
 class Disk(Protocol):
-    """What a recorder asks of a disk. Every method raises what the operating system raises, an OSError."""
+    """File operations that a recorder needs. Every method passes on the OSError of the operating system."""
 
     def create(self, path: Path) -> IO[bytes]:
-        """Create a file and the folders above it; FileExistsError where there is one already."""
+        """Create a file and the folders above it; raise FileExistsError if it exists."""
 
     def is_folder(self, path: Path) -> bool:
         """Return whether a path is a folder."""
 
     def identity(self, stream: IO[bytes]) -> Identity:
-        """Return which file an open stream writes to."""
+        """Return the identity of the file to which an open stream writes."""
 
     def identity_at(self, path: Path) -> Identity:
-        """Return which file has a path now; FileNotFoundError where there is none."""
+        """Return the identity of the file that now has a path; raise FileNotFoundError if there is none."""
 
     def sync(self, stream: IO[bytes]) -> None:
-        """Wait until the disk has what was written to a stream."""
+        """Wait until everything written to a stream is on the disk."""
 
     def remove(self, path: Path) -> None:
         """Remove a file; one that is gone already is no error."""
 
     def named(self, path: Path) -> Path:
-        """Return the path by which a recorder names a file to others."""
+        """Return the path of a file that a recorder reports to others."""
 
     def free_bytes(self, path: Path) -> int | None:
-        """Return the free space where a file or folder is, or would be made [bytes]; None where it is unknown."""
+        """Return the free space at the place of a file or folder [bytes], existing or not; None if unknown."""
 
 
 class OwnDisk:
@@ -95,7 +95,7 @@ class _KeptFile(io.BytesIO):
 
 
 class MemoryDisk:
-    """A disk in memory, which loses nothing and has no limit unless `room_bytes` gives one [bytes]."""
+    """A disk in memory; `free_bytes` reports the rest of `room_bytes` [bytes], or None if there is no such limit."""
 
     def __init__(self, room_bytes: int | None = None) -> None:
         self._files: dict[Path, _KeptFile] = {}
@@ -104,11 +104,11 @@ class MemoryDisk:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The files, in the order in which they were made."""
+        """The paths of the files, in order of creation."""
         return tuple(self._files)
 
     def read(self, path: Path) -> bytes:
-        """Return what is in a file; FileNotFoundError where there is none."""
+        """Return the content of a file; raise FileNotFoundError if there is none."""
         return self._file(path).bytes_now()
 
     def create(self, path: Path) -> IO[bytes]:
@@ -130,7 +130,7 @@ class MemoryDisk:
         return 0, self._file(path).number
 
     def sync(self, stream: IO[bytes]) -> None:
-        """Do nothing: there is no slower place."""
+        """Do nothing: memory has no buffer to wait for."""
 
     def remove(self, path: Path) -> None:
         self._files.pop(path.absolute(), None)
@@ -150,9 +150,10 @@ class MemoryDisk:
 
 
 class FolderDisk:
-    """A folder as a disk: files are named by their paths in it, wherever it is, so that no message has its place.
+    """A folder of another disk as a disk of its own: messages name files by their paths relative to the folder.
 
-    The free space of this machine's disk is unknown on it, because it differs between two runs.
+    Messages thus do not depend on the folder's location. Nor on the free space of this machine's disk, which differs
+    between runs and is reported as unknown.
     """
 
     def __init__(self, folder: Path, disk: Disk) -> None:

@@ -1,10 +1,10 @@
-"""The space that is left on the disk of a recording, and how long it will last."""
+"""Warning of a recording's disk that is nearly full: its free space and how long that will last."""
 
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-# warned of when less than either is left
+# Below either of these the watch warns.
 LOW_S = 120.0
 LOW_BYTES = 16_000_000
 _CHECK_NS = 1_000_000_000
@@ -12,7 +12,7 @@ _RATE_NS = 5_000_000_000
 
 
 def free_bytes(path: Path) -> int | None:
-    """Return the free space where a file or folder is, or would be made [bytes]; None where it is unknown."""
+    """Return the free space at the place of a file or folder [bytes], existing or not; None if unknown."""
     for folder in (path, *path.absolute().parents):
         try:
             return shutil.disk_usage(folder).free
@@ -38,7 +38,7 @@ class DiskWatch:
         self.text = ""
 
     def check(self, now_ns: int, written_bytes: int) -> None:
-        """Measure, if it is due.
+        """Update `text`, at most once a second.
 
         Args:
             now_ns: The time on the monotonic clock [ns].

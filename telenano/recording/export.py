@@ -20,44 +20,43 @@ from telenano.settings.known_packages import where_it_is
 from telenano.wire.errors import ConfigError, ExistsError, PackageError, RecordingError, probably_meant
 from telenano.wire.schema import json_schema
 
-# The formats of this module; packages add others, each a function of a recording, a target and a selection.
+# The formats of this module. Packages add others, each a function of recording, target and selection.
 FORMATS = ("mcap-json",)
-# What the messages of a topic become for viewers: encoding, schema (name, encoding and data), and the bytes of the JSON
-# values of one.
+# The form of a topic's messages for viewers: message encoding, schema (name, encoding and data), and the function that
+# encodes the JSON values of one message.
 Payload = tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]
-# Any key by which a message is assigned to a channel of the file.
+# The key that assigns a message to a channel of the exported file.
 K = TypeVar("K")
-# What a channel of the file is: name, encoding, metadata, and schema (name, encoding and data).
+# A channel of the exported file: name, encoding, metadata, and schema (name, encoding and data).
 Described = tuple[str, str, tuple[tuple[str, str], ...], tuple[str, str, bytes]]
 
 
 def export_recording(source: Path, target: Path, kind: str, selection: Selection = ALL) -> CopyResult:
-    """Write the chosen channels of a recording in another format.
+    """Write the selected channels of a recording in another format.
 
-    `mcap-json` makes an MCAP file, in which a topic of several publishers has a channel for each, and messages the time
-    of their sending. Units and descriptions are in its schemas, and attachments and metadata of the recording, so
-    scenario, versions and seeds, go along. Installed packages add formats, such as
-    `parquet`.
+    `mcap-json` writes an MCAP file with JSON messages at their send times, one channel for each publisher of a topic.
+    Its schemas hold units and descriptions; attachments and metadata of the recording (scenario, versions, seeds) are
+    copied. Installed packages add formats such as `parquet`.
 
-    It has its name only when it is complete, and nothing is left of one that is not.
+    The target gets its name only when it is complete; an export that fails leaves no file.
 
-    Raises RecordingError when nothing is selected, the source is not a recording, or the target exists or cannot be
-    written, ConfigError when a package that the format needs is not installed.
+    Raises RecordingError if nothing is selected, the source is not a recording, or the target exists or cannot be
+    written; ConfigError if the format is unknown or its package is not installed.
     """
     recording = Recording(source)
     selection.demand_some_of(source, recording.channels)
     try:
         return _export(recording, target, kind, selection)
     except FileExistsError as error:
-        # A file that stands in the place of the folder exists already as well.
+        # This error also comes from a file that has the name of the target's folder.
         if target.exists():
             raise ExistsError(f"{target}: already exists and is not overwritten") from error
         raise RecordingError(f"{target}: cannot be created: {error.strerror}") from error
     except (OverflowError, ValueError) as error:
-        # a stranger's file may have whole numbers that no format holds
+        # A file of another program may contain integers that the format cannot hold.
         raise RecordingError(f"{target}: cannot be written: {error}") from error
     except OSError as error:
-        # the library of HDF5 has a text of its own, of several lines
+        # The HDF5 library puts several lines into `strerror`, so the text comes from errno.
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise RecordingError(f"{target}: cannot be written: {reason}") from error
 
@@ -71,8 +70,7 @@ def _export(recording: Recording, target: Path, kind: str, selection: Selection)
 def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     """Return a JSON Schema without references, tuples and alternatives, as viewers need it.
 
-    Vectors become lists of numbers, optional parts are described by what they are when present (and left out when they
-    are not), arrays as lists.
+    Vectors and arrays become lists of numbers; an optional part has the schema that it has when present.
     """
     definitions = schema.get("$defs", {})
 
@@ -129,15 +127,15 @@ def _written_by_package(write: Any, recording: Recording, target: Path, kind: st
 def write_viewer_mcap(
     recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str, Mapping[str, Any]], Payload]
 ) -> CopyResult:
-    """Write the chosen channels as MCAP for viewers, with the time of the sending of each message.
+    """Write the selected channels as MCAP for viewers, each message at its send time.
 
     Args:
         recording: The recording.
         target: The file to write.
-        selection: Which channels are written.
-        payload_of: Returns encoding, schema (name, encoding and data) and encoder of a topic, from its name and the
-            schema of its messages as `plain()` gives them: without references and alternatives. It has the name of the
-            message as `title`, and neither that nor properties for a topic that this version does not know.
+        selection: Predicate of the channels to write.
+        payload_of: Returns encoding, schema (name, encoding and data) and encoder of a topic from its name and the
+            `plain_schema` of its messages, whose `title` is the name of the message. The schema of a topic that this
+            version does not know has no title and no properties.
 
     Raises:
         RecordingError: The file cannot be written.
@@ -151,7 +149,7 @@ def write_viewer_mcap(
 
     def describe(channel: RecordedChannel) -> Described:
         encoding, schema, _ = payloads[channel.topic]
-        # viewers draw a channel as one line, no matter which node sent its messages
+        # Viewers draw a channel as one line, so each publisher needs its own channel.
         several = publishers[channel.channel_topic] > 1
         name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
         facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
@@ -168,16 +166,16 @@ def write_mcap(
     describe: Callable[[K], Described],
     profile: str = "",
 ) -> CopyResult:
-    """Write the chosen channels of a recording in the order of their sending.
+    """Write the selected channels of a recording to MCAP in order of their send times.
 
     Args:
         recording: The recording.
         target: The file to write.
-        selection: Which channels are written.
-        encode: Returns what a message becomes: for each new one the key of its channel, and its bytes. What it refuses
-            by TypeError, ValueError or KeyError is left out and named in the result.
-        describe: Returns name, encoding, metadata and schema (name, encoding and data) of a channel by its key.
-        profile: The profile of MCAP that the channels follow.
+        selection: Predicate of the channels to write.
+        encode: Converts a message to any number of new ones, each the key of its channel and its bytes. A message for
+            which it raises TypeError, ValueError or KeyError is left out and named in the result.
+        describe: Returns name, encoding, metadata and schema (name, encoding and data) of a channel from its key.
+        profile: The MCAP profile that the channels follow.
 
     Raises:
         RecordingError: The file cannot be written.
@@ -185,7 +183,7 @@ def write_mcap(
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
     channels: dict[K, RawChannel] = {}
-    # viewers draw by log_time, and against the recorder's a ramp is a staircase
+    # Viewers plot against log_time; against the recorder's reception times a ramp would be a staircase.
     select = partial(recording.select, report=skipped.append)
     sent = SenderOrder(recording, selection, SenderClock(recording), select=select, ends=True)
     with CopyWriter(target, profile=profile) as writer:
@@ -209,13 +207,10 @@ def _plain_schema_of(topic: str) -> dict[str, Any]:
 
 
 def viewer_json(topic: str) -> Payload:
-    """Return how viewers get a topic as JSON: encoding, schema (name, encoding and data), and the bytes of a message.
+    """Return the JSON form of a topic for viewers: encoding, schema (name, encoding and data) and encoder.
 
-    Beside each time in ns there is the same in digits: a viewer in JavaScript keeps numbers as doubles, which round the
-    time of today to 256 ns.
-
-    Args:
-        topic: The topic.
+    Each time in ns is repeated as a string of digits: a viewer in JavaScript keeps numbers as doubles, which round
+    today's time to 256 ns.
     """
     return _as_json(topic, _plain_schema_of(topic))
 
@@ -236,7 +231,7 @@ def _as_json(topic: str, plain: Mapping[str, Any]) -> Payload:
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:
-    """Return a value as its plain schema says: without what is nil, and an array of any shape as one list."""
+    """Return a value that fits its plain schema: nil fields are dropped, and an array of any shape is one flat list."""
     if isinstance(value, dict):
         parts = schema.get("properties", {})
         return {key: fitted(part, parts.get(key, {})) for key, part in value.items() if part is not None}

@@ -1,4 +1,4 @@
-"""Comparing messages field by field, with a tolerance for each field in its own unit."""
+"""Field by field comparison of messages, with a tolerance for each field in its own unit."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,10 +9,10 @@ from telenano.wire.patterns import fault_of_pattern, matches
 
 
 class Tolerances:
-    """Largest difference allowed in numeric fields, by glob of their dotted name; zero where none is given.
+    """Largest allowed difference of numeric fields, by glob of the dotted field name; zero by default.
 
-    The unit is that of the field: `position_m=1e-12` allows a picometre in every component. `TOPIC:FIELD` limits a
-    field of that topic only: metres at the hand and at the tip differ by a factor of a million.
+    The unit is that of the field: `position_m=1e-12` allows a picometre in every component. `TOPIC:FIELD` applies to
+    one topic only, because metres at the hand and at the tip differ by a factor of a million.
     """
 
     def __init__(self, limits: Mapping[str, float] | None = None) -> None:
@@ -20,7 +20,7 @@ class Tolerances:
 
     @classmethod
     def parse(cls, texts: Sequence[str]) -> "Tolerances":
-        """Read FIELD=VALUE; ConfigError names what is wrong."""
+        """Parse texts of the form FIELD=VALUE; raise ConfigError for one that is malformed, negative or not finite."""
         limits: dict[str, float] = {}
         for text in texts:
             field, _, value = text.partition("=")
@@ -43,7 +43,7 @@ class Tolerances:
         return Tolerances(limits)
 
     def of(self, field: str) -> float:
-        """Return the tolerance of a field; that of a vector applies to its components."""
+        """Return the tolerance of a field in its unit; the tolerance of a vector applies to its components."""
         stem = field.partition(".")[0]
         limits = [limit for name, limit in self._limits.items() if matches(field, name) or name == stem]
         return max(limits, default=0.0)
@@ -99,7 +99,7 @@ def _difference(name: str, left: Any, right: Any, tolerances: Tolerances) -> Fie
 
 def _same(left: Any, right: Any, tolerance: float) -> bool:
     if isinstance(left, float) and isinstance(right, float):
-        # the sign of a zero is a bit as well
+        # Without a tolerance the comparison is exact, so 0.0 and -0.0 differ.
         if tolerance == 0.0:
             return left == right and math.copysign(1.0, left) == math.copysign(1.0, right)
         return abs(left - right) <= tolerance

@@ -1,9 +1,9 @@
-"""The heads of all messages of a chunk at once, where the indexes behind it are shown to name every record in it.
+"""Fast reading of the message heads of a chunk through the message indexes behind it, after checking them.
 
-A walk over the records of a chunk takes a microsecond for each. The writer puts an index of each channel's messages
-behind a chunk, by which all heads are read in a tenth of that. An index is a claim, and so it is used as a proposal
-alone: what it names must be messages of its channel that lie one behind the other, and what is between them must be
-definitions. Where that does not hold the records are walked.
+Walking the records of a chunk takes about a microsecond each. The writer puts an index of each channel's messages
+behind the chunk, from which all heads are read in a tenth of that time. An index may be wrong, so it is verified: its
+entries must be messages of its channel that do not overlap, with only schemas and channels between them. If that does
+not hold, the caller walks the records.
 """
 
 import mmap
@@ -18,14 +18,14 @@ from telenano.recording.mcap_messages import HEADS
 from telenano.recording.mcap_scan import INDEX_HEAD, MESSAGE_HEAD, RECORD_HEAD, records_of
 
 _ENTRY_BYTES = 16
-# A chunk in which definitions part the messages more often is walked.
+# A chunk with more definitions between its messages is walked instead.
 _MOST_DEFINITIONS = 256
 
 Column = npt.NDArray[np.int64]
 
 
 class Definition(NamedTuple):
-    """A schema or a channel in a chunk, before the message of a number; `start` and `end` are those of its body."""
+    """A schema or channel in a chunk: index of the message that it precedes, opcode, start and end of its body."""
 
     before: int
     opcode: int
@@ -34,7 +34,7 @@ class Definition(NamedTuple):
 
 
 class ChunkMessages(NamedTuple):
-    """Messages of a chunk in its order: heads as `HEADS`, start and end of each payload, and the definitions."""
+    """Messages in the order of the chunk: heads of type `HEADS`, start and end of each payload, and the definitions."""
 
     heads: npt.NDArray[np.void]
     starts: Column
@@ -45,13 +45,13 @@ class ChunkMessages(NamedTuple):
 def messages_in(
     data: mmap.mmap, place: int, content: bytes, wanted: Container[int] | None = None
 ) -> ChunkMessages | None:
-    """Return the messages in the content of a chunk; None where the indexes do not agree with it.
+    """Return the messages in a chunk; None if the indexes do not agree with its content.
 
     Args:
         data: The file.
-        place: The end of the chunk, behind which its indexes stand.
-        content: The records in the chunk.
-        wanted: The channels whose messages are returned, where the whole chunk was shown to agree before; None for all.
+        place: Offset of the end of the chunk, where its indexes begin.
+        content: The uncompressed records of the chunk.
+        wanted: Numbers of the channels to return; only for a chunk that was verified as a whole before. None for all.
     """
     entries = _entries(data, place, len(content) // HEADS.itemsize, wanted)
     if entries is None:
@@ -60,7 +60,7 @@ def messages_in(
     last = len(content) - HEADS.itemsize
     if places.size and not 0 <= places.min() <= places.max() <= last:
         return None
-    # A head may begin at any byte, and so each lies over the one before.
+    # A head may begin at any byte, so this array has one (overlapping) head for each byte.
     heads = np.ndarray((max(0, last + 1),), HEADS, content, strides=(1,))[places]
     begins = places + RECORD_HEAD.size
     if np.any(heads["opcode"] != Opcode.MESSAGE) or np.any(heads["channel"] != numbers):
@@ -78,9 +78,9 @@ def messages_in(
 def _entries(
     data: mmap.mmap, place: int, most: int, wanted: Container[int] | None
 ) -> tuple[npt.NDArray[np.int64], Column] | None:
-    """Return channel and place of each message that the indexes behind a chunk name, in the order of the places.
+    """Return channel number and offset of each message in the indexes behind a chunk, in order of the offsets.
 
-    None where they name more than the chunk has room for.
+    None if they have more entries than the chunk has room for messages, or an incomplete entry.
     """
     numbers: list[int] = []
     parts: list[bytes] = []
@@ -104,7 +104,7 @@ def _entries(
 
 
 def _definitions(content: bytes, places: Column, ends: Column) -> tuple[Definition, ...] | None:
-    """Return what is between the messages; None where a part of it is no definition, or there is too much."""
+    """Return the definitions between the messages; None if anything else is there, or more than the limit."""
     begins = np.concatenate(([0], ends))
     parts = np.flatnonzero(begins != np.concatenate((places, [len(content)]))).tolist()
     if len(parts) > _MOST_DEFINITIONS:

@@ -1,4 +1,4 @@
-"""Summary of a recording: per channel its counts, rate and losses; what is missing; how late the recorder was."""
+"""Summary of a recording: counts, rate and losses of each channel, missing messages, and the recorder's lag."""
 
 from array import array
 from collections.abc import Iterable, Mapping
@@ -13,13 +13,13 @@ from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.sequence import SequenceTracker, total
 
-# the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
+# The metadata record at the end of a file, in which the recorder says why it ended and which data it knows to miss.
 END_NAME = "end"
 # the sequence of an MCAP message has 32 bits
 _SEQUENCE_MASK = 0xFFFF_FFFF
-# lags kept of a source; of more, every second one is left out, again and again
+# Most lags kept for each source; at this limit every second one is dropped, again and again.
 _MOST_LAGS = 1 << 18
-# channels that are named where messages are missing; the rest is counted
+# Most channels with missing messages that are named; further ones are counted.
 _MOST_NAMED = 5
 
 
@@ -28,9 +28,9 @@ class _Info(BaseModel):
 
 
 class ChannelInfo(_Info):
-    """Statistics of one channel; times in ns on the recorder's clock, `rate_hz` as measured from them.
+    """Statistics of one channel; times are in ns of the recorder's clock, and `rate_hz` is measured from them.
 
-    `size_bytes`, `repeated` and `restarts` are None in a summary that was made without reading the messages.
+    `size_bytes`, `repeated` and `restarts` are None in a summary made from the index, without reading the messages.
     """
 
     channel_topic: str
@@ -59,7 +59,7 @@ class AttachmentInfo(_Info):
 
 
 def attachments_of(records: Mapping[str, Attachment]) -> tuple[AttachmentInfo, ...]:
-    """Return what a summary says of attachments."""
+    """Return name, media type and size [bytes] of each attachment for a summary."""
     return tuple(
         AttachmentInfo(name=name, media_type=records_of_name.media_type, size_bytes=len(records_of_name.data))
         for name, records_of_name in records.items()
@@ -75,7 +75,7 @@ class LagInfo(_Info):
 
 
 class PartInfo(_Info):
-    """One of the files of a recording; `pause_s` is the time since the one before in which nothing was recorded."""
+    """One file of a recording; `pause_s` is the gap without recorded messages after the previous file [s]."""
 
     path: str
     start_ns: int
@@ -88,13 +88,13 @@ class PartInfo(_Info):
 class RecordingInfo(_Info):
     """Summary of a recording, or of the parts of one.
 
-    `complete`: nothing that was sent to the recorder is missing; `missing` names what is, in sentences. `closed`: each
-    file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link has
-    dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `odd`: sentences on what is odd
-    although nothing is missing, such as messages whose times are far from those of all others. `recorder_lag`: None
-    where it is unknown. `basis`: every message was read for it, or the index of a closed file, which says nothing of
-    damaged messages (`telenano.recording.summary_section`). `path` is the first of several `parts`, which are empty
-    where there is but one file.
+    `complete`: True if no message sent to the recorder is missing; else `missing` has sentences on the losses.
+    `closed`: True if each file was closed properly, with index and end mark. `lost`: number of missing messages,
+    without those that an impaired link dropped. `skipped_bytes`: unusable bytes; `damage` says where and why. `odd`:
+    sentences on oddities that are no loss, such as messages whose times are far from all others. `recorder_lag`: None
+    if unknown. `basis`: `messages` if every message was read, `summary` if only the index of a closed file was, which
+    does not reveal damaged messages (`telenano.recording.summary_section`). `path` is the first of `parts`; these are
+    empty for a single file.
     """
 
     path: str
@@ -127,7 +127,7 @@ class ChannelStatistics:
         self.last_ns = first.log_ns
         self.messages = 0
         self.size_bytes = 0
-        # missing although the link had sent them on
+        # Messages that are missing between the last recorded one and the publisher's end.
         self.missing_at_end = 0
         self._tracker = SequenceTracker()
 
@@ -138,20 +138,20 @@ class ChannelStatistics:
         self._tracker.accept(message.seq, message.publish_ns)
 
     def finish(self, sent: int) -> None:
-        """Record that the publisher has ended after this number of messages."""
+        """Record that the publisher ended after `sent` messages, and count the missing ones at the end."""
         if not self._tracker.ended:
-            # both numbers are known modulo 2^32
+            # Both numbers are known only modulo 2^32.
             beyond = (sent - 1 - self._tracker.last_seq) & _SEQUENCE_MASK
             missing = 0 if beyond > _SEQUENCE_MASK // 2 else beyond
             self.missing_at_end += self._tracker.finish(self._tracker.last_seq + 1 + missing)
 
     def follows(self, first_missing: int) -> bool:
-        """Return whether a number is the next after the newest message."""
+        """Return whether a sequence number is the next one after the newest message."""
         return self._tracker.last_seq + 1 == first_missing
 
     @property
     def missing(self) -> int:
-        """Messages that were sent to the recorder and are not there: what an impaired link drops was not."""
+        """Number of messages that were sent to the recorder and are missing; drops of an impaired link do not count."""
         return self._tracker.lost if self.channel.via == "direct" else self.missing_at_end
 
     def info(self) -> ChannelInfo:
@@ -177,19 +177,19 @@ class ChannelStatistics:
 
 
 class RecordingStatistics:
-    """The statistics of a recording, message by message in the order of reception; its parts one after the other."""
+    """Statistics of a recording, updated with each message in order of reception, file by file."""
 
     def __init__(self, recorder_site: str) -> None:
-        """Begin; the lag is measured at the site of the recorder, whose clock it is, or everywhere if that is empty."""
+        """Measure the lag only at the recorder's site, where both times are of one clock; everywhere if it is empty."""
         self.channels: dict[RecordedChannel, ChannelStatistics] = {}
         self._site = recorder_site
         self._lags: dict[str, _Lags] = {}
         self._replayed: set[str] = set()
-        # whether numbers are missing between the file that is read and those before it
+        # Whether messages are missing between the current file and those before it.
         self.lost_between = False
-        # channels of those files of which this one had no message yet
+        # Channels of earlier files without a message in the current file yet.
         self._awaited: set[RecordedChannel] = set()
-        # by channel and source, the gap that the recorder has recorded last
+        # The last gap that the recorder recorded (first and last missing number), by channel and source.
         self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
 
     def begin_file(self) -> None:
@@ -209,7 +209,7 @@ class RecordingStatistics:
             self.lost_between = self.lost_between or statistics.missing > before
         else:
             statistics.add(message)
-        # a gap before a message is none at the end, whatever numbers the publisher begins with again
+        # A gap followed by a message is not at the end of the channel, even if the publisher restarts its numbers.
         if self._gaps and channel.src:
             self._gaps.pop((channel.channel_topic, channel.src), None)
         if channel.topic == GAP_TOPIC:
@@ -223,7 +223,7 @@ class RecordingStatistics:
                 self._replayed.add(channel.src)
 
     def finish(self) -> None:
-        """Add what the recorder found missing at the end of channels, where it did not record why."""
+        """Count the gaps that the recorder recorded at the end of channels whose publisher announced no end."""
         for (channel_topic, src), (first, last) in self._gaps.items():
             for channel, statistics in self.channels.items():
                 if (channel.channel_topic, channel.src) == (channel_topic, src) and statistics.follows(first):
@@ -248,11 +248,11 @@ class RecordingStatistics:
         return tuple(named)
 
     def lag(self) -> LagInfo | None:
-        """Return the lag of the recorder; replayed messages have stamps of another time and do not count."""
+        """Return the recorder's lag, None if unknown; replayed nodes are left out because their stamps are old."""
         lags = [lag_s for src, lag_s in self._lags.items() if src not in self._replayed]
         if not lags:
             return None
-        # A summary by the index has no lag, and does not wait for this import.
+        # Imported here because a summary from the index needs no lag and should not wait for the import.
         import numpy as np
 
         kept = np.concatenate([np.frombuffer(lag_s.kept, dtype=np.int64) for lag_s in lags])
@@ -269,7 +269,7 @@ class RecordingStatistics:
     def _add_end(self, message: RecordedMessage) -> None:
         sent = read_end(_fields(message)) or {}
         for channel, statistics in self.channels.items() if sent else ():
-            # the counts are of the publisher's own endpoint: what was received elsewhere came through others
+            # The counts hold for the publisher's own endpoint; other channels were received through other endpoints.
             if channel.site == message.site and (channel.via == "direct") == (channel.src == message.src):
                 count = sent.get((channel.topic, channel.src))
                 if count is not None:
@@ -277,7 +277,7 @@ class RecordingStatistics:
 
 
 class _Lags:
-    """Lags of the messages of a source [ns], evenly spread over the recording where there are many."""
+    """Lags of a source's messages [ns]; of too many, a sample evenly spread over the recording is kept."""
 
     def __init__(self) -> None:
         self.most = 0
@@ -288,7 +288,7 @@ class _Lags:
     def add(self, lag_ns: int) -> None:
         self.most = max(self.most, lag_ns)
         if self._count % self._step == 0:
-            # A file may have times beyond 64 bits.
+            # The lag of a damaged file may exceed 64 bits.
             self.kept.append(max(-(2**62), min(lag_ns, 2**62)))
             if len(self.kept) >= _MOST_LAGS:
                 self.kept = self.kept[::2]
@@ -297,12 +297,12 @@ class _Lags:
 
 
 def unclosed_text(name: str, start_ns: int, end_ns: int) -> str:
-    """Return a sentence on a file that was not closed, with the times of its first and last message [ns]."""
+    """Return a sentence on a file that was not closed, from the times of its first and last message [ns]."""
     return f"{name} was not closed: it ends {(end_ns - start_ns) * 1e-9:.3f} s after its start, the rest is missing"
 
 
 def notes_of(metadata: Iterable[Mapping[str, Mapping[str, str]]]) -> tuple[str, ...]:
-    """Return what the recorder itself noted as missing, from the metadata of its files."""
+    """Return the recorder's own notes on missing data, without repetitions, from the metadata of its files."""
     notes = [note for record in metadata for note in record.get(END_NAME, {}).get("note", "").split("; ") if note]
     return tuple(dict.fromkeys(notes))
 

@@ -1,4 +1,4 @@
-"""Values of a message as JSON holds them."""
+"""Conversion of a message's values to JSON values."""
 
 import base64
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ SCALAR_OR_NONE = SCALAR_TYPES | {type(None)}
 
 def json_fields(record: Record) -> dict[str, Any]:
     """Return the fields of a record as JSON values: arrays as lists of numbers, bytes as base64."""
-    # Most fields of most messages are scalars, for which a call takes most of the time.
+    # Most fields are scalars, for which the call of `json_value` would take most of the time.
     return {
         key: value if type(value) in SCALAR_OR_NONE else json_value(value)
         for key, value in msgspec.structs.asdict(record).items()
@@ -24,7 +24,7 @@ def json_fields(record: Record) -> dict[str, Any]:
 
 
 def json_value(value: Any) -> Any:
-    """Return a value of a message as JSON holds it."""
+    """Return a message's value as a JSON value: arrays and tuples as lists, bytes as base64, other types as text."""
     if type(value) in SCALAR_OR_NONE:
         return value
     if isinstance(value, Array):

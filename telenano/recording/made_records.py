@@ -1,4 +1,4 @@
-"""Recordings and records of messages that were made and not received, for the test of an export or of a bridge."""
+"""Recordings made from messages without a bus, for tests of an export or a bridge."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,13 +11,13 @@ from telenano.wire.nodes import site_of
 
 
 def recorded(topic: str, message: Message, log_ns: int, site: str = "") -> RecordedMessage:
-    """Return a message as a recording or a running rig gives it.
+    """Return a message as it would be read from a recording or received from a running rig.
 
     Args:
         topic: The topic of the message.
         message: The message.
-        log_ns: When it was received [ns since 1970].
-        site: The site at which it was received; empty for that of its publisher, else it is a copy that left the link.
+        log_ns: Time of reception [ns since 1970].
+        site: Site of reception, empty for the publisher's; at another site the message counts as a copy from the link.
     """
     row, site = TOPICS[topic], site or site_of(message.src)
     via, name = "direct" if site == site_of(message.src) else "link", channel_topic(topic, message.src, site)
@@ -26,7 +26,7 @@ def recorded(topic: str, message: Message, log_ns: int, site: str = "") -> Recor
 
 
 def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:
-    """Write messages (`recorded`) as the recorder does, for a test; return the file."""
+    """Write messages made by `recorded` to a file in a folder, as the recorder does, and return the file's path."""
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
     numbers: dict[RecordedChannel, int] = {}
     for message in messages:

@@ -1,7 +1,7 @@
-"""Check of what other readers of a file go by: header, footer, the indexes of the summary, and the checksums.
+"""Check of the parts of a file on which other readers rely: header, footer, summary and checksums.
 
-The reader of the `mcap` package reads them, as other programs do. What the summary states is compared with what is in
-the file; the checksums cover the rest, such as the message indexes, where the writer made some.
+They are read with the reader of the `mcap` package, as other programs do. The statements of the summary are compared
+with the content of the file; the checksums, if the writer made some, cover the rest, such as the message indexes.
 """
 
 import mmap
@@ -22,12 +22,12 @@ _CRC_STEP = 1 << 20
 
 
 def index_faults(data: Bytes, layout: Layout, messages: int) -> list[str]:
-    """Return what is wrong with the indexes of a file that was closed and whose records are whole, as sentences.
+    """Return sentences on the faults in the indexes of a closed file whose records are intact.
 
     Args:
         data: The file.
-        layout: Its records.
-        messages: The number of messages that were read from it.
+        layout: Its records, from `scan`.
+        messages: The number of messages that were read from the file.
     """
     try:
         return list(_faults(data, layout, messages))
@@ -36,7 +36,7 @@ def index_faults(data: Bytes, layout: Layout, messages: int) -> list[str]:
 
 
 def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:
-    # The type is Any because a mapped file is read as a stream is, and the package carries no types.
+    # The type is Any because a mapped file serves as a stream, and the package has no types.
     stream: Any = data if isinstance(data, mmap.mmap) else BytesIO(data)
     reader: Any = SeekingReader(stream, validate_crcs=True)
     reader.get_header()
@@ -61,7 +61,7 @@ def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:
 
 
 def _checksum_faults(data: Bytes, summary_start: int, footer: int) -> Iterator[str]:
-    """Yield the checksums that are wrong; 0 represents none."""
+    """Yield a sentence for each wrong checksum; 0 means that the writer made none."""
     data_end = summary_start - RECORD_HEAD.size - _CRC_BYTES
     if not 0 < data_end < footer or data[data_end] != Opcode.DATA_END:
         yield "the end of the data section is not where the footer says"

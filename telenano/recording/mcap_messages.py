@@ -1,4 +1,4 @@
-"""A writer of MCAP for a rig, which records ten thousand messages a second, and six chunks a second for hours."""
+"""A fast MCAP writer: a rig records ten thousand messages a second, and six chunks a second for hours."""
 
 import importlib
 import struct
@@ -24,13 +24,13 @@ _COMPRESS: dict[str, Callable[[bytes], bytes]] = {
 # opcode, length of what follows, channel, sequence, log time, publish time
 _MESSAGE = struct.Struct("<BQHIQQ")
 _pack_message = _MESSAGE.pack
-# the same of many messages
+# The same head as the type of an array of messages.
 HEADS = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
 )
-# a number is packed in less time than a member of an enumeration
+# An int is packed faster than a member of an enumeration.
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
-# the payload keeps the whole number
+# The sequence field of MCAP has 32 bits; the payload keeps the whole number.
 _SEQUENCE_MASK = 0xFFFF_FFFF
 # opcode and length
 _HEAD_BYTES = 9
@@ -43,11 +43,11 @@ _FOOTER_HEAD = struct.Struct("<BQQQ")
 
 
 class MessageWriter:
-    """A writer that keeps heads and payloads of a chunk in a list and joins them once, when the chunk ends.
+    """Writer that collects heads and payloads in a list and joins them once, at the end of each chunk.
 
-    The file is that of `mcap.writer.Writer`, byte for byte, with all indexes and checksums; that one packs each field
-    of a message by itself and copies it into a stream, which takes six times as long. The records that are kept for the
-    end of the file are packed at once, in less than half of the memory. Every method passes the OSError of its stream.
+    The file equals that of `mcap.writer.Writer` byte for byte, with all indexes and checksums. That writer packs each
+    field of a message separately and copies it into a stream, which takes six times as long. Records for the end of the
+    file are kept packed, in less than half of the memory. Every method passes on the OSError of its stream.
     """
 
     def __init__(self, stream: IO[bytes], chunk_size: int = 1 << 20, compression: Compression = "zstd") -> None:
@@ -63,16 +63,16 @@ class MessageWriter:
         self._metadata_indexes: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._joined_count = 0
-        # times of reception [ns] of the first message and the last, in the file and in the chunk in hand
+        # Least and greatest reception time [ns], of the file and of the current chunk.
         self._span_ns: tuple[int, int] | None = None
         self._chunk_span_ns: tuple[int, int] | None = None
-        # the chunk in hand, and the index of its messages by channel
+        # The current chunk, and the index of its messages by channel.
         self._chunk = bytearray()
         self._entries: dict[int, bytearray] = {}
-        # head and payload of each message that the chunk does not have yet
+        # Head and payload of each message that is not joined to the chunk yet.
         self._parts: list[bytes] = []
         self._append = self._parts.append
-        # bytes in the chunk, those included
+        # Size of the chunk, including the messages not joined yet [bytes].
         self._size = 0
 
     def start(self, profile: str = "") -> None:
@@ -80,7 +80,7 @@ class MessageWriter:
         self._write(MCAP0_MAGIC + _packed(records.Header(profile, "telenano")))
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
-        """Add a message to the chunk in hand; of its number the lower 32 bits, for which there is room."""
+        """Add a message to the current chunk, with the lower 32 bits of its sequence number; times are in ns."""
         size = len(data)
         sequence &= _SEQUENCE_MASK
         self._append(_pack_message(_MESSAGE_OPCODE, _FIXED_BYTES + size, channel_id, sequence, log_time, publish_time))
@@ -95,7 +95,7 @@ class MessageWriter:
         return self._joined_count + len(self._parts) // 2
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a schema to the chunk in hand, behind its messages, and return its number."""
+        """Add a schema to the current chunk, behind its messages, and return its number."""
         number = len(self._schemas) + 1
         self._register(self._schemas, records.Schema(id=number, name=name, encoding=encoding, data=data))
         return number
@@ -103,13 +103,13 @@ class MessageWriter:
     def register_channel(
         self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str] | None = None
     ) -> int:
-        """Add a channel to the chunk in hand, behind its messages, and return its number."""
+        """Add a channel to the current chunk, behind its messages, and return its number."""
         number = len(self._channels) + 1
         self._register(self._channels, records.Channel(number, topic, message_encoding, metadata or {}, schema_id))
         return number
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
-        """Write a file of its own into this one, before the chunk in hand."""
+        """Write an attachment to the stream, before the current chunk; times are in ns."""
         record = _packed(records.Attachment(create_time, log_time, name, media_type, data))
         index = records.AttachmentIndex(
             self._place, len(record), log_time, create_time, data_size=len(data), name=name, media_type=media_type
@@ -118,18 +118,18 @@ class MessageWriter:
         self._write(record)
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
-        """Write a table of words, before the chunk in hand."""
+        """Write a metadata record to the stream, before the current chunk."""
         record = _packed(records.Metadata(name=name, metadata=data))
         self._metadata_indexes.append(_packed(records.MetadataIndex(offset=self._place, length=len(record), name=name)))
         self._write(record)
 
     def flush(self) -> None:
-        """Write the chunk in hand and hand everything to the stream."""
+        """Write the current chunk and flush the stream."""
         self._end_chunk()
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the chunk in hand, indexes and statistics."""
+        """Write the current chunk, the summary with indexes and statistics, and the footer."""
         self._end_chunk()
         self._write(_packed(records.DataEnd(self._crc)))
         first_ns, last_ns = self._span_ns or (0, 0)
@@ -167,7 +167,7 @@ class MessageWriter:
             self._end_chunk()
 
     def _end_chunk(self) -> None:
-        """Write the chunk in hand, with its index; one without a message waits for the first."""
+        """Write the current chunk with its indexes; a chunk without a message is kept until it has one."""
         self._join()
         if self._chunk_span_ns is None:
             return
@@ -200,7 +200,7 @@ class MessageWriter:
         self._size = 0
 
     def _join(self) -> None:
-        """Move the messages that the chunk does not have yet into it, with their index and counts."""
+        """Join the collected messages to the current chunk and update index, counts and time spans."""
         if not self._parts:
             return
         heads = np.frombuffer(b"".join(self._parts[::2]), dtype=HEADS)
@@ -212,7 +212,7 @@ class MessageWriter:
         channels, packed = heads["channel"][by_channel], entries[by_channel].tobytes()
         starts = np.flatnonzero(np.diff(channels, prepend=-1))
         ends_of = np.append(starts[1:], len(channels))
-        # in the order in which the channels come in the chunk
+        # In the order in which the channels first occur, as `mcap.writer.Writer` does.
         for which in np.argsort(by_channel[starts]).tolist():
             channel, start, end = int(channels[starts[which]]), int(starts[which]), int(ends_of[which])
             self._entries.setdefault(channel, bytearray()).extend(packed[start * _ENTRY_BYTES : end * _ENTRY_BYTES])
@@ -231,7 +231,7 @@ class MessageWriter:
 
 
 def _packed(record: records.McapRecord) -> bytes:
-    # The library declares no types for it.
+    # The `mcap` package declares no types for it.
     builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

@@ -1,4 +1,4 @@
-"""The outer structure of an MCAP file that may be unfinished, cut off anywhere or damaged."""
+"""Scan of the outer structure of an MCAP file that may be unfinished, cut off anywhere or damaged."""
 
 import importlib
 import mmap
@@ -22,41 +22,41 @@ from telenano.wire.errors import RecordingError
 Bytes = bytes | mmap.mmap
 
 MAGIC: bytes = MCAP0_MAGIC
-# The format of a recording is in its metadata record `recording`; the first had none written there.
+# The format of a recording is in its metadata record `recording`; the first recordings lack the entry.
 FORMAT = "1"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-# opcode and length of the index of a channel behind a chunk, its number, and the size of its entries
+# Message index of a channel behind a chunk: opcode, length, channel number, size of its entries.
 INDEX_HEAD = struct.Struct("<BQHI")
-# of the footer: opcode, length, start of the summary and of its offsets, checksum
+# Footer: opcode, length, start of the summary and of its offsets, checksum.
 _FOOTER = struct.Struct("<BQQQI")
-# of what the summary says of a chunk: times, place, length, and the size of the places of its indexes
+# Chunk index in the summary: first and last time, offset, length, size of the map of message index offsets.
 _CHUNK_INDEX = struct.Struct("<QQQQI")
-# the number of a channel before the place of its index
+# Entry of that map: channel number, then the offset of its index, which is skipped.
 _NUMBER = struct.Struct("<H8x")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
-# An unpacked chunk is in memory as a whole. Ours have at most 64 MiB and one message of 16 MiB.
+# An unpacked chunk is in memory as a whole [bytes]. Ours have at most 64 MiB and one message of 16 MiB.
 _LARGEST_CHUNK = 80 << 20
-# The ratio limits chunks larger than the default size and one message, because zeros pack to nearly nothing.
+# The ratio applies only to chunks beyond the ordinary size (the default and one message), because zeros compress well.
 _GREATEST_RATIO = 1000
 _ORDINARY_CHUNK = 17 << 20
-# schemas and channels that differ; a rig has some hundred, and each of them is an object of ours
+# Most different schemas and channels: a rig has some hundred, and each takes memory.
 MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
 _END_OF_TIME = 2**64
-# This number of bytes of a mapped file are in memory at once.
+# Bytes of a mapped file that are in memory at once.
 MOST_MAPPED = 16 << 20
-# Reading the parts of a damaged record can raise these.
+# Errors that reading a damaged record can raise.
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Bytes of a file that could not be used, and why."""
+    """Range of unusable bytes in a file, and the reason."""
 
     offset: int
     size_bytes: int
@@ -67,8 +67,9 @@ class Damage:
 
 
 class Block(NamedTuple):
-    """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk.
+    """A chunk, or a single schema, channel or message outside of any chunk.
 
+    `data_start` equals `offset` for a record outside of any chunk. `whole` is False for a chunk that is cut off.
     `first_ns` and `last_ns` bound the log times of its messages, so that a search can skip it.
     """
 
@@ -85,7 +86,7 @@ class Block(NamedTuple):
 
 @dataclass
 class Layout:
-    """Structure of a file; `finished` means that it was closed properly, with index and end mark."""
+    """Structure of a file; `finished` is True if it was closed properly, with footer and end mark."""
 
     blocks: list[Block] = field(default_factory=list)
     attachments: dict[str, Attachment] = field(default_factory=dict)
@@ -95,43 +96,43 @@ class Layout:
     path: str = ""
     damage: list[Damage] = field(default_factory=list)
     finished: bool = False
-    # by the place of a chunk, the numbers of the channels that the summary says it has
+    # Channel numbers of each chunk according to the summary, by the chunk's offset.
     indexed: dict[int, frozenset[int]] = field(default_factory=dict)
     channel_sets: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
-    # how many of its entries name a chunk again
+    # Number of chunk indexes in the summary that name a chunk for a second time.
     repeated: int = 0
-    # whether the summary is as it was written
+    # Whether the checksum of the summary is right and no damage precedes it.
     is_index_sound: bool = False
 
     def may_have(self, block: Block, selected: Iterable[int], known: Set[int]) -> bool:
-        """Return whether a block may have messages of the selected channels, or of one that is not known yet."""
+        """Return whether a block may have messages of the selected channels or introduce a channel not yet known."""
         numbers = self.indexed.get(block.offset) if self.is_index_sound else None
-        # a file may have chunks without indexes of their messages
+        # No numbers: the writer made no message indexes for this chunk.
         return not numbers or not numbers.isdisjoint(selected) or not numbers <= known
 
 
 def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
-    """Return one line of text for each part that could not be used."""
+    """Return one line of text for each unusable part."""
     return tuple(map(str, damage))
 
 
 class DamagedBlockError(Exception):
-    """A chunk whose content cannot be read; the text is the reason."""
+    """The content of a chunk cannot be read; the text is the reason."""
 
 
 def too_many_definitions(path: str) -> RecordingError:
-    """Return the error of a file that introduces more channels than any rig has."""
+    """Return the error for a file with more than `MOST_DEFINITIONS` channels and schemas."""
     return RecordingError(f"{path}: has more than {MOST_DEFINITIONS} channels and schemas, which no recording has")
 
 
 def scan(data: Bytes, path: str = "") -> Layout:
     """Scan the outer records of a file that starts with the magic bytes.
 
-    After bytes that are not a record it continues with the next intact chunk.
+    After bytes that are not a record the scan continues with the next intact chunk.
 
     Raises:
-        RecordingError: The summary has more channels than any recording; the message names the path. Nothing else is
-            raised.
+        RecordingError: There are more than `MOST_DEFINITIONS` channels and schemas, or the format is a later one; the
+            message names the path. Nothing else is raised.
     """
     layout, size = Layout(path=path), len(data)
     position = trusted = released = len(MAGIC)
@@ -167,12 +168,12 @@ def scan(data: Bytes, path: str = "") -> Layout:
 
 
 def _behind_indexes(data: Bytes, position: int) -> int:
-    """Return the end of the indexes of messages that begin at a position, or the position where there are none."""
+    """Return the end of the message indexes that begin at a position, or the position itself if there are none."""
     size = len(data)
     while position + INDEX_HEAD.size <= size:
         opcode, length, _, entries_bytes = INDEX_HEAD.unpack_from(data, position)
         end: int = position + RECORD_HEAD.size + length
-        # a chunk whose kind is wrong has another length at this place
+        # The size of the entries tells an index from a chunk whose opcode is damaged.
         if opcode != Opcode.MESSAGE_INDEX or position + INDEX_HEAD.size + entries_bytes != end or end > size:
             break
         position = end
@@ -180,7 +181,7 @@ def _behind_indexes(data: Bytes, position: int) -> int:
 
 
 def _is_summary_sound(data: Bytes, footer: int) -> bool:
-    """Return whether the checksum of the summary, which ends before the footer, is right; a file may have none."""
+    """Return whether there is a summary with a correct checksum; `footer` is the offset of the footer record."""
     if footer + _FOOTER.size > len(data):
         return False
     _, _, start, _, crc = _FOOTER.unpack_from(data, footer)
@@ -188,13 +189,13 @@ def _is_summary_sound(data: Bytes, footer: int) -> bool:
 
 
 def release(data: Bytes) -> None:
-    """Give back the memory of a mapped file that was read, which comes from the file again where it is needed."""
+    """Release the memory pages of a mapped file; later reads load them from the file again."""
     if isinstance(data, mmap.mmap) and hasattr(data, "madvise"):
         data.madvise(mmap.MADV_DONTNEED)
 
 
 def unpack(data: Bytes, block: Block) -> bytes:
-    """Return the records in a block; of one that is cut off, the bytes that can be decompressed.
+    """Return the uncompressed records of a block; for a chunk that is cut off, the bytes that can be decompressed.
 
     Raises:
         DamagedBlockError: The block is damaged; the message says what is wrong.
@@ -208,14 +209,14 @@ def unpack(data: Bytes, block: Block) -> bytes:
         content = _decompress(stored, block)
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise DamagedBlockError(f"the chunk cannot be decompressed: {error}") from error
-    # a file without checksums has 0 there
+    # A checksum of 0 means that the writer made none.
     if block.whole and block.crc and zlib.crc32(content) != block.crc:
         raise DamagedBlockError("the checksum of the chunk is wrong")
     return content
 
 
 def _check_sizes(block: Block) -> None:
-    """Raise DamagedBlockError where a chunk states a size that would fill the memory, or that cannot be true."""
+    """Raise DamagedBlockError if the stated size of a chunk would fill the memory or is implausible."""
     stored = block.data_end - block.data_start
     if block.size_bytes > _LARGEST_CHUNK:
         text = f"it unpacks to {block.size_bytes} bytes, at most {_LARGEST_CHUNK} are read"
@@ -226,7 +227,7 @@ def _check_sizes(block: Block) -> None:
 
 
 def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the body of each record in a chunk, until bytes that are no whole record."""
+    """Yield opcode, start and end of the body of each record in a chunk, up to bytes that are not a whole record."""
     position, size = 0, len(content) - RECORD_HEAD.size
     while position <= size:
         opcode, length = RECORD_HEAD.unpack_from(content, position)
@@ -239,7 +240,7 @@ def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
-    """Return the opcode and the end of the record at `position`; None for the end if it cannot be a whole record."""
+    """Return opcode and end of the record at `position`; the end is None if the bytes cannot be a whole record."""
     opcode = data[position]
     if position + RECORD_HEAD.size > len(data):
         return opcode, None
@@ -251,7 +252,7 @@ def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
 
 
 def chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
-    """Return the chunk at `position` if its lengths agree; `end` None means that the file ends within it."""
+    """Return the chunk at `position`, None if its lengths disagree; `end` is None if the file ends within it."""
     body = position + RECORD_HEAD.size
     if body + _CHUNK_HEAD.size > len(data):
         return None
@@ -269,7 +270,7 @@ def chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
 
 
 def _add_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
-    """Add a chunk, or a record outside of any chunk as a block of its own; return the end of what is intact."""
+    """Add a chunk, or a record outside of any chunk, as a block; return its end."""
     if opcode == Opcode.CHUNK:
         block = chunk_at(data, position, end)
         if block is not None:
@@ -280,10 +281,10 @@ def _add_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout
 
 
 def add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
-    """Add what is not in a chunk to the layout, or its damage.
+    """Add a record other than a block to the layout, and any damage of it.
 
     Raises:
-        RecordingError: There are more channels and schemas than any recording has, or it is of a later format.
+        RecordingError: There are more than `MOST_DEFINITIONS` channels and schemas, or the format is a later one.
     """
     body = data[position + RECORD_HEAD.size : end]
     try:
@@ -297,10 +298,10 @@ def add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout)
 
 
 def add_record(opcode: int, body: bytes, layout: Layout) -> None:
-    """Add an attachment, metadata, a channel, a schema or the place of a chunk to the layout.
+    """Add an attachment, metadata, channel, schema or chunk index to the layout; ignore other records.
 
     Raises:
-        RecordingError: There are more channels and schemas than any recording has, or it is of a later format.
+        RecordingError: There are more than `MOST_DEFINITIONS` channels and schemas, or the format is a later one.
     """
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.ATTACHMENT:
@@ -327,21 +328,21 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
             if len(indexes) == size and size % _NUMBER.size == 0
             else frozenset[int]()
         )
-        # most chunks have the same channels
+        # Most chunks have the same channels, so equal sets are shared.
         layout.indexed[place] = layout.channel_sets.setdefault(numbers, numbers)
     if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
         raise too_many_definitions(layout.path)
 
 
 def _attachment_intact(body: bytes) -> bool:
-    """Compare an attachment with the checksum at its end; 0 represents none."""
+    """Return whether an attachment agrees with the checksum at its end; 0 means that the writer made none."""
     (crc,) = _CRC.unpack_from(body, len(body) - _CRC.size)
     return crc in (0, zlib.crc32(body[: -_CRC.size]))
 
 
 def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: Layout) -> int:
-    """Record the damage at `position` and return the position where reading continues."""
-    # a wrong length may have led past good chunks, so the search begins after the last one that was intact
+    """Record the damage at `position` and return the position where the scan continues."""
+    # A wrong length may have skipped intact chunks, so the search begins after the last intact one.
     chunk = _next_chunk(data, trusted, position)
     if chunk is not None:
         start = position if chunk > position else trusted
@@ -377,7 +378,7 @@ def _chunk_candidates(data: Bytes, start: int) -> Iterator[int]:
 
 
 def _decompress(stored: bytes, block: Block) -> bytes:
-    """Return what a chunk unpacks to: as much as it states, or of one that is cut off as much as there is."""
+    """Return the content of a chunk, of exactly the stated size; for a chunk that is cut off, the part in the file."""
     content = _unpacked(stored, block)
     if block.whole and len(content) != block.size_bytes:
         raise DamagedBlockError("the sizes in the chunk are inconsistent")
@@ -385,7 +386,7 @@ def _decompress(stored: bytes, block: Block) -> bytes:
 
 
 def _unpacked(stored: bytes, block: Block) -> bytes:
-    # One byte more than stated is read, so that a surplus is noticed and not unpacked.
+    # At most one byte more than stated is unpacked, which suffices to detect a surplus.
     most = block.size_bytes + 1
     if block.compression == "":
         return stored
@@ -396,7 +397,7 @@ def _unpacked(stored: bytes, block: Block) -> bytes:
             raise DamagedBlockError("the sizes in the chunk are inconsistent")
         return zstandard.ZstdDecompressor().decompress(stored, max_output_size=most)
     if block.compression == "lz4":
-        # It is imported by name because the package carries no types.
+        # Imported by name because the package has no types.
         lz4 = importlib.import_module("lz4.frame")
         content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=most)
         return content

@@ -1,4 +1,4 @@
-"""Messages and channels as a recording holds them."""
+"""Messages and channels of a recording, and the count of those that a reader leaves out."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import msgpack
 from mcap.records import Channel, Schema
 
-# The codec is imported when a message is decoded: a summary by the index has none.
+# The codec is imported when the first message is decoded: a summary from the index needs none.
 from telenano.recording.record_topics import RECORD_TOPICS
 from telenano.wire.errors import RecordingError, described
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
     from telenano.wire.messages import Message, Record
 
 _T = TypeVar("_T")
-# The reason for which a node refuses a message that is valid but for a quantity beyond its range.
+# The reason of rejection of a message that is valid except for a quantity beyond its range.
 BEYOND_RANGE = "range"
-# this many messages that were left out are known again
+# Most messages whose identity is remembered, so that they are counted only once.
 _MOST_COUNTED = 1 << 16
 
 
 class LeftOut:
-    """Counts by reason the messages that a reader of them cannot take, none of which ends it.
+    """Counts, by reason, of the messages that a reader skips instead of failing.
 
-    A message that is not what its model says has the reason of its error; `unreadable` is one that the reader itself
-    fails at, and `range` one that a node refuses although all else of it is right. The attributes are those of a reader
-    of the bus, whose counts are in node/health.
+    A message that does not fit its model has the reason of its error, `unreadable` means that the reader itself raised,
+    and `range` that a node rejects an otherwise valid message. `rejected` and `last_error` have the names of a bus
+    reader's counts, which are published in node/health.
     """
 
     def __init__(self) -> None:
         self.rejected: dict[str, int] = {}
         self.last_error = ""
-        # of a message beyond its range, which is no fault of a recording
+        # Last error of a message beyond its range; kept apart because it is no fault of the recording.
         self._last_beyond = ""
-        # reasons by message: one that several readers leave out is counted once
+        # Reason by message, so that a message that several readers leave out is counted once.
         self._counted: dict[object, str] = {}
 
     def guard(self, take: Callable[[_T], object], message: _T) -> bool:
-        """Hand a message to what takes it, and return whether it was taken."""
+        """Call `take` with a message; if it raises, count the message and return False."""
         try:
             take(message)
         except Exception as error:  # noqa: BLE001
@@ -49,7 +49,7 @@ class LeftOut:
         return True
 
     def note(self, reason: str, text: str, key: object = None) -> None:
-        """Count a message that was left out; one of a key that was counted before only once."""
+        """Count a message that was left out; a message whose `key` was counted before is ignored."""
         if key is not None and key in self._counted:
             return
         if key is not None and len(self._counted) < _MOST_COUNTED:
@@ -61,11 +61,11 @@ class LeftOut:
             self.last_error = text[:400]
 
     def note_error(self, error: RecordingError, message: "RecordedMessage") -> None:
-        """Count a message that is not valid, or beyond a range, by the error of it."""
+        """Count an invalid message, or one beyond a range, under the reason of its error."""
         self.note(getattr(error.__cause__, "reason", "schema"), str(error), message.identity)
 
     def add(self, other: "LeftOut") -> None:
-        """Count what another reader has left out, each message once."""
+        """Add the counts of another reader; a message that both left out counts once."""
         texts = (other._last_beyond, other.last_error)
         for key, reason in other._counted.items():
             self.note(reason, texts[reason != BEYOND_RANGE], key)
@@ -73,7 +73,7 @@ class LeftOut:
             self.rejected[reason] = self.rejected.get(reason, 0) + count
 
     def sentences(self) -> list[str]:
-        """Return what was left out as a sentence, of which there is none where nothing was, or only by its range."""
+        """Return one sentence on the invalid messages; none if there are none. `beyond_range` has the others."""
         rejected = {reason: count for reason, count in self.rejected.items() if reason != BEYOND_RANGE}
         if not rejected:
             return []
@@ -81,7 +81,7 @@ class LeftOut:
         return [f"messages that are not valid were left out ({counts}), the last: {self.last_error}"]
 
     def beyond_range(self) -> list[str]:
-        """Return in a sentence what was left out because a node would not act on it; none where nothing was."""
+        """Return one sentence on the messages that a node would reject for a value beyond its range, if any."""
         count = self.rejected.get(BEYOND_RANGE, 0)
         what = (
             "1 message with a value beyond its range was"
@@ -92,10 +92,10 @@ class LeftOut:
 
 
 class RecordedChannel(NamedTuple):
-    """What one publisher (`src`) sent on one bus topic, as received at one site.
+    """Channel of the messages from one publisher (`src`) on one bus topic, received at one site.
 
-    `channel_topic` is the bus topic, with `@site` where it was received behind the link. `rate_hz` is the declared
-    rate, None for topics sent on change. In a file that is not a recording of ours, `site` and `src` are empty.
+    `channel_topic` is the bus topic, with `@site` appended if it was received behind the link. `rate_hz` is the
+    declared rate, None for topics sent on change. In a file of another program, `site` and `src` are empty.
     """
 
     channel_topic: str
@@ -108,7 +108,7 @@ class RecordedChannel(NamedTuple):
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it was received: times in ns, `log_ns` on the recorder's clock, `publish_ns` on the publisher's."""
+    """A received message; `log_ns` is its reception by the recorder's clock, `publish_ns` by the publisher's [ns]."""
 
     channel: RecordedChannel
     log_ns: int
@@ -139,21 +139,21 @@ class RecordedMessage(NamedTuple):
 
     @property
     def identity(self) -> tuple[str, str, int, int]:
-        """What tells a message from all others of its recording."""
+        """Key that distinguishes a message from all others of its recording."""
         return self.channel.channel_topic, self.channel.src, self.seq, self.publish_ns
 
     def decode(self) -> "Record":
         """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
 
-        It may have any finite quantities; `accepted` is for what computes with them.
+        Its quantities may have any finite value; use `accepted` for computations.
 
         Raises:
-            RecordingError: The message is not valid; the error names the channel and what is wrong.
+            RecordingError: The message is not valid; the error names the channel and the fault.
         """
         return self._read(_codec().decode)
 
     def accepted(self) -> "Record":
-        """Return the message as `decode` does, if a node may act on it; RecordingError for one beyond its range."""
+        """Return the message as `decode` does; raise RecordingError also if a quantity is beyond its range."""
         return self._read(_codec().accept)
 
     def _read(self, read: "Callable[[str, bytes], Message]") -> "Record":
@@ -198,9 +198,9 @@ class RecordedMessage(NamedTuple):
             return {key: json_value(value) for key, value in self.fields().items()}
 
     def checked_fields(self) -> Mapping[str, Any]:
-        """Return the fields of a topic of the bus, each valid by its model and in range; RecordingError as `accepted`.
+        """Return the fields of the message, validated by its model and in range; raise RecordingError as `accepted`.
 
-        A key that may be absent, and is, has None, as one that is nil.
+        An optional key that is absent has the value None, as one that is nil.
         """
         from telenano.wire.codec import fields_of
 
@@ -209,7 +209,7 @@ class RecordedMessage(NamedTuple):
 
 @cache
 def _codec() -> ModuleType:
-    # it finds the topics that installed packages declare
+    # This import registers the topics that installed packages declare.
     from telenano.settings import package_topics  # noqa: F401
     from telenano.wire import codec
 
@@ -222,9 +222,9 @@ ChannelFilter = Callable[[RecordedChannel], bool]
 def readable(
     messages: Iterable[RecordedMessage], left_out: LeftOut
 ) -> Iterator[tuple[RecordedMessage, Mapping[str, Any]]]:
-    """Yield messages with their checked fields; those that are not valid, or beyond a range, are counted and left out.
+    """Yield messages with their checked fields; count in `left_out` those that are invalid or beyond a range.
 
-    All that computes with recorded messages reads them here, or by `telenano.recording.columns`, which does.
+    All computations with recorded messages read them through this function or `telenano.recording.columns`.
     """
     for message in messages:
         try:
@@ -236,7 +236,7 @@ def readable(
 
 
 class RawChannel(NamedTuple):
-    """Whole description of a channel; `schema` is name, encoding and data, None where there is none."""
+    """Complete description of a channel for copies; `schema` is name, encoding and data, or None."""
 
     topic: str
     encoding: str
@@ -249,12 +249,12 @@ class RawChannel(NamedTuple):
 
     @property
     def src(self) -> str:
-        """Publisher, empty in a file that is not a recording of ours."""
+        """Publisher, `node@site`; empty in a file of another program."""
         return dict(self.metadata).get("src", "")
 
 
 class RawMessage(NamedTuple):
-    """A message with everything that a copy needs."""
+    """A message with everything that a copy needs; times are in ns."""
 
     channel: RawChannel
     log_ns: int
@@ -271,7 +271,7 @@ def raw_channel(channel: Channel, schemas: Mapping[int, Schema]) -> RawChannel:
 
 
 def recorded_channel(channel: Channel) -> RecordedChannel:
-    """Return a channel with the facts in its metadata; empty where it is not one of ours."""
+    """Return a channel described by its metadata; `site` and `src` are empty in a file of another program."""
     facts = channel.metadata
     return RecordedChannel(
         channel_topic=channel.topic,
@@ -292,5 +292,5 @@ def _number(text: str) -> float | None:
 
 
 def topic_of(channel_topic: str) -> str:
-    """Return the topic of a channel, which may have the site of its reception after an `@`."""
+    """Return the topic of a channel: its name without `@` and the site of reception."""
     return channel_topic.partition("@")[0]

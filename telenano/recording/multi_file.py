@@ -1,4 +1,4 @@
-"""Several files read as one recording, and the interface that they share with a single one."""
+"""Several files read as one recording, and the interface that a single file and several share."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from telenano.wire.errors import NoRecordingError, RecordingError
 
 
 class RecordingSource(RecordedFields, Protocol):
-    """What can be played, searched and reported: a recording, or several files of one."""
+    """A recording of one file or several, as playback, searches and reports use it."""
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -21,7 +21,7 @@ class RecordingSource(RecordedFields, Protocol):
 
     @property
     def closed(self) -> bool:
-        """Whether its end was recorded: the file, or the last one of several, was closed."""
+        """Whether the file, or the last one of several, was closed properly, so that its end was recorded."""
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
@@ -32,15 +32,15 @@ class RecordingSource(RecordedFields, Protocol):
         """Metadata records by name."""
 
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
-        """Read everything, showing each message to `see`, and return its summary."""
+        """Read everything, call `see` with each message, and return the summary."""
 
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages of wanted channels within bounds [ns]."""
+        """Yield the messages of the wanted channels with `start_ns` <= reception time < `end_ns` [ns]."""
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator[Piece]:
-        """Yield pieces of about a length, each with what is this long before it [ns]."""
+        """Yield pieces of about `length_ns`, each with the chunks of `lead_ns` before it [ns]."""
 
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None
@@ -64,7 +64,7 @@ class MultiFileRecording(RecordedFields):
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Files within the recording; of one name, that of the first part."""
+        """Files within the recording, by name; the first part's if several parts have one of the same name."""
         return {name: data for file in reversed(self.files) for name, data in file.attachments.items()}
 
     @property
@@ -73,13 +73,13 @@ class MultiFileRecording(RecordedFields):
         return self.files[0].metadata
 
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
-        """Read all parts and return the summary of the whole."""
+        """Read all parts, call `see` with each message, and return the summary of the whole."""
         return info_of(self.files, see)
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages as those of a single file do."""
+        """Yield the messages of all parts, one part after the other."""
         for file in self.files:
             yield from file.messages(topics, start_ns, end_ns)
 
@@ -111,10 +111,10 @@ class MultiFileRecording(RecordedFields):
 
 
 def recordings_of(path: Path) -> list[Path]:
-    """Return the recording that a path is, or all parts of the one in a folder.
+    """Return a path itself, or all parts `session*.mcap` of the recording in a folder, sorted by name.
 
     Raises:
-        NoRecordingError: There is none in the folder.
+        NoRecordingError: The folder has no recording.
     """
     if not path.is_dir():
         return [path]
@@ -127,21 +127,21 @@ def recordings_of(path: Path) -> list[Path]:
 
 
 def files_of(recording: RecordingSource) -> list[Recording]:
-    """Return the files that a recording is read from."""
+    """Return the files of a recording; none for another kind of source."""
     if isinstance(recording, MultiFileRecording):
         return recording.files
     return [recording] if isinstance(recording, Recording) else []
 
 
 def open_recordings(paths: Sequence[str | Path], *, same_session: bool = False) -> RecordingSource:
-    """Open a recording, or several files of one session; a file that is given twice is read once.
+    """Open a recording, or several files of one session; files of the same content are read once.
 
     Args:
         paths: The files.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
-        RecordingError: A file cannot be read, or two are not of one session; the message names them.
+        RecordingError: No path is given, a file cannot be read, or two are not of one session; the message names them.
     """
     if not paths:
         raise RecordingError("no recording was given")

@@ -1,18 +1,18 @@
-"""The time that most of a recording covers, and what is dated so far from it that a clock was wrong."""
+"""The time span of most of a recording, and messages dated so far from it that a clock must have been wrong."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-# Between two messages of one recording no more time passes [ns], because each node reports its health twice a second.
+# A recording has no longer pause between messages: one day [ns]. Each node reports its health twice a second.
 LONGEST_PAUSE_NS = 86_400_000_000_000
 _NS = 1_000_000_000
-# The difference of two times before this has 63 bits [ns].
+# The difference of two times before this fits a signed 64-bit integer [ns].
 _LATEST_NS = 2**62
 
 
 class MessageSpan(NamedTuple):
-    """First and last time [ns] of messages without a long pause between them, and how much they are."""
+    """First and last time [ns] of a group of messages without a long pause, and their amount, as added."""
 
     first_ns: int
     last_ns: int
@@ -20,14 +20,14 @@ class MessageSpan(NamedTuple):
 
 
 class Dates:
-    """How much of a recording is dated to each day; its memory does not grow with the messages of a day."""
+    """Amount of a recording that is dated to each day; the memory does not grow with the messages of a day."""
 
     def __init__(self) -> None:
         # Each day has its first and last time [ns], and its amount.
         self._days: dict[int, list[int]] = {}
 
     def add(self, first_ns: int, last_ns: int, amount: int) -> None:
-        """Add messages from one time to another [ns], which are no long pause apart, or a single one."""
+        """Add messages without a long pause from a first to a last time [ns]; `amount` is a count or a size."""
         day = self._days.setdefault(first_ns // LONGEST_PAUSE_NS, [first_ns, last_ns, 0])
         if first_ns < day[0]:
             day[0] = first_ns
@@ -36,7 +36,7 @@ class Dates:
         day[2] += amount
 
     def groups(self) -> list[MessageSpan]:
-        """Return the messages between long pauses, in the order of time."""
+        """Return the groups of messages between long pauses, in order of time."""
         dated: list[MessageSpan] = []
         for _, (first_ns, last_ns, amount) in sorted(self._days.items()):
             if dated and first_ns - dated[-1].last_ns <= LONGEST_PAUSE_NS:
@@ -47,9 +47,9 @@ class Dates:
         return dated
 
     def most(self) -> tuple[int, int]:
-        """Return first and last time of the group that is most [ns], after 2116 only where there is no other.
+        """Return first and last time of the largest group [ns], or zeros if nothing was added.
 
-        Zeros where nothing was added.
+        A group that ends after the year 2116 counts only if there is no other.
         """
         groups = self.groups()
         largest = max(
@@ -59,7 +59,7 @@ class Dates:
 
 
 def odd_text(group: MessageSpan, example: str, span_ns: Sequence[int]) -> str:
-    """Return a sentence on messages that are dated outside of the span of the others [ns], one of them by name."""
+    """Return a sentence on a group dated outside of the span of the others [ns], with one message as an example."""
     first, last = (datetime.fromtimestamp(at_ns // _NS, UTC).strftime("%Y-%m-%d %H:%M:%S") for at_ns in group[:2])
     is_before = group.last_ns < span_ns[0]
     away_ns = span_ns[0] - group.last_ns if is_before else group.first_ns - span_ns[1]

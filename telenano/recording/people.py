@@ -1,4 +1,4 @@
-"""Who acted in a recording: the names in its commands, answers and events, by what they did."""
+"""People who acted in a recording, and their actions, from its commands and events."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,16 +11,16 @@ TOPICS = ("session/control", "session/event")
 
 
 class Selectable(Protocol):
-    """What messages are selected from: a recording, or its summary."""
+    """Source of messages: a recording, or its summary."""
 
     def select(self, wanted: ChannelFilter) -> Iterator[RecordedMessage]:
-        """Yield the messages of wanted channels."""
+        """Yield the messages of the wanted channels."""
 
 
 def people_in(recording: Selectable) -> dict[str, dict[str, int]]:
-    """Return by name how often it gave each command, and how often it was given the hand.
+    """Return, for each person, the count of each command that they gave, and under `hand` how often they got the hand.
 
-    A command is sent again until it is answered, and counts once; what cannot be read is left out.
+    A command that was repeated until its answer came counts once. Unreadable messages are left out.
     """
     commands: dict[str, tuple[str, str]] = {}
     hands: Counter[tuple[str, str]] = Counter()

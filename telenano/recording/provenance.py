@@ -1,4 +1,4 @@
-"""Origin of a recording: the files that describe the rig, and versions."""
+"""Origin of a recording: the configuration files of the rig, and the versions of software and schemas."""
 
 import platform
 import subprocess
@@ -26,7 +26,7 @@ _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstan
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
+    """Return the versions of packages, Python, platform, commit and message schemas; `unknown` for a missing one."""
     texts = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
     texts |= {f"package {name}": _package_version(name) for name in _PACKAGES}
     texts["commit"] = _commit()
@@ -35,7 +35,7 @@ def versions() -> dict[str, str]:
 
 
 def plugin_facts() -> dict[str, str]:
-    """Return package, version and digest of what a scenario can name of installed packages, by `kind.name`."""
+    """Return package, version and digest of each plugin that a scenario can name and of each topic, by `kind.name`."""
     return {
         f"{row.kind}.{row.name}": " ".join(row.facts().values())
         for row in (*in_scenarios(), *installed("topics").values())
@@ -43,19 +43,19 @@ def plugin_facts() -> dict[str, str]:
 
 
 class ConfigurationFile(NamedTuple):
-    """A file that a rig is configured by, with its content when the recording began."""
+    """A configuration file of the rig, with its content at the start of the recording."""
 
     path: Path
     content: bytes
 
 
 def configuration_files(site_file: Path, scenario_file: Path | None) -> dict[str, ConfigurationFile]:
-    """Return site file and scenario (where one is known) by their names, read once for all files of a recording.
+    """Read the site file and, if there is one, the scenario; return them under the keys `site` and `scenario`.
 
-    What becomes of them while it is written, no later file depends on.
+    They are read once for all files of a recording, so that later changes on disk affect none of them.
 
     Raises:
-        RecordingError: One cannot be read; the message names it.
+        RecordingError: A file cannot be read; the message names it.
     """
     files = {}
     for name, path in (("site", site_file), ("scenario", scenario_file)):
@@ -74,9 +74,9 @@ def write_provenance(
     now_ns: int,
     further: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> None:
-    """Write what the rig is configured by, versions, settings and `further` facts at the start of a file.
+    """Write configuration files, versions, settings and `further` metadata records at the start of a recording.
 
-    Raises RecordingError naming the file that cannot be written.
+    Raises RecordingError, which names the file, if it cannot be written. `now_ns` is in ns since 1970.
     """
     for name, file in files.items():
         writer.attach(f"{name}.yaml", "application/yaml", file.content, now_ns)
@@ -93,7 +93,7 @@ def write_provenance(
 
 
 def _shown(path: Path) -> str:
-    """Return a path as it is found again: what comes with the project by its place in it."""
+    """Return a path as text: relative to the project for a file that comes with it, else absolute."""
     absolute = path.absolute()
     is_ours = absolute.is_relative_to(_ROOT / "telenano" / "settings")
     return str(absolute.relative_to(_ROOT) if is_ours else absolute)
@@ -101,7 +101,7 @@ def _shown(path: Path) -> str:
 
 @cache
 def _commit() -> str:
-    """Return the commit that is checked out where this runs from, `+` after it where files differ; else `unknown`."""
+    """Return the commit of the checkout of this code, with `+` if files differ from it; `unknown` without Git."""
     if not (_ROOT / ".git").exists():
         return "unknown"
     try:

@@ -1,4 +1,4 @@
-"""Unit and description of each column of a table of messages, from the declared contract."""
+"""Units and descriptions of the columns of a message table, from the declared models of the messages."""
 
 import re
 from collections.abc import Iterator
@@ -21,19 +21,19 @@ _RECORD = {
 
 
 class Quantity(NamedTuple):
-    """Unit (empty for what has none) and description of a column."""
+    """Unit (empty if there is none) and description of a column."""
 
     unit: str
     description: str
 
 
 def model_of(topic: str) -> type[Record] | None:
-    """Return the model of the messages of a topic, None where this version does not know it."""
+    """Return the message model of a topic; None if this version does not know the topic."""
     return RECORDS.get(topic) or (row.model if (row := row_of(topic)) else None)
 
 
 def quantity(topic: str, column: str) -> Quantity:
-    """Return unit and description of a column of a topic, such as `tip_force_n.2`; empty where none is known."""
+    """Return unit and description of a topic's column, such as `tip_force_n.2`; both empty if unknown."""
     return _quantities(topic).get(_without_index(column), Quantity("", ""))
 
 

@@ -1,4 +1,4 @@
-"""Reading a recording, whether it was finished, killed, cut off or damaged."""
+"""Reader of recordings that also reads files which are unfinished, cut off or damaged."""
 
 import mmap
 import os
@@ -63,13 +63,13 @@ if TYPE_CHECKING:
     from telenano.recording.indexed_chunks import ChunkMessages
 
 END_OF_TIME = 2**64
-# A file that ends so is followed by another one, at once.
+# A file that ended for this reason is followed by the next one without a pause.
 _PLANNED_END = "split"
-# A piece of several chunks has no more bytes than this.
+# Most bytes of a piece that has several chunks.
 _LARGEST_PIECE = 16 << 20
-# The lead of a piece may have this number of chunks, even where the piece has one.
+# The lead of a piece may have at least this number of chunks, even if the piece has one.
 _LEAD = 2
-# groups of messages with odd times that are named
+# Most groups of messages with odd times that are named.
 _MOST_NAMED = 5
 
 DamageCallback = Callable[[Damage], None]
@@ -77,18 +77,18 @@ SeeMessage = Callable[[RecordedMessage], object]
 
 _ChannelT = TypeVar("_ChannelT")
 _MessageT = TypeVar("_MessageT", RecordedMessage, RawMessage)
-# The constructor of a named tuple is a function of Python, and takes as long as all else of a message.
+# `tuple.__new__`: the constructor of a named tuple is a Python function and would take as long as all else.
 _new: Any = tuple.__new__
 
 
 class Recording(RecordedFields):
-    """A recording on disk, as far as it had been written when this object was made."""
+    """A recording on disk, up to the size that it had when this object was created."""
 
     def __init__(self, path: str | Path) -> None:
-        """Scan the structure of a file; RecordingError names the file and what is wrong with it."""
+        """Scan the structure of a file; raise RecordingError if it is missing, unreadable or not MCAP."""
         self.path, self.left_out = Path(path), LeftOut()
         try:
-            # the file stays the same one until this object is gone, whatever comes to its place
+            # The file stays open, so that a replacement on disk does not affect this object.
             file = open_regular(self.path)
             weakref.finalize(self, file.close)
             self._file = file
@@ -102,7 +102,7 @@ class Recording(RecordedFields):
             raise RecordingError(f"{self.path}: {what if start else 'is empty'}")
         with self._open() as data:
             self._layout = scan(data, str(self.path))
-        # the places of the chunks whose indexes were shown to name all that is in them
+        # Offsets of the chunks whose message indexes were verified to be complete.
         self._indexed: set[int] = set()
 
     @property
@@ -112,17 +112,17 @@ class Recording(RecordedFields):
 
     @property
     def ending(self) -> str:
-        """Why the recorder ended the file: stopped, split or quota; empty where that is not recorded."""
+        """Reason for which the recorder ended the file: stopped, split or quota; empty if not recorded."""
         return self.metadata.get(END_NAME, {}).get("state", "")
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata records by name: `recording` and `versions` in a recording of ours."""
+        """Metadata records by name, such as `recording` and `versions`."""
         return self._layout.metadata
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Files within the recording, by name: `site.yaml` and `scenario.yaml` in a recording of ours."""
+        """Files within the recording, by name, such as `site.yaml` and `scenario.yaml`."""
         return {name: attachment.data for name, attachment in self._layout.attachments.items()}
 
     @cached_property
@@ -139,12 +139,12 @@ class Recording(RecordedFields):
 
     @cached_property
     def span_ns(self) -> tuple[int, int]:
-        """First and last time of reception [ns], without those that are odd; zeros in a recording without messages."""
+        """First and last reception time of the largest group of messages [ns]; zeros without messages. See `odd`."""
         return self._dates.most()
 
     @cached_property
     def odd(self) -> tuple[str, ...]:
-        """Sentences on what is odd in the file although nothing is missing: times, and an index that repeats itself."""
+        """Sentences on oddities that are no loss: messages outside of `span_ns`, and an index that repeats chunks."""
         first_ns, last_ns = span_ns = self.span_ns
         dates, examples = Dates(), dict[int, str]()
         outside = [block for block in self._layout.blocks if block.first_ns < first_ns or block.last_ns > last_ns]
@@ -163,11 +163,11 @@ class Recording(RecordedFields):
 
     @cached_property
     def _dates(self) -> Dates:
-        """How much is dated to each day: by the bounds of the chunks, and by the messages of those without any."""
+        """Bytes dated to each day, by the time bounds of the chunks, or by the messages of chunks without bounds."""
         dates, table = Dates(), self._recorded_channels()
         for block in self._layout.blocks:
             if self.closed and block.whole and block.last_ns - block.first_ns <= LONGEST_PAUSE_NS:
-                # a chunk without messages has no times
+                # A chunk without messages has the bounds 0.
                 if block.last_ns:
                     dates.add(block.first_ns, block.last_ns, block.size_bytes)
                 continue
@@ -181,9 +181,9 @@ class Recording(RecordedFields):
         """Yield messages in the order in which they were received.
 
         Args:
-            topics: Names of channels such as `teleop/forward@slave`, or the name of one; None for all.
-            start_ns: The first time of reception that is yielded [ns]; None for no bound.
-            end_ns: The first time of reception that is yielded no more [ns]; None for no bound.
+            topics: Names of channels such as `teleop/forward@slave`, or a single name; None for all.
+            start_ns: Earliest reception time, inclusive [ns]; None for no bound.
+            end_ns: Latest reception time, exclusive [ns]; None for no bound.
         """
         names = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         return self.select(lambda channel: names is None or channel.channel_topic in names, start_ns, end_ns)
@@ -196,10 +196,10 @@ class Recording(RecordedFields):
         report: DamageCallback | None = None,
         blocks: Sequence[Block] | None = None,
     ) -> Iterator[RecordedMessage]:
-        """Yield messages as `messages` does, of the channels for which `wanted` holds.
+        """Yield messages as `messages` does, of the channels for which `wanted` returns True.
 
-        Chunks outside of the bounds are not read, and only those of `blocks` where these are given. `report` is called
-        for each part that cannot be used.
+        Chunks outside of the bounds are skipped; if `blocks` are given, only these are read. `report` is called with
+        each part that cannot be used.
         """
         first = 0 if start_ns is None else start_ns
         after = END_OF_TIME if end_ns is None else end_ns
@@ -208,9 +208,10 @@ class Recording(RecordedFields):
         yield from self._walk(table, RecordedMessage, report, first, after, blocks)
 
     def pieces(self, length_ns: int, lead_ns: int) -> Iterator["Piece"]:
-        """Yield the file in pieces of about a length [ns], in its order; each chunk is in one of them.
+        """Yield the file in order, in pieces of about `length_ns` [ns]; each chunk is in one piece.
 
-        The lead is of chunks before a piece: those of this length of time [ns], and hardly more than it has itself.
+        A piece of several chunks has at most 16 MiB of uncompressed data. Its lead consists of the chunks within
+        `lead_ns` before it, at most as many as the piece has (or 2).
         """
         blocks, first, size = self._layout.blocks, 0, 0
         for place, block in enumerate((*blocks, None)):
@@ -225,7 +226,7 @@ class Recording(RecordedFields):
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None
     ) -> dict[RecordedChannel, RecordedMessage]:
-        """Return the newest message of each wanted channel received before a time [ns], reading backwards from it."""
+        """Return the newest message of each wanted channel received before a time [ns]; reads the chunks backwards."""
         missing = {channel for channel in self.channels if wanted is None or wanted(channel)}
         newest: dict[RecordedChannel, RecordedMessage] = {}
         for block in reversed(self._layout.blocks):
@@ -243,30 +244,33 @@ class Recording(RecordedFields):
         return newest
 
     def raw(self, report: DamageCallback | None = None) -> Iterator[RawMessage]:
-        """Yield every message with the whole description of its channel, in the order of the file: for copies.
+        """Yield every message with the complete description of its channel, in the order of the file, for copies.
 
-        `report` is called for each part that cannot be used while reading; `structural_damage` has what is known
-        before.
+        `report` is called with each part that proves unusable while reading; `structural_damage` has those found by
+        the scan.
         """
         return self._walk(_ChannelTable(self._layout, raw_channel), RawMessage, report)
 
     @property
     def structural_damage(self) -> tuple[Damage, ...]:
-        """Parts of the file that are no records, or damaged ones outside of the chunks."""
+        """Parts of the file that are not records, or damaged records outside of the chunks."""
         return tuple(self._layout.damage)
 
     def index_faults(self, messages: int) -> list[str]:
-        """Return what is wrong with header and summary, which other readers go by; `messages` were read."""
+        """Return sentences on faults of header and summary, on which other readers rely.
+
+        `messages` is the number of messages that were read from the file, for comparison.
+        """
         with self._open() as data:
             return index_faults(data, self._layout, messages)
 
     @property
     def attachment_records(self) -> dict[str, Attachment]:
-        """The same as `attachments`, with media types and times."""
+        """The attachments with media types and times, by name."""
         return self._layout.attachments
 
     def info(self, see: SeeMessage | None = None) -> RecordingInfo:
-        """Read the whole file and return its summary."""
+        """Read the whole file, call `see` with each message, and return the summary."""
         return info_of((self,), see)
 
     def _open(self) -> mmap.mmap:
@@ -276,7 +280,7 @@ class Recording(RecordedFields):
             raise RecordingError(f"{self.path}: cannot be read any more: {error}") from error
 
     def _content(self, data: mmap.mmap, block: Block) -> bytes:
-        """Return the records of a block; DamagedBlockError says why they cannot be read."""
+        """Return the records of a block; raise DamagedBlockError if they cannot be read."""
         return unpack(data, block)
 
     def _recorded_channels(
@@ -293,9 +297,9 @@ class Recording(RecordedFields):
         after_ns: int = END_OF_TIME,
         blocks: Iterable[Block] | None = None,
     ) -> Iterator[_MessageT]:
-        """Yield the messages of the selected channels, add new channels to the table, report what cannot be used.
+        """Yield the messages of the selected channels, add new channels to the table, report unusable parts.
 
-        Messages outside of the bounds [ns] are left out, and blocks that lie outside as a whole are not read.
+        Only messages with `first_ns` <= `log_ns` < `after_ns` [ns] are yielded; blocks entirely outside are not read.
         """
         with self._open() as data:
             for block in each_block(data, self._layout.blocks if blocks is None else blocks):
@@ -318,14 +322,13 @@ class Recording(RecordedFields):
     def _by_index(
         self, data: mmap.mmap, block: Block, content: bytes, channels: "_ChannelTable[Any]", *, whole: bool
     ) -> "ChunkMessages | None":
-        """Return the messages of a chunk by the indexes behind it; None where these do not agree with it.
+        """Return the messages of a chunk from the indexes behind it; None if these do not agree with its content.
 
-        A chunk that was found to agree has no definitions, and of it the selected channels alone are read unless the
-        `whole` is asked for.
+        A chunk that was verified before and has no definitions is read for the selected channels only, unless `whole`.
         """
         if not block.whole or block.data_start == block.offset:
             return None
-        # it needs NumPy, and a summary by the index does not
+        # Imported here because it needs NumPy, which a summary from the index does not.
         from telenano.recording.indexed_chunks import messages_in
 
         is_known = block.offset in self._indexed and not whole
@@ -344,7 +347,7 @@ def _walked(
     first_ns: int,
     after_ns: int,
 ) -> Iterator[_MessageT]:
-    """Yield messages as `Recording._walk` does, record by record."""
+    """Yield the messages of one block as `Recording._walk` does, record by record."""
     selected, end = channels.selected, 0
     for opcode, start, end in records_of(content):
         if opcode == Opcode.MESSAGE:
@@ -358,7 +361,7 @@ def _walked(
                 report(_unknown_channel(block, end - start, number))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             channels.read(opcode, content[start:end])
-    # The missing end of a block that is cut off was reported when the file was scanned.
+    # The scan has already reported the missing end of a block that is cut off.
     if block.whole and end != len(content) and report is not None:
         rest = len(content) - end
         report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
@@ -374,7 +377,7 @@ def _listed(
     first_ns: int,
     after_ns: int,
 ) -> Iterator[_MessageT]:
-    """Yield messages as `Recording._walk` does, those between two definitions at once."""
+    """Yield the messages of one block as `Recording._walk` does, from its index; definitions apply in their order."""
     first = 0
     for before, opcode, start, end in (*indexed.definitions, (len(indexed.heads), 0, 0, 0)):
         heads = indexed.heads[first:before]
@@ -399,19 +402,19 @@ def _unknown_channel(block: Block, size_bytes: int, number: int) -> Damage:
 
 
 class Piece(NamedTuple):
-    """Chunks of a recording that are read together, and those before them."""
+    """Chunks of a recording that are read together, and the `lead` of chunks before them."""
 
     recording: Recording
     blocks: Sequence[Block]
     lead: Sequence[Block]
 
     def has(self, from_ns: int, to_ns: int) -> bool:
-        """Return whether the piece may have messages that were received from one time to another [ns]."""
+        """Return whether the piece may have messages received between two times [ns]."""
         return any(block.first_ns <= to_ns and block.last_ns >= from_ns for block in self.blocks)
 
 
 def each_block(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
-    """Yield the blocks, and give back the memory of those that were read."""
+    """Yield the blocks; release the memory of a mapped file after every 16 MiB that were read."""
     read = 0
     for block in blocks:
         yield block
@@ -422,7 +425,10 @@ def each_block(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> RecordingInfo:
-    """Read the files of one recording, in the order of time, and return their summary."""
+    """Read the files of one recording, which are in order of time, and return their summary.
+
+    `see` is called with each message.
+    """
     first = recordings[0]
     statistics = RecordingStatistics(site_of(first.metadata.get("recording", {}).get("node", "")))
     damage: list[Damage] = []
@@ -432,7 +438,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
         statistics.begin_file()
         part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += counted
-        # Nothing was sent in the pause if no number is missing.
+        # If no sequence number is missing, nothing was sent in the pause.
         if number and statistics.lost_between and recordings[number - 1].ending != _PLANNED_END:
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
@@ -475,7 +481,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
 def _count(
     recording: Recording, statistics: RecordingStatistics, before: PartInfo | None, see: SeeMessage | None
 ) -> tuple[PartInfo, list[Damage]]:
-    """Add the messages of a file to the statistics; return its figures, and what of it cannot be read."""
+    """Add the messages of a file to the statistics; return its summary and its unusable parts."""
     damage = list(recording.structural_damage)
     first_ns, last_ns, messages = 2**64, 0, 0
     for message in recording.select(report=damage.append):
@@ -501,7 +507,7 @@ def _count(
 
 
 class _ChannelTable(Generic[_ChannelT]):
-    """Channels of a file by their number, `known` so far, and those of them that are `selected`."""
+    """Channels of a file by number: all that are `known` so far, and those of them that are `selected`."""
 
     def __init__(
         self,
@@ -514,20 +520,20 @@ class _ChannelTable(Generic[_ChannelT]):
         self.selected: dict[int, _ChannelT] = {}
         self._schemas = dict(layout.summary_schemas)
         self._path = layout.path
-        # by kind and number, the newest: a file that repeats them costs no more than their comparison
+        # The newest definition by opcode and number: repeated definitions cost only a comparison.
         self._definitions: dict[tuple[int, bytes], bytes] = {}
         self._read = 0
         self._convert = convert
         self._wanted = wanted
         for number, channel in (known or {}).items():
             self._add(number, channel)
-        # the summary helps where the chunk that introduced a channel is damaged
+        # The summary also has the channels whose introducing chunk is damaged.
         for number, found in layout.summary_channels.items():
             if number not in self.known:
                 self._add(number, convert(found, self._schemas))
 
     def is_selected(self, numbers: "npt.NDArray[np.uint16]") -> "npt.NDArray[np.bool_]":
-        """Return of each number whether its channel is selected, shape (n,)."""
+        """Return a mask of the channel numbers that are selected, shape (n,)."""
         import numpy as np
 
         table = np.zeros(1 << 16, dtype=np.bool_)
@@ -535,9 +541,9 @@ class _ChannelTable(Generic[_ChannelT]):
         return table[numbers]
 
     def read(self, opcode: int, body: bytes) -> None:
-        """Read a schema or channel record; the messages of an unreadable channel are those of an unknown one.
+        """Read a schema or channel record; an unreadable one is ignored, so its messages have an unknown channel.
 
-        Raises: RecordingError, if the file introduces more of them than any recording.
+        Raises RecordingError if the file introduces more than `MOST_DEFINITIONS` of them.
         """
         key = (opcode, body[:2])
         if self._definitions.get(key) == body:
@@ -558,7 +564,7 @@ class _ChannelTable(Generic[_ChannelT]):
             return
 
     def _add(self, number: int, channel: _ChannelT) -> None:
-        # the object stays the same when a channel is introduced again: copies recognise channels by identity
+        # A channel that is introduced again keeps its object, because copies recognise channels by identity.
         if number in self.known and self.known[number] == channel:
             return
         self.known[number] = channel

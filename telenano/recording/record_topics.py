@@ -1,4 +1,4 @@
-"""The topics of the recorder's own records, apart from their models, which a summary by the index does not need."""
+"""Topics of the recorder's own records, in a module without their models, which a summary from the index spares."""
 
 GAP_TOPIC = "recorder/gap"
 REJECTED_TOPIC = "recorder/rejected"

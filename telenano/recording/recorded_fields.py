@@ -1,4 +1,4 @@
-"""What a recording, and several files of one, have besides messages: fields as arrays."""
+"""Fields of messages as arrays, for a recording of one file or of several."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 class RecordedFields(Protocol):
-    """What is read through a recording; what that needs is imported when it is asked for.
+    """Base of a recording that returns fields as arrays; NumPy is imported only when they are requested.
 
-    path: the file, or the first of several. left_out: what its readers could not take.
+    path: the file, or the first of several. left_out: counts of the messages that its readers skipped.
     """
 
     path: Path
@@ -26,7 +26,7 @@ class RecordedFields(Protocol):
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages of channels by name within bounds [ns]."""
+        """Yield the messages of the named channels with `start_ns` <= reception time < `end_ns` [ns]; None for all."""
 
     def columns(self, channel_topic: str, fields: Sequence[str]) -> "dict[str, npt.NDArray[Any]]":
         """Return fields of every message of a channel as arrays; see `telenano.recording.columns.columns`."""
@@ -35,7 +35,7 @@ class RecordedFields(Protocol):
         return columns(self, channel_topic, fields)
 
     def column_pieces(self, channel_topic: str, fields: Sequence[str]) -> "Iterator[dict[str, npt.NDArray[Any]]]":
-        """Yield what `columns` returns in pieces of some thousand messages, so that no recording is too long."""
+        """Yield the result of `columns` in pieces of some thousand messages, so that memory is bounded."""
         from telenano.recording.columns import column_pieces
 
         return column_pieces(self, channel_topic, fields)

@@ -13,18 +13,18 @@ from telenano.wire.errors import ConfigError
 _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 
 
-# Samples from this rate on [Hz] are bulk, and so is what comes seldom and is large.
+# Topics with at least this rate are bulk [Hz], and so are those with seldom but large messages.
 _BULK_HZ = 100.0
 _LARGE = ("node/journal", "afm/scanline")
 
 
 def is_bulk(topic: str) -> bool:
-    """Return whether a topic takes so much of a network between two machines that it is recorded where it is sent."""
+    """Return whether a topic needs so much of the network between two machines that its own site records it."""
     return topic in _LARGE or (topic in TOPICS and (TOPICS[topic].rate_hz or 0.0) >= _BULK_HZ)
 
 
 class RecorderConfig(FileSettings):
-    """Settings: what is recorded, into how many files, and how much of it a kill may lose."""
+    """Settings of the recorder: channels, splits into files, quota, and the longest loss if it is killed."""
 
     flush_interval_s: Annotated[float, Field(ge=0.01, le=0.25)] = Field(
         default=0.2, description="Longest part lost if the recorder is killed [s], 0.01 to 0.25"
@@ -73,6 +73,6 @@ class RecorderConfig(FileSettings):
         return Selection.of(self.topics, self.exclude)
 
     def subscribes(self, topic: str, site: str) -> bool:
-        """Return whether a bus topic is needed at a site: to be recorded, or for commands and ends."""
+        """Return whether the recorder needs a bus topic at a site: to record it, or for commands and ends."""
         selection = self.selection()
         return topic in ("session/control", END_TOPIC) or selection.names(topic) or selection.names(f"{topic}@{site}")

@@ -1,4 +1,4 @@
-"""New recordings from old ones: filtered, merged, split, recovered. Messages are copied byte by byte."""
+"""Filtering, merging, splitting and recovery of recordings; messages are copied byte by byte."""
 
 import contextlib
 import errno
@@ -22,7 +22,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 class CopyResult(BaseModel):
-    """Result of a copy, and what could not be copied, as text."""
+    """Result of a copy: path, number of messages, and a text for each part that could not be copied."""
 
     path: str
     messages: int
@@ -40,11 +40,11 @@ class CopyResult(BaseModel):
         """Write a new recording and return its result: `CopyResult.of(target, [recording], recording.raw())`.
 
         Args:
-            target: The file, which is not left where `messages` or the disk fails.
-            recordings: Those whose attachments and metadata it gets.
-            messages: Its messages in their order.
-            skipped: What could not be copied, complete once the messages are.
-            others: Further fields of the result, complete then as well.
+            target: The file; it is removed if `messages` or the disk fails.
+            recordings: The recordings whose attachments and metadata are copied.
+            messages: The messages in their order.
+            skipped: The parts that could not be copied; evaluated after the messages.
+            others: Further fields of the result.
 
         Raises:
             RecordingError: The target exists or cannot be written.
@@ -57,10 +57,10 @@ class CopyResult(BaseModel):
 
 
 class CopyWriter:
-    """Writer of a finished MCAP file, which has its name only when it is; one that cannot be finished is removed."""
+    """Writer of an MCAP file that gets its name only when it is finished; an unfinished file is removed."""
 
     def __init__(self, path: Path, profile: str = "telenano") -> None:
-        """Create the file; RecordingError when it exists or cannot be created."""
+        """Create the file; raise RecordingError if it exists or cannot be created."""
         self.path = path
         self.messages = 0
         self._file = contextlib.ExitStack()
@@ -70,7 +70,7 @@ class CopyWriter:
             self._stream: IO[bytes] = self._file.enter_context(part.open("wb"))
         except OSError as error:
             self._file.__exit__(type(error), error, error.__traceback__)
-            # If a file has the name of the folder, the file is what exists.
+            # The error also comes from a file that has the name of the folder; then the target does not exist.
             if isinstance(error, FileExistsError) and path.exists():
                 raise ExistsError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
@@ -84,7 +84,7 @@ class CopyWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
-        """Finish the file, or remove it if something went wrong."""
+        """Finish the file, or remove it after an error; raise RecordingError if it cannot be written."""
         try:
             with self._file:
                 if error is not None:
@@ -96,8 +96,7 @@ class CopyWriter:
             raise RecordingError(f"{self.path}: cannot be written: {fault.strerror}") from fault
 
     def add(self, message: RawMessage) -> None:
-        # The identity is looked up first, because hashing a channel with its schema costs more than writing the
-        # message.
+        # Look up the channel by identity first: hashing it with its schema costs more than writing the message.
         number = self._by_identity.get(id(message.channel))
         if number is None or number[0] is not message.channel:
             number = self._by_identity[id(message.channel)] = (message.channel, self._register(message.channel))
@@ -121,7 +120,7 @@ class CopyWriter:
 
         Args:
             recordings: The recordings.
-            but: The name of entries that are not copied.
+            but: The name of the metadata record that is not copied.
         """
         files: dict[str, bytes] = {}
         metadata: dict[str, dict[str, str]] = {}
@@ -157,12 +156,12 @@ class CopyWriter:
 def filter_recording(
     source: Path, target: Path, selection: Selection = ALL, start_s: float = 0.0, end_s: float | None = None
 ) -> CopyResult:
-    """Copy the selected channels between two times [s] from the start of the recording.
+    """Copy the selected channels from `start_s` to `end_s` (excluded) after the start of the recording [s].
 
-    A damaged file is read as far as possible, so that this recovers one when everything is selected.
+    A damaged file is read as far as possible, so a copy of everything recovers it.
 
     Raises:
-        RecordingError: The source is not a recording, nothing is selected, or the target exists.
+        RecordingError: The source is not a recording, nothing is selected, or the target exists or cannot be written.
     """
     recording = Recording(source)
     selection.demand_some_of(source, recording.channels)
@@ -179,12 +178,12 @@ def filter_recording(
 
 
 def merge_recordings(sources: Sequence[Path], target: Path, *, same_session: bool = False) -> CopyResult:
-    """Merge recordings of one session in the order of the times of reception.
+    """Merge recordings of one session in the order of reception times.
 
     Args:
         sources: The recordings.
-        target: The file to make.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        target: The file to create.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
         RecordingError: A source is not a recording, two are not of one session, or the target exists.
@@ -201,17 +200,17 @@ def split_recording(
 ) -> list[CopyResult]:
     """Split a recording into files NAME_000.mcap, NAME_001.mcap, ... each with all attachments.
 
-    Either interval_s or size_bytes is needed. If one file cannot be written, none is left.
+    Give either `interval_s` or `size_bytes`. If one file cannot be written, none is left.
 
     Args:
         source: The recording to split.
-        folder: The folder that the files are written to.
-        interval_s: The time in each file [s].
-        size_bytes: The payload in each file [bytes].
+        folder: The folder of the new files.
+        interval_s: The duration of each file [s].
+        size_bytes: The size of the payloads in each file [bytes].
 
     Raises:
-        ConfigError: Neither of the two, or both, are given, or one has an impossible value.
-        RecordingError: The source is not a recording, or a target exists.
+        ConfigError: Neither or both are given, or the value is not positive.
+        RecordingError: The source is not a recording, or a target exists or cannot be written.
     """
     if (interval_s is None) == (size_bytes is None):
         raise ConfigError("a split needs either an interval or a size")
@@ -250,7 +249,7 @@ def split_recording(
 def _runs(
     messages: Iterator[RawMessage], file_of: Callable[[RawMessage], int]
 ) -> Iterator[tuple[int, Iterator[RawMessage]]]:
-    """Yield runs of messages of the same file; each run must be read before the next."""
+    """Yield, for each new file, its number and messages; each run must be consumed before the next one."""
     pending = next(messages, None)
     number = -1
 
@@ -260,7 +259,7 @@ def _runs(
         while pending is not None and number == here:
             yield pending
             pending = next(messages, None)
-            # Messages that were received slightly out of order stay in their order.
+            # The number never falls, so messages received slightly out of order keep their order.
             number = here if pending is None else max(here, file_of(pending))
 
     if pending is not None:
@@ -270,7 +269,7 @@ def _runs(
 
 
 def _cached(selection: Selection) -> Callable[[RawChannel], bool]:
-    # Channels are looked up by identity, and kept alive, because hashing one with its schema is slow.
+    # Look up channels by identity (and keep them alive), because hashing one with its schema is slow.
     answers: dict[int, tuple[RawChannel, bool]] = {}
 
     def wanted(channel: RawChannel) -> bool:

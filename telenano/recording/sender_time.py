@@ -1,8 +1,8 @@
-"""The messages of a recording in the order and at the times of their sending.
+"""Messages of a recording in the order of their send times, for playback and export.
 
-A recording is in the order of reception, and a recorder, which runs behind the loop, may be late by seconds, by a
-different time for each publisher. Played at those times a stream of one message a millisecond would come in bursts with
-pauses between them, and the devices would take each pause for a loss of the connection.
+A recording is in the order of reception, and the recorder may lag behind the loop by seconds, differently for each
+publisher. Played at reception times, a stream of one message per millisecond would come in bursts, and the devices
+would treat each pause between them as a loss of the connection.
 """
 
 from bisect import bisect_left
@@ -21,23 +21,23 @@ from telenano.wire.messages import LinkFates
 
 FATES_TOPIC = "link/fates"
 _NS = 1_000_000_000
-# a recorder that lags by more would have lost messages: then the publisher has another clock
+# A recorder that lags by more would have lost messages, so a longer lag means that the publisher has another clock.
 _LONGEST_LAG_NS = 30 * _NS
-# A message may come so far behind the newest one that was sent after it, in addition to the lag seen.
+# A message may be recorded this much later than one sent after it, in addition to the observed lag [ns].
 _LEAST_HORIZON_NS = 3 * _NS // 2
 # The link reports the fate of a message within a tenth of a second, and the report may lag as well.
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
-# This number of messages are read and sorted together, and a player stands still for it.
+# Messages that are read and sorted together while the player waits.
 _READ_AT_ONCE = 128
-# This number of messages are read and sorted together where the player reads ahead.
+# Messages that are read and sorted together when the player reads ahead.
 _READ_AHEAD = 16
-# below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
+# Slower topics may have several sources with the same seq, and their exact time matters less [Hz].
 _FAST_HZ = 100.0
 
 
 class SentMessage(NamedTuple):
-    """A message and when it was sent [ns], on the recorder's clock; `place` is that in the file."""
+    """A message with its send time by the recorder's clock [ns] and its place in the file, which breaks ties."""
 
     time_ns: int
     place: int
@@ -45,25 +45,25 @@ class SentMessage(NamedTuple):
 
 
 class SenderClock:
-    """Time of sending of messages received at their publisher, on the recorder's clock [ns].
+    """Converts the stamps of messages to send times by the recorder's clock [ns].
 
-    Processes of one machine share a clock, and their stamps are taken as they are. The other site of two machines is
-    put on the master's clock, offset and drift, where the clocks differ (`telenano.recording.site_clock`). A source
-    whose stamps are those of another time, because it was itself a replay, is shifted by the lag of its first message.
+    Processes of one machine share a clock, so their stamps stay unchanged. Stamps of a slave's site on another machine
+    are corrected for offset and drift if the clocks differ (`telenano.recording.site_clock`). A source that was itself
+    replayed has old stamps; they are shifted by the lag of its first message.
     """
 
     def __init__(self, recording: RecordingSource) -> None:
         self.of_slave = ClockShift(read_site_clock(recording))
-        # The shift of each source; None means that the clock of the slave's site applies to it.
+        # Constant shift of each source; None: the clock of the slave's site gives the shift of each stamp.
         self._shifts: dict[str, int | None] = {}
 
     def time_ns(self, message: RecordedMessage) -> int:
-        """Return when a message was sent."""
+        """Return the send time of a message by the recorder's clock [ns]."""
         shift = self.shift_ns(message)
         return message.publish_ns + (self.of_slave(message.publish_ns) if shift is None else shift)
 
     def shift_ns(self, message: RecordedMessage) -> int | None:
-        """Return the shift of the source of a message [ns]; None means that `of_slave` has it for each stamp."""
+        """Return the constant shift of a message's source [ns]; None if `of_slave` gives the shift of each stamp."""
         src = message.channel.src
         if src not in self._shifts:
             self._shifts[src] = self._shift_ns(message)
@@ -79,7 +79,7 @@ class SenderClock:
 
 
 class _Known(NamedTuple):
-    """A channel, the shift of its source, whether it is wanted, and whether nothing in its messages matters."""
+    """A channel, the shift of its source [ns], whether it is wanted, and whether it needs no special handling."""
 
     channel: RecordedChannel
     shift_ns: int | None
@@ -88,11 +88,11 @@ class _Known(NamedTuple):
 
 
 class SenderOrder:
-    """Selected messages of a recording from a time of sending on, in the order of sending.
+    """Iterator over the selected messages of a recording in order of send time, from a given time on.
 
-    What left the link is sent by the link: its time is that of `link/fates`, and where a recording lacks those, that of
-    the publisher and the delay reported last, or the least seen on the channel. The last message of a publisher is left
-    out but where it is asked for: it counts messages, and a replay may send others.
+    Messages behind the link have the time at which the link sent them on, from `link/fates`. If the recording lacks
+    that, it is the publisher's time plus the last reported delay, or the least one seen on the channel. End messages of
+    publishers are left out unless `ends` is set: they count messages, and a replay may send another number.
     """
 
     def __init__(
@@ -105,49 +105,48 @@ class SenderOrder:
         select: Callable[[ChannelFilter, int | None], Iterator[RecordedMessage]] | None = None,
         ends: bool = False,
     ) -> None:
-        """Begin with what was sent at `first_ns` [ns] or later, None for the beginning.
+        """Begin with the first message sent at `first_ns` or later.
 
         Args:
             recording: The recording to read.
-            wanted: Whether a channel is wanted.
+            wanted: Predicate of the channels to yield.
             clock: The clocks of the senders.
-            first_ns: The earliest time of sending [ns]; None begins at the beginning.
-            select: Reads the recording; None takes its own `select`.
-            ends: Whether the last messages of publishers are among those that are read.
+            first_ns: The earliest send time [ns]; None for the beginning.
+            select: Function that reads the recording; None for `recording.select`.
+            ends: Whether to include the end messages of publishers.
         """
         self._ends = ends
         self._clock = clock
         self._wanted = wanted
-        # What is known of a channel, by its identity: its hash, of all its fields, takes longer than all the rest.
+        # Facts on each channel, by `id`: hashing a channel (all its fields) takes longer than all the rest.
         self._known: dict[int, _Known] = {}
         links = any(channel.via == "link" and wanted(channel) for channel in recording.channels)
         reports = any(channel.topic == FATES_TOPIC for channel in recording.channels)
         self._fates: _Fates | None = _Fates() if links and reports else None
         start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
         self._source: Iterator[RecordedMessage] = (select or recording.select)(self._needs, start_ns)
-        # Messages that were just read are in no order.
+        # Messages that were just read, unsorted.
         self._arrived: list[SentMessage] = []
-        # Something may still come before a pending message, and nothing before a ready one; both are in the order of
-        # sending. The reader takes the ready ones from the left.
+        # Both in order of send time. An earlier message may still precede a pending one, but no ready one. The reader
+        # takes ready messages from the left.
         self._pending: list[SentMessage] = []
         self.ready: deque[SentMessage] = deque()
-        # Messages that left the link and are not reported yet, by channel, each with the time at which the link
-        # received it.
+        # Messages behind the link whose fate is not read yet, by channel, with the time at which the link got them.
         self._waiting: dict[RecordedChannel, deque[SentMessage]] = {}
         self._read_ns = 0
         self._most_lag_ns = 0
         self._place = 0
-        # The delay that the link reported last, by channel, or else the least that was seen.
+        # Last reported delay of the link by channel, or else the least one seen [ns].
         self._delay_ns: dict[RecordedChannel, int] = {}
         self._exhausted = False
-        # The newest message of each channel that was sent before the beginning.
+        # Newest message of each channel that was sent before `first_ns`.
         self.before: dict[RecordedChannel, SentMessage] = {}
         while first_ns is not None and (message := self.peek()) is not None and message.time_ns < first_ns:
             self.before[message.message.channel] = message
             self.pop()
 
     def peek(self) -> SentMessage | None:
-        """Return the next message without moving on; None at the end."""
+        """Return the next message without consuming it; None at the end."""
         while not self.ready:
             if self._exhausted:
                 return None
@@ -155,11 +154,11 @@ class SenderOrder:
         return self.ready[0]
 
     def pop(self) -> None:
-        """Move past the next message."""
+        """Consume the next message."""
         self.ready.popleft()
 
     def read_ahead(self, least: int, count: int = _READ_AHEAD) -> bool:
-        """Read on unless this number of messages are ready; return whether there may be more to read."""
+        """Read `count` more messages if fewer than `least` are ready; return whether anything was read."""
         if len(self.ready) >= least or self._exhausted:
             return False
         self._read_on(count)
@@ -174,7 +173,7 @@ class SenderOrder:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
     def _read_on(self, count: int = _READ_AT_ONCE) -> None:
-        """Read a number of messages, sort what is pending, and make ready what nothing can have been sent before."""
+        """Read messages, sort the pending ones, and move to `ready` those that no unread message can precede."""
         before, entries, arrived, new = self._place, self._known, self._arrived, tuple.__new__
         for message in islice(self._source, count):
             channel, log_ns, publish_ns, _, _ = message
@@ -188,7 +187,7 @@ class SenderOrder:
                 continue
             if log_ns - time_ns > self._most_lag_ns:
                 self._most_lag_ns = log_ns - time_ns
-            # The constructor of a named tuple is a function of Python.
+            # `tuple.__new__` is faster than the constructor of a named tuple, a Python function.
             arrived.append(new(SentMessage, (time_ns, self._place, message)))
         if self._place - before < count:
             self._exhausted = True
@@ -199,7 +198,7 @@ class SenderOrder:
         del self._pending[:count]
 
     def _look_at(self, message: RecordedMessage) -> "_Known":
-        """Find out how the messages of a channel are handled."""
+        """Determine and remember the handling of a channel's messages."""
         channel = message.channel
         wanted = self._wanted(channel)
         is_plain = wanted and channel.via != "link" and channel.topic not in (FATES_TOPIC, END_TOPIC)
@@ -207,14 +206,14 @@ class SenderOrder:
         return entry
 
     def _sort_in(self) -> None:
-        """Sort what has arrived into what is pending, which it mostly follows."""
+        """Sort the newly read messages into the pending ones, which they mostly follow."""
         if self._arrived:
             first = bisect_left(self._pending, min(self._arrived))
             self._pending[first:] = sorted([*self._pending[first:], *self._arrived])
             self._arrived.clear()
 
     def _settled_ns(self) -> int:
-        """Return the time of sending [ns] before which nothing comes that was not read, or that waits for its fate."""
+        """Return the send time [ns] before which no message is unread or still waits for its fate."""
         settled_ns = self._read_ns - self._most_lag_ns * 5 // 4 - _LEAST_HORIZON_NS
         return min([settled_ns, *(waiting[0].time_ns for waiting in self._waiting.values() if waiting)])
 
@@ -241,7 +240,7 @@ class SenderOrder:
             self._add_guessed(SentMessage(time_ns, self._place, message))
 
     def _release_waiting(self, patience_ns: int) -> None:
-        """Move on what has its fate, and what was received longer ago than the patience [ns]."""
+        """Release the messages whose fate is known, and those received longer than `patience_ns` [ns] ago."""
         for waiting in self._waiting.values():
             while waiting:
                 arrived_ns, place, message = waiting[0]
@@ -263,13 +262,13 @@ class SenderOrder:
 
 
 class _Fates:
-    """When the link sent messages on [ns], by topic and seq; of a duplicate the second time as well."""
+    """Times at which the link sent messages on [ns], by topic and seq; a duplicated message has several."""
 
     def __init__(self) -> None:
         self._times_ns: dict[tuple[str, int], list[int]] = {}
 
     def record(self, message: RecordedMessage, shift_ns: int) -> None:
-        """Take note of a report, whose times are shifted onto the recorder's clock."""
+        """Store the times of a report, shifted by `shift_ns` onto the recorder's clock."""
         try:
             report = message.decode()
         except RecordingError:
@@ -282,7 +281,7 @@ class _Fates:
             del self._times_ns[next(iter(self._times_ns))]
 
     def take(self, topic: str, seq: int) -> int | None:
-        """Return and forget when a message was sent on; None where that is not known."""
+        """Return and remove the time at which the link sent a message on [ns]; None if unknown."""
         times = self._times_ns.get((topic, seq))
         if times is None:
             return None

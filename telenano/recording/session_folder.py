@@ -1,4 +1,4 @@
-"""The folder of a session: the parts of its recording, and those that the other site keeps of a session of two."""
+"""The folder of a session: the parts of its recording, and the list of parts that the other site keeps."""
 
 import contextlib
 import json
@@ -25,7 +25,7 @@ class SessionFolder:
 
     def own(self) -> tuple[tuple[Path, ...], list[str]]:
         """Return the parts of the recording, in the order of their numbers, and a sentence for each unreadable one."""
-        # An image without a recorder has no library that reads recordings, and plans with the name of the file.
+        # Imported here because an image without a recorder lacks the MCAP library and uses only the file names.
         from telenano.recording.reader import Recording
 
         numbered = {
@@ -43,9 +43,9 @@ class SessionFolder:
         return tuple(readable), faults
 
     def note_far(self, files: Sequence[str]) -> None:
-        """Keep which files the other site records the session to, if any."""
+        """Write the names of the files to which the other site records the session, if any, to `far.json`."""
         text = json.dumps({"files": [Path(name).name for name in files]})
-        # A full disk is not the end of a session.
+        # A full disk must not end the session.
         with contextlib.suppress(OSError):
             if files:
                 (self.path / FAR_LIST).write_text(text + "\n", encoding="utf-8")
@@ -56,10 +56,10 @@ class SessionFolder:
         return (self.path / FAR_LIST).exists()
 
     def far(self) -> tuple[str, ...]:
-        """Return the names of the files that the other site recorded the session to.
+        """Return the names of the files to which the other site recorded the session.
 
         Raises:
-            RecordingError: The folder has no list of them, or none that can be used.
+            RecordingError: The folder has no list of them, or an invalid one.
         """
         path = self.path / FAR_LIST
         try:
@@ -72,16 +72,19 @@ class SessionFolder:
 
     @staticmethod
     def is_part(name: str) -> bool:
-        """Return whether a name is one that parts of a recording have: session.mcap, session_1.mcap."""
+        """Return whether a name is that of a part of a recording, such as session.mcap or session_1.mcap."""
         return _PART.fullmatch(name) is not None
 
     @staticmethod
     def parts(names: Any, origin: str) -> tuple[str, ...]:
-        """Return the names of parts of a recording; RecordingError where one of them is no such name, or none is there.
+        """Return the names of parts of a recording after checking them.
 
         Args:
-            names: The names, which may be of any kind.
-            origin: Where they come from, for the error.
+            names: The names, of any type because they come from another machine.
+            origin: The source of the names, for the error.
+
+        Raises:
+            RecordingError: There is no name, or one is not that of a part.
         """
         wrong = [name for name in names if not (isinstance(name, str) and SessionFolder.is_part(name))]
         if wrong or not names:
@@ -90,13 +93,13 @@ class SessionFolder:
         return tuple(names)
 
     def merge(self, far: Sequence[Path]) -> Path:
-        """Merge the recording with the parts of the other site's, and return the new file; RecordingError as there."""
+        """Merge the recording with the other site's parts into `both.mcap`; raises RecordingError as `merge_sites`."""
         from telenano.recording.site_merge import merge_sites
 
         target = self.path / _MERGED_NAME
         unfinished = target.with_suffix(".part")
         unfinished.unlink(missing_ok=True)
-        # The launcher knows which files the other site recorded, whatever the recorder there writes of its session.
+        # The launcher knows which files belong together, so the recorded identities need not prove it.
         merge_sites([*self.own()[0], *far], unfinished, same_session=True)
         unfinished.replace(target)
         return target

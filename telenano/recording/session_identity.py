@@ -1,7 +1,7 @@
-"""Whose session a recording is, and whether several files are of one: every command that joins files asks here.
+"""Identity of the session of a recording, by which every command that joins files decides whether they belong together.
 
-A recorder writes the metadata record `session` at the start of each file: the rig, when it began, the digest of the
-scenario, and what tells sessions apart (docs/whole-recordings.md has the rule as a table).
+A recorder writes the metadata record `session` at the start of each file: the rig, its start time, the digest of the
+scenario, and the names that distinguish sessions (docs/whole-recordings.md has the rule as a table).
 """
 
 import hashlib
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from telenano.recording.messages import RecordedMessage
     from telenano.recording.reader import Recording
 
-# The metadata record; a recording that was merged has one of each part, the further ones as STEM/session.
+# The metadata record; a merged recording has one for each part, the further ones as STEM/session.
 SESSION_NAME = "session"
-# The launcher gives this variable to its recorders: SESSION|RUN RIG BEGAN_NS TOKEN.
+# Environment variable that the launcher sets for its recorders: session|run RIG BEGAN_NS TOKEN.
 SESSION_VARIABLE = "TELENANO_RECORDED_SESSION"
-# What two files have of the same time is looked at up to this number of messages.
+# Most messages that are compared of the time that two files share.
 _COMPARED = 2000
 _BLOCK_BYTES = 1 << 20
 
@@ -33,11 +33,11 @@ _FileT = TypeVar("_FileT", bound="Recording")
 
 
 class SessionIdentity(NamedTuple):
-    """What a recording says of its session; empty sets where it says nothing.
+    """Identity of a recording's session, from its metadata; sets are empty if nothing is recorded.
 
-    `sessions` are sessions as the launcher that conducted them names them, `starts` the commands that started the
-    operator's force profile while a recorder was listening, which reach both sites, and `runs` what recorded them: a
-    rig at one site, or a recorder that nobody started with one. A run may have recorded several sessions.
+    `sessions` are the names given by the launcher that conducted the session. `starts` are the ids of the commands that
+    started the operator's force profile during the recording; they reach both sites. `runs` are the names of the rig at
+    one site, or of a recorder started without a launcher; a run may have recorded several sessions.
     """
 
     sessions: frozenset[str] = frozenset()
@@ -47,7 +47,7 @@ class SessionIdentity(NamedTuple):
 
     @classmethod
     def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
-        """Read what the metadata of a recording says."""
+        """Read the identity from the metadata of a recording."""
         found = [
             entries for name, entries in metadata.items() if name == SESSION_NAME or name.endswith(f"/{SESSION_NAME}")
         ]
@@ -58,11 +58,11 @@ class SessionIdentity(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the recording says whose session it is."""
+        """Whether the recording states its session in any way."""
         return bool(self.sessions or self.starts or self.runs)
 
     def is_that_of(self, other: "SessionIdentity") -> bool | None:
-        """Return whether both are of one session; None where what they say does not tell."""
+        """Return whether both are of one session; None if the identities do not tell."""
         for own, others in ((self.sessions, other.sessions), (self.starts, other.starts)):
             if own and others:
                 return bool(own & others)
@@ -73,13 +73,13 @@ _KEYS = ("session", "starts", "run")
 
 
 def given_identity(rig: str, began_ns: int, *, conducts: bool) -> str:
-    """Return what a launcher gives to its recorders in `SESSION_VARIABLE`.
+    """Return the value of `SESSION_VARIABLE` that a launcher sets for its recorders.
 
     Args:
         rig: The name of the rig.
-        began_ns: When the launcher began [ns].
-        conducts: Whether the launcher conducts the session, so that its run is one session; at the slave's site it does
-            not, and may be there for several.
+        began_ns: Start of the launcher [ns].
+        conducts: Whether the launcher conducts the session, so that its run is exactly one session. The launcher of
+            the slave's site does not, and may serve several.
     """
     name = "".join(rig.split()) or "1"
     return f"{'session' if conducts else 'run'} {name} {began_ns} {secrets.token_hex(8)}"
@@ -88,15 +88,15 @@ def given_identity(rig: str, began_ns: int, *, conducts: bool) -> str:
 def identity_entries(
     given: str, node: str, now_ns: int, scenario: bytes | None, simulated: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the metadata record of a recorder's files.
+    """Return the metadata record `session` of a recorder's files.
 
     Args:
-        given: The value of `SESSION_VARIABLE`; empty for a recorder that no launcher started.
-        node: The key of the recorder.
-        now_ns: When the recorder began [ns].
-        scenario: The content of the scenario file, where one is known.
-        simulated: What is recorded of a simulation, which is the same whenever it runs: its identity follows from that
-            and from the scenario. It is one session where its `commands` are all known before it begins.
+        given: The value of `SESSION_VARIABLE`; empty for a recorder without a launcher.
+        node: The key of the recorder, `node@site`.
+        now_ns: Start of the recorder [ns].
+        scenario: The content of the scenario file; None if there is none.
+        simulated: The description of a simulation; empty for a real rig. A simulation is reproducible, so its identity
+            is a digest of this and the scenario. It is one session if its `commands` are known in advance, else a run.
     """
     digest = "" if scenario is None else _digest(scenario)
     entries = {"rig": "", "began_ns": str(now_ns), "scenario": digest}
@@ -112,7 +112,7 @@ def identity_entries(
 
 
 def _digest(scenario: bytes) -> str:
-    """Return the digest of what a scenario sets, without the recorder: a folder makes no other experiment."""
+    """Return the SHA-256 of a scenario's settings without `recorder`: another folder is not another experiment."""
     try:
         document = yaml.safe_load(scenario)
     except (yaml.YAMLError, UnicodeDecodeError):
@@ -123,15 +123,15 @@ def _digest(scenario: bytes) -> str:
 
 
 def one_session(recordings: Sequence[_FileT], *, same_session: bool = False) -> list[_FileT]:
-    """Return the files of one session, each once, or refuse them.
+    """Check that files belong to one session; return them without copies of the same content.
 
     Args:
         recordings: The files that are to be read as one.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
-        RecordingError: The files are of two sessions, or do not say that they are of one, or two of them have the same
-            messages. The message names two files, what each says, and what to do.
+        RecordingError: The files are of two sessions, do not state that they are of one, or two of them have the same
+            messages. The message names two files, their identities, and a remedy.
     """
     files = each_once(recordings)
     said = [SessionIdentity.of(file.metadata) for file in files]
@@ -152,7 +152,7 @@ def one_session(recordings: Sequence[_FileT], *, same_session: bool = False) -> 
 
 
 def each_once(recordings: Sequence[_FileT]) -> list[_FileT]:
-    """Return the recordings without a second of one that has the same content, under whichever name."""
+    """Return the recordings without repetitions of the same content, whatever their names."""
     kept: list[_FileT] = []
     for recording in recordings:
         if not any(_same_content(recording, earlier) for earlier in kept):
@@ -161,13 +161,13 @@ def each_once(recordings: Sequence[_FileT]) -> list[_FileT]:
 
 
 def demand_several(sessions: Sequence[Sequence["Recording"]]) -> list[bool]:
-    """Return which sessions are to be counted: each that is not the same files as one before.
+    """Return, for each session, whether it counts: False if its files repeat those of an earlier one.
 
     Args:
         sessions: The files of each session.
 
     Raises:
-        RecordingError: Two are further files of one session, each of which would count as a session of its own.
+        RecordingError: Two entries are different files of one session, which would count twice.
     """
     counted: list[bool] = []
     for number, files in enumerate(sessions):
@@ -204,7 +204,7 @@ def _same_content(one: "Recording", other: "Recording") -> bool:
 
 
 def _refuse_doubled(one: "Recording", other: "Recording") -> None:
-    """Refuse files of one recorder that have the same messages, such as a recording and an extract of it."""
+    """Raise RecordingError if two files of one recorder share messages, such as a recording and its extract."""
     start_ns = max(one.span_ns[0], other.span_ns[0])
     end_ns = min(one.span_ns[1], other.span_ns[1])
     nodes = {file.metadata.get("recording", {}).get("node", "") for file in (one, other)}

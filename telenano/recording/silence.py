@@ -1,9 +1,9 @@
-"""Silence, loss, and the ends of a session: what the numbers of its messages say of the times without any.
+"""Distinction of silence and loss in a session, and detection of a recording that is cut off at either end.
 
-Where nothing is recorded of a source for a while, either it sent nothing, or the recorder lacks what it sent. The
-numbers of its messages decide: they go on after a silence, or begin anew with another process, and are missing after a
-loss. What a publisher says at its end of how many messages it has sent decides where no later number does. A silence is
-an interruption of the session; only a loss makes its recording one that is not whole.
+If nothing of a source is recorded for a while, either it was silent or the recorder lost its messages. The sequence
+numbers decide: they continue after a silence, restart with another process, and skip after a loss. At the end the
+count of messages that the publisher announces decides. A silence interrupts the session; only a loss makes the
+recording incomplete.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,21 +21,21 @@ from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.nodes import LAUNCHER, name_of
 
 HAND = "haptic/state"
-# samples come every millisecond; at this distance [s] the deadline of the loop has passed
+# Samples come every millisecond; after this time the deadline of the loop has passed [s].
 LONGEST_STEP_S = 0.05
-# A recorder that received the hand from the start has its first sample long before this.
+# A recorder that received the hand from the start has its first sample long before this [s].
 _LATE_START_S = 0.1
-# A recorder that goes on for longer than this without a source [s] would have had its next sample.
+# A recorder that continues for longer than this without a source [s] proves that the source was silent.
 _GOES_ON_S = 0.1
 
 Ints = npt.NDArray[np.int64]
 
 
 class Break(NamedTuple):
-    """A time of a session in which a topic has no sample: from when to when [s], and why.
+    """Interval of a session without a sample of a topic [s], and its cause.
 
-    lost: whether the numbers show that most of what was due in it was sent and is missing; anew: whether the numbers
-    begin again after it, with the next process of the source.
+    lost: True if the sequence numbers show that most of the samples due were sent and are missing; anew: True if the
+    numbers restart after it, with the next process of the source.
     """
 
     topic: str
@@ -54,15 +54,15 @@ def breaks_of(
     *,
     is_closed: bool = True,
 ) -> list[Break]:
-    """Return when a session has no sample of a topic for longer than LONGEST_STEP_S, in the order of time.
+    """Return the intervals of a session without a sample of a topic for more than LONGEST_STEP_S, in order of time.
 
     Args:
         topic: The topic.
-        time_s: The times of all its samples in the recording, before and after the session as well [s], shape (n,).
-        seq: Their numbers, shape (n,).
+        time_s: The times of all its samples in the recording, also outside of the session [s], shape (n,).
+        seq: The sequence numbers of the samples, shape (n,).
         span_s: The start and the end of the session [s].
-        sent: The number of messages that the publisher says at its end to have sent; None where it says nothing.
-        is_closed: Whether the file was closed: where it was not, its end is missing.
+        sent: The number of messages that the publisher announced at its end; None if it announced none.
+        is_closed: Whether the file was closed; if not, and `sent` is None, its end counts as lost.
     """
     start_s, end_s = span_s
     if not time_s.size:
@@ -70,7 +70,7 @@ def breaks_of(
     steps_s = np.diff(time_s)
     moving = steps_s[steps_s > 0.0]
     period_s = float(np.median(moving)) if moving.size else LONGEST_STEP_S
-    # numbers that are missing before each sample, and after the last one; less than none where they begin anew
+    # Missing numbers before each sample and after the last one; negative where the numbers restart.
     between = np.diff(seq) - 1
     after = (sent - 1 - int(seq[-1])) if sent is not None else (0 if is_closed else np.inf)
     missing = np.concatenate(([float(seq[0])], between.astype(np.float64), [float(after)]))
@@ -87,7 +87,7 @@ def breaks_of(
 
 
 def joined(breaks: Iterable[Break], *, lost: bool) -> tuple[tuple[float, float], ...]:
-    """Return the spans [s] of the losses, or of the silences, of several topics, joined where they overlap."""
+    """Return the intervals [s] of the losses (`lost`) or of the silences of several topics; overlaps are joined."""
     spans: list[tuple[float, float]] = []
     for first, last in sorted((one.start_s, one.end_s) for one in breaks if one.lost is lost):
         if spans and first <= spans[-1][1]:
@@ -98,9 +98,9 @@ def joined(breaks: Iterable[Break], *, lost: bool) -> tuple[tuple[float, float],
 
 
 def sent_of(recording: RecordingSource) -> dict[tuple[str, str], int]:
-    """Return by topic and source how many messages publishers said at their end to have sent, each by its last word.
+    """Return the number of messages that each publisher announced at its end, by topic and source; the last one counts.
 
-    One that has ended has an entry for its events, whatever it said.
+    A publisher that ended has at least an entry for its events.
     """
     events = recording.select(lambda channel: channel.topic == END_TOPIC and channel.via == "direct")
     counts: dict[tuple[str, str], int] = {}
@@ -108,17 +108,17 @@ def sent_of(recording: RecordingSource) -> dict[tuple[str, str], int]:
         if (sent := read_end(fields)) is None:
             continue
         counts.setdefault((END_TOPIC, message.src), 0)
-        # Messages that it forwarded are not counts of their publishers.
+        # Counts of forwarded messages are not those of their publishers.
         counts |= {key: count for key, count in sent.items() if key[1] == message.src}
     return counts
 
 
 def running_of(recording: RecordingSource, hand: Mapping[str, npt.NDArray[np.generic]]) -> npt.NDArray[np.intp]:
-    """Return the indices of the hand's samples in the last session of a recording; fewer than two where none ran.
+    """Return the indices of the hand's samples in the last session of a recording; fewer than two if none ran.
 
     Args:
         recording: The recording.
-        hand: `session_s`, `seq` and `t_ns` of all haptic/state.
+        hand: Columns `session_s`, `seq` and `t_ns` of haptic/state, shape (n,).
     """
     events = recording.select(
         lambda channel: (
@@ -131,10 +131,11 @@ def running_of(recording: RecordingSource, hand: Mapping[str, npt.NDArray[np.gen
 
 
 class SessionEnds(NamedTuple):
-    """What a recording shows of the ends of its session.
+    """State of a recording at the two ends of its session.
 
-    cut: in sentences, what it lacks of the operator's force profile at either end; is_cut: whether it ends within it;
-    silent_s: for how long it goes on without the hand, whose force profile is not over [s]; None where it does not.
+    cut: sentences on the missing parts of the operator's force profile at either end. is_cut: True if the recording
+    ends within the profile. silent_s: time for which the recording continues after the hand fell silent during its
+    profile [s]; None if it does not.
     """
 
     cut: tuple[str, ...] = ()
@@ -145,19 +146,19 @@ class SessionEnds(NamedTuple):
 def ends_of(
     recording: RecordingSource, hand: Mapping[str, npt.NDArray[np.generic]], running: npt.NDArray[np.intp]
 ) -> SessionEnds:
-    """Return what a recording lacks of the operator's force profile at either end.
+    """Return the parts of the operator's force profile that a recording lacks at either end.
 
-    A hand that sent nothing there has lost nothing: its numbers begin with 0, or go on from a sample before; or the
-    recorder goes on without it.
+    A silent hand is no loss: its numbers begin with 0 or continue from an earlier sample, or the recorder continues
+    without it.
 
     Args:
-        recording: The recording that is judged.
-        hand: `session_s`, `seq`, `t_ns` and `log_ns` of all haptic/state.
-        running: What `running_of` returns of it, two indices or more.
+        recording: The recording.
+        hand: Columns `session_s`, `seq`, `t_ns` and `log_ns` of haptic/state, shape (n,).
+        running: The result of `running_of`, at least two indices.
     """
     src = next(channel.src for channel in recording.channels if channel.channel_topic == HAND)
     if src in replayed_sources(recording):
-        # The operator chose the beginning and the end of what is played.
+        # Both ends of a replayed hand were chosen by the operator.
         return SessionEnds()
     cut: list[str] = []
     first, last = int(running[0]), int(running[-1])
@@ -175,9 +176,9 @@ def ends_of(
 
 
 def cut_off(recording: RecordingSource) -> tuple[str, ...]:
-    """Return in sentences what a recording lacks of its last session at either end; none where it has no session.
+    """Return sentences on the parts of its last session that a recording lacks at either end.
 
-    A session is one whose scenario is known.
+    Empty if there is no session, or if the recording has no scenario.
     """
     has_session = "scenario.yaml" in recording.attachments and any(
         channel.channel_topic == HAND for channel in recording.channels
@@ -190,7 +191,7 @@ def cut_off(recording: RecordingSource) -> tuple[str, ...]:
 
 
 def _may_be_cut(recording: RecordingSource) -> bool:
-    """Return whether a force profile runs in the first or the last sample of the hand: only then need all be read."""
+    """Return whether a force profile runs in the first or last sample of the hand; only then must all be read."""
     newest = recording.newest_before(END_OF_TIME, lambda channel: channel.channel_topic == HAND)
     ends = [*islice(recording.messages((HAND,)), 1), *newest.values()]
     return any(fields["session_s"] >= 0.0 for _, fields in readable(ends, recording.left_out)) or not ends

@@ -1,14 +1,13 @@
-"""The clock of the slave's site against the master's over a recording, and all stamps of a recording on one clock.
+"""Estimate of the slave's clock against the master's over a recording, to put all stamps on the master's clock.
 
-Two machines have two clocks. What the link measured of their difference is in the recording: `link/status` has it ten
-times a second, with the bounds between which it lies, and `clock/pong` has when each question was sent and when it
-arrived. The lines through these bounds have offset and drift (`telenano.timing.clock_fit`), a line for as long as
-one fits.
+Two machines have two clocks. The recording contains the link's measurements of their difference: `link/status` reports
+it ten times a second, with bounds, and `clock/pong` has the times at which each question was sent and received. Lines
+fitted between these bounds give offset and drift (`telenano.timing.clock_fit`), each for as long as it fits.
 
-The bounds are half the round trip apart from the estimate, because no exchange can tell a difference of the clocks from
-ways that differ there and back. So the difference is taken off only where the clocks are shown to differ: it is beyond
-its bound, they drift apart, or without it an answer would come before its question. One machine, or a link of 10 ms
-there and 70 ms back, shows none of these.
+The bounds are half the round trip away from the estimate, because no exchange can distinguish a clock difference from
+unequal delays there and back. The difference is therefore corrected only if it is proven: it exceeds its bound, the
+clocks drift apart, or without the correction an answer would precede its question. One machine, or a link with 10 ms
+there and 70 ms back, fulfils none of these.
 """
 
 import math
@@ -35,42 +34,42 @@ _NS = 1_000_000_000
 _STATUS = "link/status"
 _NETWORK = "link/network"
 _ANSWER = "clock/pong"
-# A recording that is no longer than this is read as a whole.
+# A recording up to this length is read as a whole.
 _WHOLE_NS = 90 * _NS
-# Windows of this length are read of a longer recording.
+# Length of the windows that are read of a longer recording.
 _WINDOW_NS = 2 * _NS
-# The windows are this far apart at least.
+# Least distance between the starts of two windows, unless there are `_MOST_WINDOWS`.
 _STEP_OF_WINDOWS_NS = 90 * _NS
-# There are at most this number of windows.
+# Most windows.
 _MOST_WINDOWS = 64
-# In a window the tip's samples of this length of time are examined.
+# Length of the part of a window in which the tip's samples are examined for causality.
 _CAUSALITY_NS = 2 * _NS
-# They are examined in this number of windows.
+# Most windows in which they are examined.
 _MOST_EXAMINED = 8
-# At most this number of messages on clocks are kept, of some thousand in a recording.
+# Most messages on clocks that are kept; a recording has some thousand.
 _MOST_LOOKED = 100_000
-# At most this number of parts are read besides the windows.
+# Most parts that are read besides the windows, in search of the time at which a clock was set.
 _MOST_SOUGHT = 256
-# Of what is read one line is tried for this time at first.
+# Length of a piece, the shortest part for which a line is fitted.
 _PIECE_NS = 4 * _NS
-# A report belongs to the exchange that it agrees with to this [ns], because stamps are whole ns.
+# A report belongs to an exchange if both agree within this, because stamps are whole ns [ns].
 _SAME_NS = 2_000
-# Two clocks drift apart in this time by less than the error of their stamps.
+# Within this time two clocks drift apart by less than the error of their stamps [ns].
 _STEP_NS = _NS // 1000
-# An answer may precede its question by so much, because of the error of the stamps [ns].
+# An answer may seem to precede its question by this much, because of the error of the stamps [ns].
 _EARLY_NS = 1_000_000
-# No two clocks are further apart than this [s]: some 300 years.
+# Largest plausible difference of two clocks [s]: some 300 years.
 _LONGEST_S = 1e10
-# This represents a delay of which nothing is known [ns].
+# Represents an unknown delay [ns].
 _LONG_NS = 2**60
 
 
 class SiteClock(NamedTuple):
-    """What the slave's clock is ahead of the master's.
+    """Lead of the slave's clock over the master's.
 
-    offset_s: in the middle of the recording [s]; uncertainty_s: bound of its error [s]; drift: what it gains [s/s];
-    applied: whether it is taken off the slave's stamps, and the reason. knots_ns: times by the slave's clock [ns], with
-    ahead_s there [s]; a straight line between two, and two of one time where the clock was set.
+    offset_s: lead in the middle of the recording [s]; uncertainty_s: bound of its error [s]; drift: mean drift [s/s];
+    applied: whether it is subtracted from the slave's stamps, and the reason as text. The lead is ahead_s [s] at
+    knots_ns, times by the slave's clock [ns], and linear in between; a clock that was set has a knot on either side.
     """
 
     offset_s: float
@@ -82,7 +81,7 @@ class SiteClock(NamedTuple):
     ahead_s: tuple[float, ...]
 
     def ahead_ns(self, stamps_ns: Ints) -> Ints:
-        """Return what the slave's clock is ahead at its own times [ns], whether it is applied or not."""
+        """Return the lead of the slave's clock at its own times [ns], shape (n,), whether it is applied or not."""
         if len(self.knots_ns) == 1:
             return np.full(stamps_ns.shape, round(self.ahead_s[0] * _NS), dtype=np.int64)
         origin = self.knots_ns[0]
@@ -94,12 +93,15 @@ class SiteClock(NamedTuple):
         return np.asarray(np.rint((ahead[part] + np.diff(ahead)[part] / widths[part] * (at - x[part])) * _NS), np.int64)
 
     def one_ahead_ns(self, stamp_ns: int) -> int:
-        """Return the same for one stamp."""
+        """Return `ahead_ns` of one stamp [ns]."""
         return int(self.ahead_ns(np.array([stamp_ns], dtype=np.int64))[0])
 
 
 class ClockShift:
-    """What to add to one stamp of the slave's site after the other [ns]; 0 where nothing is taken off."""
+    """Function that returns the shift to add to a stamp of the slave's site [ns]; 0 without a correction.
+
+    It serves rising stamps one by one and reuses the shift within `_STEP_NS`.
+    """
 
     def __init__(self, clock: SiteClock | None) -> None:
         self._clock = clock if clock is not None and clock.applied else None
@@ -107,11 +109,11 @@ class ClockShift:
 
     @property
     def is_needed(self) -> bool:
-        """Return whether the clocks differ."""
+        """Whether the clocks differ, so that stamps are corrected."""
         return self._clock is not None
 
     def __call__(self, stamp_ns: int) -> int:
-        """Return the shift of a stamp; within _STEP_NS it is the same."""
+        """Return the shift of a stamp [ns]."""
         if self._clock is not None and not 0 <= stamp_ns - self._first_ns < _STEP_NS:
             self._first_ns = stamp_ns - stamp_ns % _STEP_NS
             self._shift_ns = -self._clock.one_ahead_ns(self._first_ns)
@@ -119,24 +121,24 @@ class ClockShift:
 
 
 class Timeline:
-    """The stamps of all sources of a recording on one clock, the master's [ns].
+    """Conversion of the stamps of all sources of a recording to the master's clock [ns].
 
-    A source that was itself replayed beside live ones is shifted to the time of its replay, see `replay_shifts`.
+    A source that was replayed beside live ones is shifted to the time of its replay, see `replay_shifts`.
     """
 
     def __init__(self, recording: RecordingSource, *, quick: bool = False) -> None:
-        """Read what the clocks were; `quick` tells by the last report of each node alone whether it was replayed."""
+        """Estimate the clocks; `quick` reads only the last report of each node to detect a replay."""
         self.shifts = replay_shifts(recording, newest=quick)
         self.clock = read_site_clock(recording)
 
     def with_clock(self, clock: SiteClock | None) -> "Timeline":
-        """Return the same with another clock of the slave's site."""
+        """Return a copy with another clock of the slave's site."""
         other = Timeline.__new__(Timeline)
         other.shifts, other.clock = self.shifts, clock
         return other
 
     def times_ns(self, src: str, stamps_ns: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return stamps of a source on the master's clock, shape (n,)."""
+        """Return the stamps of a source converted to the master's clock [ns], shape (n,)."""
         if src in self.shifts:
             return stamps_ns + self.shifts[src]
         if self._differs(src) and self.clock is not None and stamps_ns.size:
@@ -144,7 +146,7 @@ class Timeline:
         return stamps_ns
 
     def stamp_ns(self, src: str, time_ns: int) -> int:
-        """Return what a source stamps at a time of the master's clock [ns]: the inverse of `times_ns`."""
+        """Return the stamp of a source at a time of the master's clock [ns]: the inverse of `times_ns`."""
         if src in self.shifts:
             return time_ns - self.shifts[src]
         if self._differs(src) and self.clock is not None:
@@ -157,20 +159,20 @@ class Timeline:
 
 
 def is_of_slave(src: str) -> bool:
-    """Return whether a node stamps by the clock of the slave's site."""
-    # The link's endpoint there belongs to a process at the master's.
+    """Return whether a node stamps its messages by the clock of the slave's site."""
+    # The link's endpoint at the slave's site belongs to a process at the master's.
     return site_of(src) == "slave" and name_of(src) != LINK
 
 
 def read_site_clock(recording: RecordingSource) -> SiteClock | None:
-    """Return the slave's clock as the link measured it; None where it was not measured."""
+    """Return the estimate of the slave's clock from the link's measurements; None if there are none."""
     on_clocks = _ClockMessages(recording, _windows(*recording.span_ns))
     judged = (_judged(on_clocks, topic) for topic in (_STATUS, _NETWORK))
     return next((clock for clock in judged if clock is not None), None)
 
 
 def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
-    """Return the parts of a recording that are looked at [ns]: all of a short one."""
+    """Return the windows of a recording that are read [ns]; a single one of the whole if it is short."""
     length_ns = last_ns - first_ns
     if length_ns <= _WHOLE_NS:
         return [(first_ns, last_ns + 1)]
@@ -180,11 +182,11 @@ def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
 
 
 class _ClockMessages:
-    """What is on clocks in the windows of a recording, of which each chunk is read once, and elsewhere if asked for."""
+    """Messages about clocks in the windows of a recording, read once; other parts are read on request."""
 
     def __init__(self, recording: RecordingSource, windows: list[tuple[int, int]]) -> None:
         self.windows, self._recording = windows, recording
-        # whether times of reception are those of the master's clock
+        # Whether the reception times are by the master's clock.
         self.is_masters = site_of(recording.metadata.get("recording", {}).get("node", "")) == "master"
         examined = windows[:: math.ceil(len(windows) / _MOST_EXAMINED)]
         self.examined = [(first_ns, min(last_ns, first_ns + _CAUSALITY_NS)) for first_ns, last_ns in examined]
@@ -200,7 +202,10 @@ class _ClockMessages:
                         yield message
 
     def select(self, wanted: ChannelFilter, first_ns: int, last_ns: int) -> Iterable[RecordedMessage]:
-        """Return the messages of wanted channels in a part [ns]; none any more where very many were asked for."""
+        """Return the messages of the wanted channels from `first_ns` up to `last_ns` (excluded) [ns].
+
+        Outside of the windows only `_MOST_SOUGHT` calls are answered; later ones return nothing.
+        """
         if any(first <= first_ns and last_ns <= last for first, last in self.windows):
             bounds = (bisect_left(self._messages, at_ns, key=_received_ns) for at_ns in (first_ns, last_ns))
             return [message for message in self._messages[slice(*bounds)] if wanted(message.channel)]
@@ -209,7 +214,7 @@ class _ClockMessages:
 
 
 class _Report(NamedTuple):
-    """What a report says of the clocks; answer: when the newest answer was sent and received [ns], None if untold."""
+    """Content of a clock report; answer: send and reception time of the newest answer [ns], None if unknown."""
 
     t_ns: int
     offset_s: float
@@ -218,7 +223,7 @@ class _Report(NamedTuple):
 
 
 def _reports(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
-    """Yield the valid reports of a window, those that the master's end made."""
+    """Yield the valid reports of a window that the link's end at the master made."""
     reports = on_clocks.select(lambda channel: channel.topic == topic and channel.via == "direct", *window)
     for message, fields in readable(reports, LeftOut()):
         clock = fields.get("clock")
@@ -234,11 +239,11 @@ def _reports(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> 
 
 
 def _piece(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Bounds | None:
-    """Return the bounds in a window: from above by the questions, or else by the reports, and from below by these."""
+    """Return the clock bounds in a window: upper ones from questions, or else from reports; lower ones from reports."""
     reports = list(_reports(on_clocks, topic, window))
     upper = _questions(on_clocks, window)
     if not upper:
-        # Reports alone are as good as the best of them.
+        # Without questions only the report with the least uncertainty is used.
         reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
         upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
     lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
@@ -246,7 +251,10 @@ def _piece(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Bo
 
 
 def _reported_lower_bounds(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
-    """Return the lower bounds of reports that name no answer, as those of datagrams: each of an exchange before it."""
+    """Return the lower bounds of reports without the times of an answer, such as those of the datagram link.
+
+    Each is dated to the earlier exchange whose upper bound equals the report's, or else to the report itself.
+    """
     asked = {round(ahead_ns / _SAME_NS): asked_ns for asked_ns, ahead_ns in upper}
     bounds = []
     for report in reports:
@@ -257,7 +265,7 @@ def _reported_lower_bounds(reports: list[_Report], upper: list[Bound]) -> list[B
 
 
 def _questions(on_clocks: _ClockMessages, window: tuple[int, int]) -> list[tuple[int, int]]:
-    """Return when questions were sent by the master's clock [ns], and how long they took by two clocks [ns]."""
+    """Return for each question its send time by the master's clock and its delay as the two clocks show it [ns]."""
     questions = []
     answers = on_clocks.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window)
     for _, fields in readable(answers, LeftOut()):
@@ -306,9 +314,9 @@ def _judged(on_clocks: _ClockMessages, topic: str) -> SiteClock | None:
 
 
 def _set_back_s(on_clocks: _ClockMessages, topic: str) -> float:
-    """Return by how much the master's clock was set back [s]: a later report has an earlier stamp; 0 if it was not.
+    """Return the largest backward step of the master's clock [s]: a later report has an earlier stamp; 0 if none.
 
-    Nothing is said where a number comes twice, because the node was then started again.
+    If a sequence number occurs twice the node was restarted, and the result is 0.
     """
 
     def is_masters(channel: RecordedChannel) -> bool:
@@ -323,7 +331,7 @@ def _set_back_s(on_clocks: _ClockMessages, topic: str) -> float:
 
 
 def _pieces(on_clocks: _ClockMessages, topic: str) -> list[Bounds]:
-    """Return the bounds in windows, of a long one in parts; there is a report in one of them."""
+    """Return the bounds of all windows, in parts of at most `_PIECE_NS`; parts without bounds are left out."""
     parts = [
         (first_ns, min(first_ns + _PIECE_NS, end_ns))
         for begin_ns, end_ns in on_clocks.windows
@@ -337,10 +345,10 @@ def _spoken(offset_s: float) -> str:
 
 
 def _earliest_s(on_clocks: _ClockMessages, clock: SiteClock) -> tuple[float, float]:
-    """Return by how much the earliest of what crossed the link came after it was sent [s], with the offset and without.
+    """Return the least delay across the link [s], with the clock correction and without it; negative breaks causality.
 
-    Below zero it came before. There: from a sample of the hand to the state of the tip that obeys it; back: from the
-    stamp of that state to its reception, where the recorder is at the master's site.
+    The delay there is from a sample of the hand to the state of the tip that obeys it. The delay back is from the stamp
+    of that state to its reception; it is known only if the recorder is at the master's site.
     """
     stamps, there, back = [], [], []
     for window in on_clocks.examined:

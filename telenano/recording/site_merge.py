@@ -1,4 +1,4 @@
-"""One recording of the two that the sites of a session keep, on the clock of the master's."""
+"""Merging of the recordings of both sites of a session into one, by the clock of the master's site."""
 
 import heapq
 from collections.abc import Iterator, Sequence
@@ -17,21 +17,21 @@ from telenano.wire.nodes import LINK, name_of, site_of
 
 
 def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = False) -> CopyResult:
-    """Merge the recordings of the master's site (first) and of the slave's, of each one or more parts.
+    """Merge the recordings of the master's site (first) and of the slave's, each in one or more parts.
 
-    Times of reception at the slave are put on the master's clock, offset and drift, where the clocks differ
-    (`telenano.recording.site_clock`, which report and replay go by as well); messages are copied byte by byte, so that
-    what is in them stays on the clock of who sent it. A channel that both have is taken from the recorder that received
-    it nearby.
+    Reception times at the slave are converted to the master's clock if the clocks differ, with the estimate of
+    `telenano.recording.site_clock` that report and replay also use. Messages are copied byte by byte, so the times in
+    them remain by the clock of their sender. A channel that both sites recorded is copied from the site that received
+    it locally.
 
     Args:
         sources: The recordings.
-        target: The file to make.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        target: The file to create.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
         RecordingError: The sources are not of two sites or not of one session, no offset was measured, or the target
-            exists.
+            exists or cannot be written.
     """
     recordings = one_session([Recording(source) for source in sources], same_session=same_session)
     sites = [site_of(recording.metadata.get("recording", {}).get("node", "")) for recording in recordings]
@@ -80,7 +80,7 @@ def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = F
 
 
 def slave_clock(recording: RecordingSource) -> SiteClock:
-    """Return the slave's clock as the link measured it; RecordingError where it did not."""
+    """Return the estimate of the slave's clock; raise RecordingError if the recording has no measurement of it."""
     clock = read_site_clock(recording)
     if clock is None:
         raise RecordingError(f"{recording.path}: has no link/status or link/network in which the clocks were compared")
@@ -88,7 +88,7 @@ def slave_clock(recording: RecordingSource) -> SiteClock:
 
 
 def _lacks(recordings: Sequence[Recording], sites: Sequence[str]) -> str:
-    """Return what the files of both sites lack by themselves, which is not to be seen from their messages together."""
+    """Return a text on the losses of the single files, which their merged messages do not show."""
     unclosed = [
         unclosed_text(f"{recording.path.name} of the {site}'s site", *recording.span_ns)
         for recording, site in zip(recordings, sites, strict=True)
@@ -106,7 +106,7 @@ def _channels(recording: Recording) -> Iterator[RawChannel]:
 
 
 def _nearer(channel: tuple[str, str, str]) -> str:
-    """Return the site whose recorder is near to a channel; both ends of the link are in a process at the master's."""
+    """Return the site that receives a channel locally; both ends of the link are in a process at the master's site."""
     _, src, site = channel
     return "master" if site_of(src) == "master" or name_of(src) == LINK else site
 

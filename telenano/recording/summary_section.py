@@ -1,9 +1,9 @@
-"""The summary of a closed recording by its own index, without reading its messages.
+"""Summary of a closed recording from its own index, without reading its messages.
 
-It is given only where the numbers agree: on each channel that was received at its publisher, the first and the last
-number, the count in the statistics and the gaps that the recorder has recorded. Where a process was started again its
-numbers begin again, and the place is sought by halves. A file from which a part is missing, with odd times, or whose
-index is damaged or names a part twice has to be read as a whole.
+It is returned only if the numbers agree: for each channel received at its publisher's site, the first and last sequence
+number must fit the count in the statistics and the recorded gaps. If a process was restarted its numbers restart too,
+and bisection finds the place. A file with a missing part, odd times, or an index that is damaged or names a part twice
+must be read as a whole.
 """
 
 import mmap
@@ -45,46 +45,46 @@ from telenano.wire.sequence import total
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _OFFSET = struct.Struct("<HQ")
-# the same, and the channel alone
+# The same entry, of which only the channel number is read.
 _NUMBER = struct.Struct("<H8x")
 _ENTRY = struct.Struct("<QQ")
 _INDEX_HEAD = struct.Struct("<HI")
 _NAME_LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
-# So much of unpacked chunks is kept [bytes].
+# Unpacked chunks are kept up to this size [bytes].
 _MOST_KEPT = 32 << 20
 
 _T = TypeVar("_T")
 
 
 class _DisagreementError(Exception):
-    """The summary does not say it all."""
+    """The index does not suffice for a summary, so the messages must be read."""
 
 
 class _Stamp(NamedTuple):
-    """Times of reception and of sending [ns] and number of a message."""
+    """Reception time and publisher's time [ns] and sequence number of a message."""
 
     log_ns: int
     publish_ns: int
     seq: int
 
 
-# By name, how often somebody gave each command, as `telenano.recording.people` counts it.
+# Counts of each person's commands, as `telenano.recording.people` returns them.
 People = dict[str, dict[str, int]]
 
 
 def quick_info(path: Path) -> RecordingInfo | None:
-    """Return the summary of a closed file by its index; None where all of its messages have to be read for it.
+    """Return the summary of a closed file from its index; None if the messages must be read for it.
 
-    What only the messages tell is None: sizes, repetitions and restarts of a channel, and the lag of the recorder.
-    Raises OSError when the file cannot be read.
+    Facts that only messages reveal are None: size and repetitions of a channel, restarts unless counted, the recorder's
+    lag. Raises OSError if the file cannot be opened.
     """
     return _quickly(path, lambda summary: summary.info())
 
 
 def quick_info_with_people(path: Path) -> tuple[RecordingInfo, People] | None:
-    """Return what `quick_info` does, with the people who gave commands."""
+    """Return the result of `quick_info` and the counts of people's commands; None if the messages must be read."""
     return _quickly(path, lambda summary: (summary.info(), summary.people()))
 
 
@@ -98,7 +98,7 @@ def _quickly(path: Path, read: "Callable[[_Summary], _T]") -> "_T | None":
 
 
 class _Summary:
-    """The structure of a file by its index, and what its summary says of the messages."""
+    """Structure of a file from its index, and the facts on its messages that follow from it."""
 
     def __init__(self, data: mmap.mmap, path: Path) -> None:
         self._data, self._path = data, path
@@ -106,11 +106,11 @@ class _Summary:
         self._channels = {
             number: recorded_channel(channel) for number, channel in self._layout.summary_channels.items()
         }
-        # The chunks that were unpacked lately are kept by their places.
+        # Recently unpacked chunks, by their offset.
         self._unpacked: dict[int, bytes] = {}
 
     def info(self) -> RecordingInfo:
-        """Return what `Recording.info` returns; _DisagreementError where it may be more."""
+        """Return the summary; raise _DisagreementError if `Recording.info` might find more."""
         statistics, layout = self._statistics, self._layout
         counts = {number: statistics.channel_message_counts.get(number, 0) for number in self._channels}
         numbers = [number for number, count in counts.items() if count > 0]
@@ -122,7 +122,7 @@ class _Summary:
         missing = [
             f"{count} messages of {row.src or 'a source'} on {row.channel_topic} are missing" for count, row in lost
         ]
-        # a sentence for each of many is for the other way
+        # More sentences are summarised by `RecordingStatistics.missing`, in the reading of all messages.
         _demand(len(missing) <= 5)
         missing += notes_of([layout.metadata])
         start_ns, end_ns = self._span()
@@ -149,7 +149,7 @@ class _Summary:
         )
 
     def people(self) -> People:
-        """Return who gave commands; of a recording in which nobody did, no message is read for it."""
+        """Return the counts of people's commands; without a `session/` channel no message is read."""
         if not any(channel.topic.startswith("session/") for channel in self._channels.values()):
             return {}
         from telenano.recording.people import people_in
@@ -157,7 +157,7 @@ class _Summary:
         return people_in(self)
 
     def select(self, wanted: ChannelFilter) -> Iterator[RecordedMessage]:
-        """Yield the messages of wanted channels, in the order of the file."""
+        """Yield the messages of the wanted channels, in the order of the file."""
         channels = {number: channel for number, channel in self._channels.items() if wanted(channel)}
         for chunk in self._layout.blocks:
             found = [
@@ -168,14 +168,14 @@ class _Summary:
             for offset, number, log_ns in sorted(found):
                 stamp = self._stamp(chunk, number, log_ns, offset)
                 yield RecordedMessage(channels[number], *stamp, self._payload(self._content(chunk), offset))
-            # memory that is used again costs less than new one
+            # Release the chunk at once: reused memory is cheaper than new memory.
             self._unpacked.pop(chunk.offset, None)
 
     def _span(self) -> tuple[int, int]:
-        """Return the times of the first and the last message [ns]; _DisagreementError where some are odd."""
+        """Return the times of the first and the last message [ns]; raise _DisagreementError if some are odd."""
         dates, span = Dates(), (self._statistics.message_start_time, self._statistics.message_end_time)
         for chunk in self._layout.blocks:
-            # a chunk without messages has no times
+            # A chunk without messages has the bounds 0.
             if chunk.last_ns:
                 _demand(chunk.last_ns - chunk.first_ns <= LONGEST_PAUSE_NS)
                 dates.add(chunk.first_ns, chunk.last_ns, 1)
@@ -183,9 +183,9 @@ class _Summary:
         return span
 
     def _ends(self, numbers: Collection[int], chunks: Iterable[Block], place: int) -> dict[int, _Stamp]:
-        """Return the stamps of the first (place 0) or last (-1) message of channels.
+        """Return the stamp of the first (place 0) or last (place -1) message of each channel number.
 
-        The chunks come in the order in which they are searched, and each is unpacked once.
+        `chunks` are in the order of the search; each is unpacked once.
         """
         missing, ends = set(numbers), {}
         for chunk in chunks:
@@ -198,7 +198,7 @@ class _Summary:
         return ends
 
     def _gaps(self) -> "_Gaps":
-        """Return the first number and how many there are of each gap that was recorded, by channel name and source."""
+        """Return first missing number and count of each recorded gap, by channel name and source."""
         gaps: _Gaps = {}
         numbers = {number for number, channel in self._channels.items() if channel.topic == GAP_TOPIC}
         for chunk in self._layout.blocks if numbers else ():
@@ -237,9 +237,9 @@ class _Summary:
         )
 
     def _restarts(self, number: int, count: int, begin: _Stamp, end: _Stamp, gaps: Iterable[tuple[int, int]]) -> int:
-        """Return how often the numbers of a channel begin again; _DisagreementError where a step is not accounted for.
+        """Return the number of restarts of a channel's sequence; raise _DisagreementError for an unexplained step.
 
-        Chunks are unpacked only where the numbers grow by something else than the messages between them.
+        Bisection unpacks only chunks around which the numbers do not grow by the count of messages between them.
         """
         chunks = [chunk for chunk in self._layout.blocks if number in self._numbers_in(chunk)]
         counts = [0, *accumulate(self._index(chunk, number)[1] // _ENTRY.size for chunk in chunks)]
@@ -248,7 +248,7 @@ class _Summary:
         left = dict(gaps)
 
         def step(before: _Stamp, after: _Stamp) -> int:
-            # The last messages of a process that has ended may be missing as well.
+            # The last messages of the process that ended may also be missing.
             missing = left.pop(before.seq + 1, 0)
             if after.seq > before.seq:
                 _demand(_grown(before, after) == 2 + missing)
@@ -271,7 +271,7 @@ class _Summary:
         return restarts
 
     def _message(self, chunk: Block, number: int, place: int) -> _Stamp:
-        """Return the stamps of the first or last message of a channel in a chunk."""
+        """Return the stamp of the first (place 0) or last (place -1) message of a channel in a chunk."""
         start, size = self._index(chunk, number)
         start += place % max(1, size // _ENTRY.size) * _ENTRY.size
         return self._stamp(chunk, number, *_ENTRY.unpack_from(self._data, start))
@@ -280,13 +280,13 @@ class _Summary:
         return (self._stamp(chunk, number, *entry) for entry in self._entries(chunk, number))
 
     def _stamp(self, chunk: Block, number: int, log_ns: int, offset: int) -> _Stamp:
-        """Return the stamps of a message by its entry in the index."""
+        """Return the stamp of a message from its index entry; raise _DisagreementError if the entry is wrong."""
         channel, seq, stated_ns, publish_ns = MESSAGE_HEAD.unpack_from(self._content(chunk), offset + RECORD_HEAD.size)
         _demand((channel, stated_ns) == (number, log_ns))
         return _Stamp(log_ns, publish_ns, seq)
 
     def _index(self, chunk: Block, number: int) -> tuple[int, int]:
-        """Return place and size [bytes] of the entries of a channel in the index of a chunk."""
+        """Return file offset and size of the index entries of a channel in a chunk [bytes]."""
         start = _channels_in(self._indexes[chunk.offset])[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
         channel, size = _INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
@@ -309,7 +309,7 @@ class _Summary:
         return self._unpacked[chunk.offset]
 
     def _numbers_in(self, chunk: Block) -> Iterable[int]:
-        """Return the numbers of the channels that a chunk has."""
+        """Return the numbers of the channels in a chunk."""
         return chain.from_iterable(_NUMBER.iter_unpack(self._indexes[chunk.offset]))
 
     @staticmethod
@@ -319,16 +319,16 @@ class _Summary:
         return content[start + MESSAGE_HEAD.size : start + length]
 
 
-# The first number of each gap, and how many are missing in it, by channel name and source.
+# First missing number and count of each gap, by channel name and source.
 _Gaps = dict[tuple[str, str], list[tuple[int, int]]]
-# by the place of a chunk, the channels in it and the places of their message indexes, as the file has them
+# Packed channel numbers and message index offsets of each chunk, by the chunk's offset.
 _ChannelIndexes = dict[int, bytes]
 
 
 def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, _ChannelIndexes, Statistics]:
-    """Return the structure of a closed file by its index, where the messages of a channel are, and the statistics.
+    """Return the structure of a closed file from its index, the message indexes of its chunks, and the statistics.
 
-    What lies between the chunks is not looked at, and the checksum of a chunk is in its head.
+    Bytes between the indexed parts are not read. Raises _DisagreementError if the index is incomplete.
     """
     layout, indexes, counts = Layout(path=path, finished=True), _ChannelIndexes(), None
     others: list[tuple[int, int, int]] = []
@@ -359,7 +359,7 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, _ChannelIndexe
     )
     for place, length, kind in others:
         add_other(data, place, place + length, kind, layout)
-    # Messages outside of chunks are in no index.
+    # Without a chunk the messages may lie outside of chunks, where no index has them.
     _demand(counts is not None and counts.chunk_count == len(layout.blocks) > 0 and not layout.damage)
     assert counts is not None
     _demand(sum(counts.channel_message_counts.values()) == counts.message_count)
@@ -368,12 +368,12 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, _ChannelIndexe
 
 
 def _channels_in(indexes: bytes) -> dict[int, int]:
-    """Return by its number each channel that a chunk has, and the place of its message index in the file."""
+    """Return the file offset of the message index of each channel in a chunk, by channel number."""
     return dict(_OFFSET.iter_unpack(indexes))
 
 
 def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of each record of the summary; _DisagreementError where it is not whole."""
+    """Yield opcode and body of each record of the summary; raise _DisagreementError if its checksum is wrong."""
     footer = len(data) - len(MAGIC) - _FOOTER.size
     opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer)
     _demand(data[: len(MAGIC)] == MAGIC == data[-len(MAGIC) :] and opcode == Opcode.FOOTER)
@@ -384,12 +384,12 @@ def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
 
 
 def _grown(begin: _Stamp, end: _Stamp) -> int:
-    """Return how many numbers there are from one message to another, both included."""
+    """Return the count of sequence numbers from one message to another, both included, modulo 2^32."""
     return ((end.seq - begin.seq) & _SEQUENCE_MASK) + 1
 
 
 def _demand_apart(parts: Iterable[tuple[int, int]]) -> None:
-    """Demand that no part of the file, by place and length, is named twice or lies over another one."""
+    """Raise _DisagreementError if two parts of the file, given as offset and length, overlap or are the same."""
     end = 0
     for place, length in sorted(parts):
         _demand(place >= end)

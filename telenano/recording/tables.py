@@ -1,4 +1,4 @@
-"""Messages in the form that other tools read: JSON values, and flat rows of named columns."""
+"""Conversion of messages for other tools: JSON values, and flat rows of named columns."""
 
 import contextlib
 import json
@@ -14,26 +14,26 @@ from telenano.recording.messages import RecordedMessage
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import Array, Record
 
-# a message that lacks the field
+# Stands for the field of a message that lacks it.
 _ABSENT = object()
 
 
 class TypedColumn(NamedTuple):
-    """A column of a table of messages: its values as they came, and their types."""
+    """A column of a message table: its original values, and the set of their types."""
 
     values: Sequence[Any]
     kinds: set[type]
 
     @classmethod
     def of(cls, values: Sequence[Any]) -> "TypedColumn":
-        """Return the column of some values."""
+        """Return a column of values with their types."""
         return cls(values, set(map(type, values)))
 
     def uniform(self, kinds: Set[type] | None = None) -> list[Any]:
-        """Return values of one type: whole numbers among others as floats, and anything else that is mixed as JSON.
+        """Return the values in one type: integers mixed with floats become floats, other mixtures become JSON texts.
 
         Args:
-            kinds: The types of a longer column, of which this is a part; None where this is all of it.
+            kinds: The types of the whole column if this is a part of it; None if this is the whole.
         """
         kinds = (self.kinds if kinds is None else kinds) - {type(None)}
         if len(kinds) <= 1:
@@ -44,7 +44,7 @@ class TypedColumn(NamedTuple):
 
 
 def line(message: RecordedMessage) -> dict[str, Any]:
-    """Return a message with the times and names of its record, for JSON lines."""
+    """Return a message and the times [ns] and names of its record, for JSON lines."""
     return {
         "channel": message.channel_topic,
         "src": message.src,
@@ -56,7 +56,7 @@ def line(message: RecordedMessage) -> dict[str, Any]:
 
 
 def row(message: RecordedMessage) -> dict[str, Any]:
-    """Return a message as a flat row: `position_m.0` for parts, arrays as lists, maps and lists of maps as JSON."""
+    """Return a message as a flat row: `position_m.0` for components, arrays as lists, other nested values as JSON."""
     return {"log_ns": message.log_ns, "publish_ns": message.publish_ns} | flat(_fields(message))
 
 
@@ -69,12 +69,12 @@ def flat(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
-    """Return columns of equal length with values of one type each; None where a message has no such value."""
+    """Return columns of equal length, each in one type; None stands for a missing value."""
     return {name: column.uniform() for name, column in columns_of(list(messages)).items()}
 
 
 def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]:
-    """Return the rows of messages as columns of equal length, with values as they came; None where there is none."""
+    """Return the rows of messages as columns of equal length with their original values; None for a missing one."""
     if not messages:
         return {}
     typed: dict[str, TypedColumn] = {
@@ -87,7 +87,7 @@ def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]:
 
 
 def _columns_of_field(name: str, values: Sequence[Any]) -> dict[str, TypedColumn]:
-    """Return a field as its columns: itself, those of a vector of one length, or of parts of several kinds."""
+    """Return the columns of a field: one for a scalar, one for each component of a vector or each flattened part."""
     whole = TypedColumn.of(values)
     if whole.kinds <= SCALAR_OR_NONE:
         return {name: whole}
@@ -106,7 +106,7 @@ def _fields(message: RecordedMessage) -> Mapping[str, Any]:
 
 
 def _fields_in_columns(rows: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str, Sequence[Any]]]:
-    """Return the values of each field, in the order of the rows."""
+    """Return name and values of each field, in the order of the rows; `_ABSENT` stands for a missing value."""
     names = tuple(rows[0])
     if len(names) > 1 and all(map(len(names).__eq__, map(len, rows))):
         with contextlib.suppress(KeyError):
@@ -116,7 +116,7 @@ def _fields_in_columns(rows: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str,
 
 
 def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
-    """Return the columns of a field that has parts of several kinds."""
+    """Return the columns of a nested field, flattened row by row."""
     rows: list[dict[str, Any]] = [{} for _ in values]
     for value, row in zip(values, rows, strict=True):
         if value is not _ABSENT:

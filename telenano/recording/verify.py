@@ -1,4 +1,4 @@
-"""Check of a recording: whether it is complete, and what precisely is missing where it is not."""
+"""Check of a recording: is it complete, and if not, exactly which data are missing."""
 
 import contextlib
 from collections import Counter
@@ -27,12 +27,12 @@ from telenano.wire.topics import NAME
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
-# This many findings of each kind and channel are reported: a file that is wrong throughout needs no line a message.
+# Most findings reported for each check and channel: a file that is wrong throughout needs no line for each message.
 _MAX_REPORTED = 5
 
 
 class Finding(BaseModel):
-    """A finding; `info` is not a fault, such as what an impaired link dropped."""
+    """A finding; level `info` is no fault, such as messages that an impaired link dropped."""
 
     check: Check
     level: Level
@@ -42,7 +42,7 @@ class Finding(BaseModel):
 
 
 class Verdict(BaseModel):
-    """Result of a check: `sound` when there is nothing above info."""
+    """Result of a check: `sound` if no finding is above level `info`."""
 
     sound: bool
     messages: int
@@ -50,11 +50,11 @@ class Verdict(BaseModel):
 
 
 def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
-    """Check recordings; several are taken as the files of one, so that what is missing between them is reported.
+    """Check a recording; several files are treated as its parts, and messages missing between them are reported.
 
     Args:
         paths: The files.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        same_session: Whether to join files that do not state whether they belong to one session.
 
     Raises:
         RecordingError: A file is not a recording at all, or two are not of one session.
@@ -64,7 +64,7 @@ def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
     findings: list[Finding] = []
     total = 0
     between: list[Finding] = []
-    # The newest number of each publisher that has not ended, by channel, with the file that it is in.
+    # Newest seq, and the file with it, of each channel whose publisher has not ended.
     newest: dict[RecordedChannel, tuple[int, Recording]] = {}
     for recording in recordings:
         check = _Check(recording, {channel: seq for channel, (seq, _) in newest.items()})
@@ -80,9 +80,10 @@ def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
 
 
 class _Stream:
-    """The messages of a channel so far: number and time of sending [ns] of the newest, and what is missing.
+    """State of a channel: seq and publisher's time [ns] of the newest message, and the missing ranges.
 
-    `topic` is that by which a payload is known to be valid; it is empty where each message is looked at more closely.
+    `missing` maps first and last missing seq to the time at which the gap was noticed [ns]. `topic` selects the fast
+    check of a payload; it is empty if each message needs the full check.
     """
 
     __slots__ = ("ended", "missing", "seq", "src", "t_ns", "topic")
@@ -90,11 +91,11 @@ class _Stream:
     def __init__(self, channel: RecordedChannel) -> None:
         self.seq: int | None = None
         self.t_ns = 0
-        # the publisher has ended, this was its last one
+        # Whether the publisher announced its end, so that `seq` is its last number.
         self.ended = False
         self.missing: dict[tuple[int, int], int] = {}
         self.src = channel.src
-        # The last message of a publisher is looked at as well.
+        # End messages need the full check, because their counts are compared.
         self.topic = "" if channel.topic == END_TOPIC else channel.topic
 
 
@@ -102,29 +103,29 @@ class _Check:
     """The check of one file."""
 
     def __init__(self, recording: Recording, before: Mapping[RecordedChannel, int]) -> None:
-        """Prepare to check a file; before: by channel, the newest number in the files before it."""
-        # by channel, its first number
+        """Prepare the check of a file; `before` is the newest seq of each channel in the earlier files."""
+        # First seq of each channel in this file.
         self.first: dict[RecordedChannel, int] = {}
-        # channels whose publisher has ended in this file
+        # Channels whose publisher ended in this file.
         self.ended: set[RecordedChannel] = set()
         self._before = before
         self._recording = recording
         self._findings: list[Finding] = []
         self._streams: dict[RecordedChannel, _Stream] = {}
-        # channels and numbers that are missing at the end of what a publisher has sent
+        # Channel, first and last seq of gaps at the end of a publisher's messages.
         self._at_end: set[tuple[RecordedChannel, int, int]] = set()
-        # channel, source and numbers of each gap of which there is a record
+        # Channel name, source, first and last seq of each gap that the recorder recorded.
         self._recorded_gaps: set[tuple[str, str, int, int]] = set()
-        # by channel and source, those after which no message came
+        # Recorded gaps without a later message (first, last, time [ns]), by channel name and source.
         self._open_gaps: dict[tuple[str, str], tuple[int, int, int]] = {}
         self._reported: dict[tuple[str, str], int] = {}
-        # The messages of each topic whose model is not known are counted.
+        # Number of messages of each topic whose model is unknown.
         self._unknown: Counter[str] = Counter()
 
     def run(self) -> list[Finding]:
         damage: list[Damage] = list(self._recording.structural_damage)
-        # A channel is the same object in all its messages, and to find one by its fields takes a third of the time. It
-        # is kept beside its stream, so that no other one comes to its place in memory.
+        # Look up streams by the identity of the channel, which is one object in all its messages: hashing its fields
+        # would take a third of the time. The channel is kept so that its id stays unique.
         kept: dict[int, tuple[_Stream, RecordedChannel]] = {}
         last_ns = count = 0
         for message in self._recording.select(report=damage.append):
@@ -166,13 +167,13 @@ class _Check:
         return self._findings
 
     def last(self) -> Iterator[tuple[RecordedChannel, int]]:
-        """Yield the newest number of each channel whose publisher has not ended in this file."""
+        """Yield the newest seq of each channel whose publisher did not end in this file."""
         for channel, newest in self._streams.items():
             if not newest.ended and newest.seq is not None:
                 yield channel, newest.seq
 
     def _check_message(self, message: RecordedMessage, stream: _Stream, last_ns: int) -> int:
-        """Check a message received after `last_ns` [ns]; return the latest time of reception."""
+        """Check one message; `last_ns` is the latest reception time so far [ns]; return the new latest one."""
         channel, log_ns = message.channel, message.log_ns
         if log_ns < last_ns:
             back_s = (last_ns - log_ns) * 1e-9
@@ -194,7 +195,7 @@ class _Check:
         return max(last_ns, log_ns)
 
     def _check_schema(self, message: RecordedMessage) -> Any:
-        """Check a message and its header; return it, None where it is not valid."""
+        """Check a message against its model and its record; return the decoded message, None if invalid."""
         channel = message.channel
         try:
             decoded = message.decode()
@@ -221,14 +222,14 @@ class _Check:
         self._open_gaps[record.channel_topic, record.src] = (first, last, log_ns)
 
     def _check_end(self, message: RecordedMessage) -> None:
-        """Compare the counts of a publisher that has ended with what was recorded of it."""
+        """Compare the counts that a publisher announced at its end with the recorded messages."""
         try:
             sent = read_end(message.fields()) or {}
         except RecordingError:
-            # reported as such
+            # The check of the schema has already reported the unreadable message.
             return
         for channel in {**self._before, **self._streams}:
-            # they are of its own endpoint: what was received elsewhere came through others
+            # The counts hold for the publisher's own endpoint; other channels were received through other endpoints.
             own = channel.site == message.site and (channel.via == "direct") == (channel.src == message.src)
             if own and (channel.topic, channel.src) in sent:
                 self._end_channel(channel, sent[channel.topic, channel.src], message.log_ns)
@@ -237,7 +238,7 @@ class _Check:
         self.ended.add(channel)
         newest = self._streams.get(channel)
         if newest is None:
-            # Its messages are in a file before this one.
+            # All its messages are in earlier files.
             newest = self._streams[channel] = _Stream(channel)
             newest.seq = self._before[channel]
         last = (sent - 1) & _SEQUENCE_MASK
@@ -248,14 +249,14 @@ class _Check:
 
     def _check_sequence(self, message: RecordedMessage, newest: _Stream) -> None:
         channel, seq = message.channel, message.seq
-        # a gap before a message is none at the end
+        # A gap followed by a message is not at the end of the channel.
         if self._open_gaps:
             self._open_gaps.pop((channel.channel_topic, channel.src), None)
         if newest.seq is None:
             self.first[channel] = newest.seq = seq
             newest.t_ns = message.publish_ns
         elif newest.ended and message.publish_ns > newest.t_ns:
-            # a number above that of the process before is no loss
+            # A new process: a seq above that of the previous process is no loss.
             self._restart(newest, message)
         elif seq > newest.seq:
             if seq > newest.seq + 1:
@@ -272,7 +273,7 @@ class _Check:
 
     @staticmethod
     def _remove_from_missing(missing: dict[tuple[int, int], int], seq: int) -> None:
-        """Remove a message that was overtaken from what is missing."""
+        """Remove the seq of a message that was overtaken from the missing ranges."""
         for (first, last), log_ns in list(missing.items()):
             if first <= seq <= last:
                 del missing[first, last]
@@ -291,12 +292,12 @@ class _Check:
                 place = f"{(log_ns - origin_ns) * 1e-9:.6f} s after the start"
                 place = f"at the end of what it sent, {place}" if at_end else place
                 text = f"seq {first} to {last} of {channel.src} ({last - first + 1}) missing, {place}: {how}"
-                # what an impaired link drops is the experiment
+                # Losses on an impaired link are part of the experiment, not a fault.
                 level: Level = "info" if channel.via == "link" and not at_end else "warning"
                 self._report("gap", level, channel.channel_topic, text)
 
     def _report_unknown(self) -> None:
-        """Report the topics of packages that are not installed, whose messages are kept as they came."""
+        """Report the topics of packages that are not installed, of which only the headers were checked."""
         for topic, count in self._unknown.items():
             package = KNOWN_PACKAGES.get(f"topic {topic}")
             advice = f"; install {package}: `{how_to_add_package(package)}`" if package else ""
@@ -324,12 +325,12 @@ class _Check:
 
 
 def _cut(recordings: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield what recordings lack at the ends of their session, as a report of them says it."""
-    # it needs NumPy, and a file without a session does not
+    """Yield findings on missing parts at the two ends of the session, with the sentences of a report."""
+    # Imported here because it needs NumPy, which a file without a session does not.
     from telenano.recording.silence import cut_off
 
     whole = recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)
-    # what cannot be read is reported as such
+    # Unreadable messages are reported by the check of each file.
     with contextlib.suppress(RecordingError):
         for text in cut_off(whole):
             yield Finding(check="end", level="warning", file=str(whole.path), channel="haptic/state", text=text)
@@ -338,7 +339,7 @@ def _cut(recordings: Sequence[Recording]) -> Iterator[Finding]:
 def _between(
     later: Recording, check: _Check, newest: Mapping[RecordedChannel, tuple[int, Recording]]
 ) -> Iterator[Finding]:
-    """Yield what is missing between a file and those before it, by the `seq` of the messages."""
+    """Yield findings on messages missing between a file and the earlier ones, from their `seq`."""
     for channel, first in check.first.items():
         last, earlier = newest.get(channel, (None, later))
         if channel.topic in RECORD_TOPICS or last is None or first <= last + 1:

@@ -1,4 +1,4 @@
-"""Writing a recording: one MCAP file that a kill leaves readable up to the last flush."""
+"""Writer of a recording: one MCAP file that stays readable up to the last flush if the process is killed."""
 
 import contextlib
 import json
@@ -23,17 +23,17 @@ from telenano.wire.messages import Record
 from telenano.wire.nodes import site_of
 from telenano.wire.schema import json_schema
 
-# why a file ended
+# Reason for which a file ended.
 FileEnd = Literal["stopped", "split", "quota"]
 
 
 def channel_topic(topic: str, src: str, site: str) -> str:
-    """Return the channel name of what `src` publishes on `topic` and is received at `site`."""
+    """Return the channel name of messages from `src` (node@site) on `topic`, received at `site`."""
     return topic if site_of(src) == site else f"{topic}@{site}"
 
 
 class FileSettings(BaseModel):
-    """Where a recording goes and how its file is written."""
+    """Place, name, compression and flushing of a recording's file."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
@@ -56,8 +56,8 @@ class FileSettings(BaseModel):
 class RecordingWriter:
     """Writer of one recording file.
 
-    A channel is what one publisher sends on one bus topic, received at one site. Every method raises RecordingError
-    with the path and the reason when the file cannot be written; what was flushed before stays readable.
+    A channel has the messages of one publisher on one bus topic, received at one site. Every method raises
+    RecordingError with path and reason if the file cannot be written; data flushed before stay readable.
     """
 
     def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings, disk: Disk = OWN_DISK) -> None:
@@ -67,9 +67,9 @@ class RecordingWriter:
         self.size_bytes = 0
         self._stream = stream
         self._disk = disk
-        # the one in the name of the file
+        # Number in the name of the file; 0 for none.
         self.number = 0
-        # The file that was created here; None for what is not one.
+        # Identity of the file that `create` made; None for another stream.
         self._identity: Identity | None = None
         self._sync = settings.sync_to_disk
         self._schemas: dict[type[Record], int] = {}
@@ -78,7 +78,7 @@ class RecordingWriter:
         self._mcap = MessageWriter(stream, settings.chunk_size_bytes, settings.compression)
         with self._guarded():
             self._mcap.start("telenano")
-            # from its first moment on the file is one that opens
+            # Flush the head, so that the file can be opened from its first moment on.
             self._stream.flush()
 
     @classmethod
@@ -88,7 +88,7 @@ class RecordingWriter:
         Args:
             path: The path of the file.
             node: The recorder (node@site).
-            origin: What an error names.
+            origin: The subject of an error message.
 
         Raises:
             ConfigError: The name is not that of a recording.
@@ -97,7 +97,7 @@ class RecordingWriter:
 
     @classmethod
     def create(cls, node: str, settings: FileSettings, number: int = 0, disk: Disk = OWN_DISK) -> "RecordingWriter":
-        """Create the file, under the first free name from a number on; nothing is ever overwritten."""
+        """Create a file under the first free name, counting up from `number`; nothing is ever overwritten."""
         stem, suffix = Path(settings.file_name).stem, Path(settings.file_name).suffix
         while True:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
@@ -115,7 +115,7 @@ class RecordingWriter:
                 raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
 
     def channel(self, topic: str, src: str, site: str) -> int:
-        """Return the new channel of what `src` (node@site) sends on a topic, as received at `site`."""
+        """Register the channel of messages from `src` (node@site) on a topic, received at `site`; return its number."""
         row = row_of(topic) or TOPICS[topic]
         metadata = {
             "topic": topic,
@@ -133,7 +133,7 @@ class RecordingWriter:
         return self._mcap.message_count
 
     def write(self, channel: int, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
-        """Write a message, byte by byte as it was received."""
+        """Write a message with its payload unchanged; times are in ns."""
         try:
             self._mcap.add_message(channel, log_ns, payload, publish_ns, seq)
         except OSError as error:
@@ -154,9 +154,9 @@ class RecordingWriter:
             self._mcap.add_metadata(name, dict(entries))
 
     def flush(self) -> None:
-        """Close the current chunk and hand everything to the operating system, with `sync_to_disk` to the disk.
+        """Close the current chunk and pass all data to the operating system; with `sync_to_disk` wait for the disk.
 
-        A process that is killed afterwards loses none of it.
+        Killing the process afterwards loses none of these data.
         """
         with self._guarded():
             self._mcap.flush()
@@ -166,7 +166,7 @@ class RecordingWriter:
         """Write index and statistics and close the file; a second call does nothing.
 
         Args:
-            end: Why the file ends (`state`, a FileEnd) and what the recorder knows to be missing (`note`).
+            end: Metadata of the end: its reason (`state`, a FileEnd) and the losses known to the recorder (`note`).
         """
         if self._stream.closed:
             return
@@ -179,17 +179,17 @@ class RecordingWriter:
             self._stream.close()
 
     def in_place(self) -> bool:
-        """Return whether the file is still there under its name: one that was removed takes every write as before."""
+        """Return whether the file still exists under its name: writing to a removed file would raise no error."""
         try:
             return self._identity is None or self._identity == self._disk.identity_at(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return False
         except OSError:
-            # unknown, and the file is open all the same
+            # Unknown; the file is still open, so it is not reported as gone.
             return True
 
     def abandon(self) -> None:
-        """Close a file that cannot be opened any more."""
+        """Close the stream without finishing the file, and ignore errors."""
         with contextlib.suppress(OSError):
             self._stream.close()
 
@@ -222,12 +222,12 @@ class RecordingWriter:
 
     def _failure(self, error: OSError) -> RecordingError:
         """Close the file, which cannot be written, and return the error that reports it."""
-        # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
+        # Closing flushes once more and fails for the same reason, but releases the descriptor.
         self.abandon()
         return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")
 
 
 @cache
 def _schema_of(model: type[Record]) -> bytes:
-    """Return the JSON Schema of a message, which each file of a recording has and which takes milliseconds to make."""
+    """Return the JSON Schema of a message; cached because each file needs it and making it takes milliseconds."""
     return json.dumps(json_schema(model), sort_keys=True).encode()

@@ -1,4 +1,4 @@
-"""What serves a page: address, access, connections, certificates, and the panels of packages."""
+"""Serving of a rig's web page: address, access, connections, certificates, and the panels of packages."""
 
 from typing import TYPE_CHECKING
 

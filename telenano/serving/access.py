@@ -1,4 +1,4 @@
-"""Who may open the page of a rig, and what they may do there: tokens, roles, hosts and addresses."""
+"""Access control of a rig's page: tokens, roles, host names and addresses."""
 
 import hmac
 import ipaddress
@@ -18,14 +18,14 @@ OBSERVER_VARIABLE = "TELENANO_VIEW_OBSERVER_TOKEN"
 PARTICIPANT_VARIABLE = "TELENANO_VIEW_PARTICIPANT_TOKEN"
 _TOKEN_BYTES = 24
 _LEAST_TOKEN = 16
-# as browsers write it: no path, and null for a page that has none
+# An origin as browsers send it: without a path, or null for a page without an origin.
 _ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 
 
 class Role(StrEnum):
-    """What a page may do: all look and may stop, and who is more than an observer may have the hand.
+    """Role of a page: all of them may stop the rig, and all but an observer may hold control.
 
-    A pupil has it when it is handed over; an operator takes it when it is free, a teacher from anybody. A
+    A pupil gets control only when it is handed over; an operator takes free control, a teacher takes it from anyone. A
     participant of an experiment presses, answers and stops, and sees nothing of the rig.
     """
 
@@ -38,20 +38,20 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Access:
-    """The tokens of the roles, the names by which the server may be addressed, and the networks that may connect.
+    """Tokens of the roles, host names of the server, and networks that may connect.
 
-    The names keep out pages of other servers that a resolver was made to map to this one (DNS rebinding).
+    Checking the host names keeps out pages of other servers whose name was made to resolve to this one (DNS rebinding).
     """
 
     operator_token: str
     observer_token: str
     hosts: tuple[str, ...] = (LOOPBACK, "localhost", "[::1]")
     networks: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
-    # further origins of web sockets; empty is that of a program, because a browser always names one
+    # Further origins of web sockets; an empty one admits programs, because only browsers always send an origin.
     origins: tuple[str, ...] = ()
-    # empty where there is none
+    # Empty if there is none.
     participant_token: str = ""
-    # those who were given an address by name
+    # People with an address of their own.
     people: People = field(default_factory=People)
 
     @classmethod
@@ -65,9 +65,9 @@ class Access:
         allow: Sequence[str] = (),
         origins: Sequence[str] = (),
     ) -> "Access":
-        """Return the access to a server with further names, networks and origins; tokens not given are new ones.
+        """Return the access to a server with further names, networks and origins; missing tokens are generated.
 
-        Raises: ConfigError for a token that could be guessed, and for an address that is none.
+        Raises ConfigError for a token that is too short or not unique, and for an invalid network or origin.
         """
         tokens = [token for token in (operator, observer, participant) if token]
         for token in tokens:
@@ -94,7 +94,7 @@ class Access:
         )
 
     def role_of(self, token: str) -> Role | None:
-        """Return the role that a token gives; None for an unknown one, in a time that does not depend on it."""
+        """Return the role of a token; None for an unknown one. The time does not depend on the token."""
         token_bytes = token.encode()
         is_operator = hmac.compare_digest(token_bytes, self.operator_token.encode())
         is_observer = hmac.compare_digest(token_bytes, self.observer_token.encode())
@@ -109,14 +109,14 @@ class Access:
         return Role(person.role) if person is not None and self.people.is_admitted(person) else None
 
     def person_of(self, token: str) -> Person | None:
-        """Return who was given a token by name, also one that is no longer valid; None for any other token.
+        """Return the person of a personal token, even one that is no longer valid; None for any other token.
 
-        Its digest is looked up, and a time that depends on a digest tells nothing of the token.
+        The token is looked up by its digest, so the time of the search reveals nothing about the token.
         """
         return self.people.find(token)
 
     def admits_address(self, address: str) -> bool:
-        """Return whether the address that a connection comes from is in one of the networks."""
+        """Return whether the remote address of a connection is in one of the networks."""
         try:
             parsed = ipaddress.ip_address(address)
         except ValueError:
@@ -124,17 +124,17 @@ class Access:
         return any(parsed in ipaddress.ip_network(network) for network in self.networks)
 
     def admits_host(self, host: str) -> bool:
-        """Return whether the Host of a request is a name of this server; its port does not matter."""
+        """Return whether the Host header of a request is a name of this server, whatever the port."""
         name = host if host.endswith("]") or ":" not in host else host.rpartition(":")[0]
         return name in self.hosts
 
     def admits_origin(self, origin: str, host: str) -> bool:
-        """Return whether the page that opens a web socket came from this very server, or from one that is named."""
+        """Return whether the page that opens a web socket came from this server or from an allowed origin."""
         return origin in (f"http://{host}", f"https://{host}", *self.origins)
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a server that binds `host` can be reached from this machine only."""
+    """Return whether a server that binds `host` can be reached only from this machine."""
     if host == "localhost":
         return True
     try:
@@ -144,6 +144,6 @@ def is_loopback(host: str) -> bool:
 
 
 def tokens_given() -> dict[str, str]:
-    """Return the tokens that the environment names; a role without one gets a new one."""
+    """Return the tokens in the environment by role; empty for a role without one."""
     variables = {"operator": OPERATOR_VARIABLE, "observer": OBSERVER_VARIABLE, "participant": PARTICIPANT_VARIABLE}
     return {role: os.environ.get(variable, "") for role, variable in variables.items()}

@@ -38,18 +38,18 @@ class ViewConfig(BaseModel):
 
     @property
     def name(self) -> str:
-        """The name of the server in its addresses; empty for the address that is bound."""
+        """The name of the server in its addresses; empty to use the bound address."""
         return next(iter(self.names), "")
 
     def tls(self) -> Tls | None:
-        """Return the files of TLS; ConfigError where one is missing or the host needs them."""
+        """Return the TLS files, None without TLS; raise ConfigError if one is missing or the host requires them."""
         files = [None if text is None else standing(Path(text)) for text in (self.certificate_file, self.key_file)]
         return checked_tls(self.host, *files)
 
     def access(self) -> Access:
-        """Return who may open the page, with the tokens of the environment or new ones."""
+        """Return the access rules of the page, with the tokens of the environment or new ones."""
         return Access.made(names=[self.host, *self.names], allow=self.allow, **tokens_given())
 
     def bind(self) -> Listener:
-        """Bind the address; EndpointError with the reason."""
+        """Bind the address and return the listener; raise EndpointError if that fails."""
         return bind(self.host, self.port)

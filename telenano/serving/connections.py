@@ -1,4 +1,4 @@
-"""The connections of the page's server: so many that descriptors are left for the bus and for emergency stops."""
+"""Limit on the connections of the page's server, so that file descriptors remain for the bus and emergency stops."""
 
 import asyncio
 import contextlib
@@ -11,39 +11,39 @@ from typing import Any
 from telenano.runtime.wiring.descriptors import descriptors_free
 from telenano.wire.errors import EndpointError
 
-# Connections beside the pages are strangers: the files of a page come over six at once, and a hello takes moments.
+# Most connections. Those of pages need few others: a page loads its files over six at once, and a hello is short.
 MOST_CONNECTIONS = 64
-# A request's head, or the hello of a page, that has not come after this time does not come.
+# Longest wait for the head of a request or the hello of a page [s].
 SILENCE_S = 5.0
 _SWEEP_S = 0.5
-# This number of descriptors are left for the bus: nodes that come later, a console, the hand of a page.
+# File descriptors reserved for the bus: for nodes that start later, a console, the hand of a page.
 _FOR_THE_BUS = 48
-# These are left for two emergency stops at once, of which one was counted to need 22 at its inlets and 16 at a console.
+# Reserved for two simultaneous emergency stops; one was counted to need 22 at its inlets and 16 at a console.
 _FOR_STOPS = 80
-# Dropped connections keep their descriptors until the loop has come round.
+# Reserved for dropped connections, which keep their descriptors until the next turn of the event loop.
 _CLOSING = 16
 
 
 @dataclass
 class _Connection:
     socket: socket.socket
-    # since when the head of a request is waited for [s]; None while one is being answered
+    # Time since which the head of a request is awaited [s]; None while a request is being answered.
     since_s: float | None
     is_page: bool = False
     is_dropped: bool = False
 
     def drop(self) -> None:
-        """End both directions; the task that reads or writes it closes it then."""
+        """Shut down both directions; the task that reads or writes the socket then closes it."""
         self.is_dropped = True
         with contextlib.suppress(OSError):
             self.socket.shutdown(socket.SHUT_RDWR)
 
 
 class Connections:
-    """Those that are open, from the oldest to the newest.
+    """The open connections, from the oldest to the newest.
 
-    A connection is a stranger until it has shown a token. Where there are as many as may be, the oldest stranger gives
-    way to a new one, so a client that holds connections open keeps no other out.
+    A connection is a stranger until it has shown a token. At the limit the oldest stranger is dropped for a new one, so
+    a client that holds connections open cannot keep others out.
     """
 
     def __init__(self, most: int = MOST_CONNECTIONS) -> None:
@@ -51,7 +51,7 @@ class Connections:
         self._open: dict[Any, _Connection] = {}
 
     def make_room(self) -> bool:
-        """Return whether a connection may be accepted now; drops the oldest stranger where there are too many."""
+        """Return whether a connection may be accepted now; at the limit, drop the oldest stranger."""
         self._open = {
             client: connection for client, connection in self._open.items() if connection.socket.fileno() >= 0
         }
@@ -64,49 +64,49 @@ class Connections:
         return len(self._open) < self.most + _CLOSING
 
     def add(self, accepted: socket.socket, client: Any) -> None:
-        """Take a connection that was accepted; `client` is its address and port."""
+        """Add an accepted connection; `client` is its remote address and port."""
         self._open[client] = _Connection(accepted, time.monotonic())
 
     def begin(self, client: Any) -> None:
-        """Record that the head of a request has come."""
+        """Record that the head of a request was received."""
         if connection := self._open.get(client):
             connection.since_s = None
 
     def end(self, client: Any) -> None:
-        """Record that a request has been answered: the next one of the same connection may follow."""
+        """Record that a request was answered and the next one of the same connection is awaited."""
         if connection := self._open.get(client):
             connection.since_s = time.monotonic()
 
     def admit(self, client: Any) -> None:
-        """Record that a connection has shown a token: it gives way to no other."""
+        """Record that a connection has shown a token, so that it is never dropped for another."""
         if connection := self._open.get(client):
             connection.is_page = True
 
     def drop_silent(self) -> None:
-        """Drop what has waited for the head of a request for too long."""
+        """Drop the connections whose request has not come within `SILENCE_S`."""
         now_s = time.monotonic()
         for connection in self._open.values():
             if connection.since_s is not None and now_s - connection.since_s > SILENCE_S and not connection.is_dropped:
                 connection.drop()
 
     async def sweep(self) -> None:
-        """Drop the silent ones now and again, until cancelled."""
+        """Drop silent connections periodically, until cancelled."""
         while True:
             self.drop_silent()
             await asyncio.sleep(_SWEEP_S)
 
 
 class Listener(socket.socket):
-    """A listening socket that accepts no more connections than there may be.
+    """A listening socket that limits the number of connections.
 
-    The bound is here and not in the web server, which counts a connection only when its handshake is over and the head
-    of its first request is there.
+    The limit is here because the web server counts a connection only after its handshake and the head of its first
+    request.
     """
 
     connections: Connections | None = None
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept a connection. Raises BlockingIOError while there is no room, as if none were waiting."""
+        """Accept a connection; raise BlockingIOError at the limit, as if none were waiting."""
         if self.connections is not None and not self.connections.make_room():
             raise BlockingIOError
         accepted, address = super().accept()
@@ -115,14 +115,14 @@ class Listener(socket.socket):
         return accepted, address
 
     def again(self, connections: Connections) -> "Listener":
-        """Return another descriptor of the same socket, for a server that closes it."""
+        """Return a duplicate of this socket for a server that closes it, limited by `connections`."""
         listener = Listener(fileno=os.dup(self.fileno()))
         listener.connections = connections
         return listener
 
 
 def most_connections(least: int) -> int:
-    """Return how many connections the descriptors of this process allow; EndpointError where they allow too few."""
+    """Return the number of connections that the file descriptors allow; raise EndpointError if less than `least`."""
     free = descriptors_free()
     if free is None:
         return MOST_CONNECTIONS

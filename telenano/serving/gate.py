@@ -1,4 +1,4 @@
-"""The gate of a web server: addresses, host names and origins that are admitted, and an account of connections."""
+"""The gate of a web server: it checks addresses, host names and origins, and keeps account of connections."""
 
 import asyncio
 import contextlib
@@ -11,9 +11,9 @@ from starlette.websockets import WebSocketDisconnect
 from telenano.serving.access import Access
 from telenano.serving.connections import Connections
 
-# close code of RFC 6455
+# Close code of RFC 6455.
 POLICY = 1008
-# styles of elements are set by the libraries through the object model, which needs no exception
+# Libraries set the styles of elements through the DOM, so style-src needs no exception.
 _HEADERS = (
     (
         b"content-security-policy",
@@ -36,7 +36,7 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
 class _Accounted:
-    """Accounts for the connection of each request, by the address that it comes from and not by what a header says."""
+    """Records the connection of each request by its real remote address, before headers can change it."""
 
     def __init__(self, app: Any, connections: Connections) -> None:
         self._app = app
@@ -53,7 +53,7 @@ class _Accounted:
 
 
 class _Gate:
-    """Refuses addresses and host names that are not admitted, before anything else; adds the headers of the page."""
+    """Refuses addresses, host names and origins that are not admitted, and adds security headers to responses."""
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app
@@ -89,9 +89,9 @@ class _Gate:
 
 
 def guarded(app: Any, access: Access, connections: Connections) -> Any:
-    """Return an application behind the gate, whose connections are accounted for.
+    """Return an application behind the gate, with account of its connections.
 
-    A proxy on this machine may say in `X-Forwarded-For` from where a request comes, as web servers have it.
+    A proxy on this machine may give the origin of a request in `X-Forwarded-For`, as is usual for web servers.
     """
     from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
@@ -100,7 +100,7 @@ def guarded(app: Any, access: Access, connections: Connections) -> Any:
 
 
 def client_of(scope: Scope) -> Any:
-    """Return what `Connections` knows the connection of a request by."""
+    """Return the key of a request's connection in `Connections`."""
     return scope.get(_CLIENT)
 
 
@@ -111,7 +111,7 @@ def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]
 
 
 async def end_quietly(sender: "asyncio.Task[None]") -> None:
-    """Cancel what sends to a socket that may be closed already."""
+    """Cancel a task that sends to a socket, which may be closed already, and wait for its end."""
     sender.cancel()
     with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
         await sender

@@ -1,9 +1,9 @@
-"""Panels of packages on the page, each an entry point of `telenano.panels`: an ES module, and a row that says of what.
+"""Panels that packages add to the page: each is an entry point of `telenano.panels`, a row that names an ES module.
 
     PANEL = Panel("wind", "Wind", "watch", Path(__file__).with_name("wind.js"), {"wind/speed": ("speed_m_per_s",)})
 
-The module exports `make(root, api)`, which fills an element and returns what the page calls after that
-(docs/extending/io.md). It is served from the folder in which it lies, together with the other files of a page there.
+The module exports `make(root, api)`, which fills an element and returns the callbacks of the page
+(docs/extending/io.md). It is served from its folder, together with the other web files there.
 """
 
 import re
@@ -17,20 +17,20 @@ from telenano.wire.messages import Scalar
 from telenano.wire.topics import NAME
 
 Region = Literal["stage", "controls", "dock", "watch"]
-# Only these files of a panel's folder are served, so that no code of the package is.
+# Only these kinds of files are served from a panel's folder, so that no Python code is.
 _SUFFIXES = (".css", ".html", ".js", ".json", ".mjs", ".png", ".svg", ".woff2")
 _ID = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 class Asked(NamedTuple):
-    """What a page asks of the half of its panel that runs in the server.
+    """Request of a page to the half of its panel that runs in the server.
 
     Args:
-        id: The identifier of the request; the same one where it is sent again.
-        page: What the page is called, the same for all its requests.
-        role: The role of the page: `participant` where it belongs to guests, else that of who may have the hand.
-        values: What was asked, by name.
-        rig: The rig that the page shows, for what is published and read there.
+        id: The identifier of the request; a repetition has the same one.
+        page: The identifier of the page, the same for all its requests.
+        role: The role of the page: `participant` for a guest page, else the role of its person.
+        values: The values of the request, by name.
+        rig: The rig that the page shows, for publishing and reading.
     """
 
     id: str
@@ -41,7 +41,7 @@ class Asked(NamedTuple):
 
 
 class PanelRig(Protocol):
-    """What a desk has of the rig that its page shows."""
+    """Interface of a desk to the rig that its page shows."""
 
     def publish(self, topic: str, **fields: Any) -> object:
         """Publish on a topic, as `view@master`."""
@@ -50,43 +50,43 @@ class PanelRig(Protocol):
         """Return the time on the clock of the rig [ns]."""
 
     def state(self, topic: str) -> Mapping[str, Any]:
-        """Return what was sent to pages last of a topic of the panel; empty before the first message."""
+        """Return the state of a panel's topic last sent to pages; empty before the first message."""
 
 
 class Desk(Protocol):
-    """The half of a panel that runs in the server: it carries out what pages ask, beside everything else there."""
+    """The half of a panel that runs in the server and carries out the requests of pages, concurrently with the rest."""
 
     async def ask(self, asked: Asked) -> str:
-        """Carry out what was asked and return what to answer; RefusedError says why not."""
+        """Carry out a request and return the answer; raise RefusedError with the reason if it is refused."""
 
 
 class Picture(Protocol):
-    """Makes of what all pages are sent what guests are sent."""
+    """Filter that reduces the messages for all pages to those for guest pages."""
 
     def take(self, changes: Mapping[str, Any], now_s: float) -> list[dict[str, Any]]:
-        """Return the changes that guests are sent at a time [s], each for a frame of its own."""
+        """Return the changes to send to guests at a time [s], each in a frame of its own."""
 
     def snapshot(self, snapshot: Mapping[str, Any], *, hand: bool) -> dict[str, Any]:
-        """Return what the page of a guest begins with, of what that of an operator begins with."""
+        """Return the initial state for a guest page, from that for an operator's page."""
 
     def acknowledgement(self, *, is_ok: bool) -> str:
-        """Return the answer to a request in words that tell nothing else."""
+        """Return the answer to a request in words that reveal nothing else."""
 
 
 class Panel(NamedTuple):
     """A panel of a package.
 
     Args:
-        id: Its name, that of the entry and of its element.
-        title: Its heading.
+        id: The name of the entry point and of the panel's element.
+        title: The heading.
         region: The region of the page.
-        module: The ES module, a file.
-        topics: Of which topics pages are sent the newest message, and which of its keys.
-        shows: The state without which the panel is not there, such as one of these topics; empty for always.
-        desk: Makes the half in the server, where the panel has one.
-        guest_page: The HTML file, in the folder of the panel, of people who are sent less than the others: they press,
-            answer and stop, and command nothing. One installed panel may have it.
-        guest_picture: Makes their picture, of the streams that pages have (name, topic and columns of each).
+        module: The file of the ES module.
+        topics: The topics whose newest message is sent to pages, each with the keys to send.
+        shows: The state without which the panel is hidden, such as one of these topics; empty to show it always.
+        desk: Factory of the half in the server; None without one.
+        guest_page: The HTML file, in the folder of the panel, for guests, who see less than others: they press, answer
+            and stop, and command nothing. Only one installed panel may have it.
+        guest_picture: Factory of the guests' `Picture`, from the streams of pages (name, topic and columns of each).
     """
 
     id: str
@@ -101,17 +101,17 @@ class Panel(NamedTuple):
 
     @property
     def base(self) -> str:
-        """The path at which the files of the panel are served."""
+        """The URL path below which the files of the panel are served."""
         return f"panels/{self.id}/"
 
     def files(self) -> dict[str, Path]:
-        """Return the files that are served, by their path below `base`."""
+        """Return the served files, by their path below `base`."""
         folder = self.module.parent
         paths = sorted(path for path in folder.rglob("*") if path.suffix in _SUFFIXES and path.is_file())
         return {path.relative_to(folder).as_posix(): path for path in paths}
 
     def about(self) -> dict[str, Any]:
-        """Return what a page is sent of it."""
+        """Return the description of the panel that is sent to a page."""
         url = f"./{self.base}{self.module.name}"
         return {"id": self.id, "title": self.title, "region": self.region, "shows": self.shows, "url": url}
 
@@ -124,7 +124,7 @@ class Panels(NamedTuple):
 
     @property
     def topics(self) -> dict[str, tuple[str, ...]]:
-        """The topics of all panels, each with the keys that pages are sent."""
+        """The topics of all panels, each with the keys to send to pages."""
         wanted: dict[str, tuple[str, ...]] = {}
         for row in self.rows:
             for topic, keys in row.topics.items():
@@ -133,19 +133,19 @@ class Panels(NamedTuple):
 
     @property
     def of_guests(self) -> Panel | None:
-        """The panel whose package has a page for guests, None without one."""
+        """The panel with a guest page; None without one."""
         return next((row for row in self.rows if row.guest_page), None)
 
 
 @cache
 def installed_panels() -> Panels:
-    """Return the panels of installed packages, which the server of a page loads at its start."""
+    """Return the panels of installed packages; cached, because the server loads them at its start."""
     loaded = load("panels", _checked)
     return Panels(tuple(loaded.found.values()), tuple(loaded.problems.values()))
 
 
 def _checked(name: str, panel: Any) -> Panel:
-    """Return an entry that is a panel; TypeError or ValueError says what is wrong with it."""
+    """Return a valid panel; raise TypeError or ValueError, with the fault, for an invalid entry."""
     if not isinstance(panel, Panel):
         raise TypeError(f"is a {type(panel).__name__}, must be a Panel of telenano.serving")
     if not _ID.fullmatch(panel.id) or panel.id != name:

@@ -1,7 +1,7 @@
-"""People who were given an address of the page by name: what each may do, until when, and whether it was revoked.
+"""People with a personal address of the page: role, expiry and revocation of each.
 
-They are in a file of the private folder of the rig, which `telenano view --for NAME` writes and every server of a page
-reads again when it has changed. It has digests of the tokens and not the tokens.
+They are listed in a file of the rig's private folder, which `telenano view --for NAME` writes and every page server
+rereads when it changes. It contains digests of the tokens instead of the tokens.
 """
 
 import hashlib
@@ -27,14 +27,14 @@ _FILE = "people.json"
 
 
 def known_role(role: str) -> str:
-    """Return the name of a role as it is; ConfigError with the roles that there are, if it is none."""
+    """Return the name of a role unchanged; raise ConfigError, with a list of roles, if it is unknown."""
     if role not in ROLES:
         raise ConfigError(f"--role {role}: must be one of {', '.join(ROLES)}")
     return role
 
 
 class Person(msgspec.Struct, frozen=True):
-    """Somebody with an address of their own. `until_s`: the Unix time at which it ends [s]."""
+    """A person with an address of their own; `digest`: that of the token; `until_s`: Unix time of expiry [s]."""
 
     name: str
     role: str
@@ -51,16 +51,16 @@ class People:
     """The people of a rig."""
 
     def __init__(self, folder: Path | None = None, now_s: Callable[[], float] = time.time) -> None:
-        """Read them in a folder, without one in that of the rig."""
+        """Use the file in a folder; None for the runtime folder of the rig. `now_s` returns the Unix time [s]."""
         self._folder, self._now_s = folder, now_s
         self._read: tuple[int, int] | None = None
         self._people: dict[str, Person] = {}
 
     def add(self, name: str, role: str, minutes: float) -> str:
-        """Give somebody an address, in the place of an earlier one of that name; return its token.
+        """Create an address for a person and revoke an earlier one of that name; return its token.
 
         Raises:
-            ConfigError: The name, the role or the time is not one.
+            ConfigError: The name, the role or the time is invalid.
         """
         if not 0 < len(name) <= MOST_LETTERS or not name.isprintable() or name.strip() != name:
             raise ConfigError(f"--for {printable(name)[:80]!r}: a name has 1 to {MOST_LETTERS} printable letters")
@@ -70,7 +70,7 @@ class People:
         token, now_s = secrets.token_urlsafe(_TOKEN_BYTES), self._now_s()
 
         def with_person(people: list[Person]) -> list[Person]:
-            # Who is no longer admitted is kept for a day, to be told so.
+            # Keep expired people for a day, so that their pages can say so.
             kept = [each for each in people if each.name != name and now_s < each.until_s + 86400.0]
             kept += [msgspec.structs.replace(each, revoked=True) for each in people if each.name == name]
             return [*kept, Person(name, role, _digest(token), now_s + 60.0 * minutes)][-_MOST_PEOPLE:]
@@ -79,7 +79,7 @@ class People:
         return token
 
     def revoke(self, name: str) -> None:
-        """Revoke the address of somebody; ConfigError where no person of that name has one."""
+        """Revoke the address of a person; raise ConfigError if no person of that name has a valid one."""
 
         def without_person(people: list[Person]) -> list[Person]:
             names = sorted({each.name for each in people if each.is_admitted(self._now_s())})
@@ -92,12 +92,12 @@ class People:
         self._change(without_person)
 
     def find(self, token: str) -> Person | None:
-        """Return whose token it is, also one that is no longer valid; None for an unknown one."""
+        """Return the person of a token, even if it is no longer valid; None for an unknown one."""
         self._all()
         return self._people.get(_digest(token))
 
     def is_admitted(self, person: Person) -> bool:
-        """Return whether somebody is still admitted, as the file is now."""
+        """Return whether a person is still admitted according to the present file."""
         self._all()
         person_admitted = self._people.get(person.digest)
         return person_admitted is not None and person_admitted.is_admitted(self._now_s())
@@ -107,7 +107,7 @@ class People:
         return (self._folder or runtime_directory()) / _FILE
 
     def _all(self) -> list[Person]:
-        """Return the people of the file, which is read when it has changed; one that cannot be read admits none."""
+        """Return the people in the file, reading it if it has changed; an unreadable file admits no one."""
         try:
             status = self._path.stat()
             mark = status.st_mtime_ns, status.st_ino
@@ -119,7 +119,7 @@ class People:
         return list(self._people.values())
 
     def _change(self, step: Callable[[list[Person]], list[Person]]) -> None:
-        """Change the file, whose newest entries the step gets; one that is damaged admits none, and is replaced."""
+        """Change the file by a step from its present entries; a damaged file counts as empty and is replaced."""
 
         def changed_bytes(before: bytes | None) -> bytes:
             try:

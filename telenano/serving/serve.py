@@ -1,4 +1,4 @@
-"""Binding and running the web server of the page, and telling its address to whom it is for."""
+"""Binding and running the page's web server, and showing its address only to its user."""
 
 import contextlib
 import os
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     import uvicorn
 
 DEFAULT_PORT = 8650
-# the number of a socket that the launcher has bound for this process
+# Environment variable with the descriptor of a socket that the launcher bound for this process.
 SOCKET_VARIABLE = "TELENANO_VIEW_SOCKET"
 _PACKAGES = ("starlette", "uvicorn", "websockets")
-# largest frame of a web socket [bytes]
+# Largest frame of a web socket [bytes].
 LARGEST_FRAME = 1 << 16
 _BACKLOG = 64
 _PING_S = 5.0
 _STOP_S = 1
-# The names of the files that have the addresses of servers end with this.
+# Suffix of the files with the addresses of servers.
 _ADDRESSES = ".addresses"
-# A server has this time to answer when its file is found.
+# Longest wait for a connection to a server whose file was found [s].
 _LOOK_S = 0.5
 
 
@@ -47,18 +47,18 @@ class Tls(NamedTuple):
 
 
 def web_folder() -> Path:
-    """Return the folder of the page's sources and of what it shares with other pages: `web_folder() / "gallery"`."""
+    """Return the folder of the page's sources, also of those shared with other pages: `web_folder() / "gallery"`."""
     return Path(str(resources.files(module_of(name_of(PAGE))))) / "web"
 
 
 def page_folder() -> Path | None:
-    """Return the folder of the built page, None where it has not been built."""
+    """Return the folder of the built page; None if it has not been built."""
     folder = web_folder() / "dist"
     return folder if (folder / "index.html").is_file() else None
 
 
 def missing_for_view() -> str:
-    """Return in words what this installation lacks to serve the page; empty when it lacks nothing."""
+    """Return a sentence on the packages or files that are missing to serve the page; empty if there are none."""
     if absent := [name for name in _PACKAGES if util.find_spec(name) is None]:
         return f"{', '.join(absent)} {'are' if len(absent) > 1 else 'is'} not installed: {how_to_install('view')}"
     if page_folder() is None:
@@ -67,15 +67,15 @@ def missing_for_view() -> str:
 
 
 def inherited() -> Listener | None:
-    """Return the socket that the launcher has bound for this process, None where it is to bind its own."""
+    """Return the socket that the launcher bound for this process; None if there is none."""
     number = os.environ.pop(SOCKET_VARIABLE, "")
     return Listener(fileno=int(number)) if number else None
 
 
 def bind(host: str = LOOPBACK, port: int | None = None, what: str = "the view") -> Listener:
-    """Bind an address; without a port the usual one of the view, or any other where that one is taken.
+    """Bind an address and return the listener; without a port use the default one, or any other if that is taken.
 
-    Raises: EndpointError with the reason.
+    Raises EndpointError, with the reason, if the address cannot be bound; `what` names the server in it.
     """
     for wanted in (DEFAULT_PORT, 0) if port is None else (port,):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -93,7 +93,7 @@ def bind(host: str = LOOPBACK, port: int | None = None, what: str = "the view") 
 
 
 def checked_tls(host: str, certificate: Path | None, key: Path | None) -> Tls | None:
-    """Return the files of TLS, None without; ConfigError where one is missing or the host needs them."""
+    """Return the TLS files, None without; raise ConfigError if one is missing or the host requires them."""
     if (certificate is None) != (key is None):
         raise ConfigError("a certificate and its key belong together: give both (--certificate and --key)")
     tls = Tls(certificate, key) if certificate is not None and key is not None else None
@@ -102,7 +102,7 @@ def checked_tls(host: str, certificate: Path | None, key: Path | None) -> Tls | 
 
 
 def check_exposure(host: str, tls: Tls | None) -> None:
-    """Raise ConfigError for a server that others could reach without encryption: they could read the token."""
+    """Raise ConfigError if other machines could reach the server without encryption, or if a TLS file is missing."""
     if not is_loopback(host) and tls is None:
         raise ConfigError(
             f"host {host}: beyond this machine the token and every command would cross the network in the clear: give "
@@ -115,7 +115,7 @@ def check_exposure(host: str, tls: Tls | None) -> None:
 
 
 def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: str = "") -> dict[str, str]:
-    """Return the addresses for each role to open, with the token behind # where it reaches no server and no log."""
+    """Return the address for each role; the token follows `#`, so that browsers send it to no server and no log."""
     host, port = bound.getsockname()[:2]
     shown = name or (f"[{host}]" if ":" in host else host)
     base = f"{'https' if tls else 'http'}://{shown}:{port}/"
@@ -129,13 +129,16 @@ def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: st
 def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: str = "view") -> Iterator[None]:
     """Keep the addresses of a server in a private file while the block runs, and show them on a terminal.
 
-    An address ends with the token, and what goes to a pipe or a file is kept: logs of containers and of services.
-    There the output says how to get it instead (`served_addresses`).
+    An address ends with the token, and output to a pipe or a file persists, such as logs of containers and services. In
+    that case the output only says how to get the address (`served_addresses`).
 
     Args:
-        addresses: The addresses by what they are called.
-        show: Prints a line.
+        addresses: The addresses, by name.
+        show: Function that prints a line.
         what: The name of the server.
+
+    Raises:
+        TelenanoError: The private folder is unsafe and the output is no terminal.
     """
     base = re.split("[#?]", next(iter(addresses.values())))[0]
     file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}{_ADDRESSES}"
@@ -148,7 +151,7 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
     except OSError as error:
         fault = f"{what}: the address cannot be kept: {file}: {error.strerror}"
     except TelenanoError:
-        # A terminal shows all that a person needs, also where no file can be written.
+        # A terminal shows the addresses even if no file can be written.
         if not is_terminal:
             raise
     if is_terminal:
@@ -166,10 +169,10 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
 
 
 def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
-    """Return a line for each address of the servers of this user that answer, by what the address is called.
+    """Return a line `NAME: ADDRESS` for each address of this user's servers that answer.
 
     Args:
-        folders: The folders of the rigs that are meant; None for all.
+        folders: The folders of the wanted rigs; None for all.
     """
     addresses = []
     for folder in [rig_directory(rig) for rig in rigs_with_folders()] if folders is None else folders:
@@ -177,14 +180,14 @@ def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
             port = file.name.removesuffix(_ADDRESSES).rpartition("-")[2]
             with contextlib.suppress(OSError):
                 lines = read_secret(file).decode().splitlines()
-                # A server that was killed leaves its file behind.
+                # A killed server leaves its file behind, so only those that answer count.
                 if port.isdecimal() and any(_answers(line, int(port)) for line in lines):
                     addresses += lines
     return addresses
 
 
 def _answers(line: str, port: int) -> bool:
-    """Return whether a server takes connections at the host of an address, or at this machine's own."""
+    """Return whether a server accepts connections on a port, at the loopback address or the host of an address line."""
     host = urlsplit(line.partition(": ")[2]).hostname or LOOPBACK
     for name in (LOOPBACK, host):
         with contextlib.suppress(OSError), socket.create_connection((name, port), timeout=_LOOK_S):
@@ -193,17 +196,17 @@ def _answers(line: str, port: int) -> bool:
 
 
 def make_server(app: Any, tls: Tls | None = None) -> "uvicorn.Server":
-    """Return a server with the limits of the page: a larger frame ends its connection before it is read."""
+    """Return a web server with the limits of the page: a frame beyond `LARGEST_FRAME` ends its connection unread."""
     import uvicorn
 
     config = uvicorn.Config(
         app,
         loop="asyncio",
-        # a stranger can cause any number of warnings
+        # Any client can cause any number of warnings.
         log_level="error",
         access_log=False,
         server_header=False,
-        # the application does it behind the account of connections
+        # The gate handles proxy headers, after the account of connections.
         proxy_headers=False,
         ws_max_size=LARGEST_FRAME,
         ws_max_queue=32,

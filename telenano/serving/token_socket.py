@@ -1,4 +1,4 @@
-"""A web socket for programs of others, in a thread of its own, behind the rules of the page and a token.
+"""A web socket for other programs, served in a thread of its own, with the page's access rules and a token.
 
 async def serve(socket):                       # a Starlette WebSocket that is accepted
     await socket.send_text("hello")
@@ -7,8 +7,8 @@ with contextlib.closing(TokenSocket(ViewConfig(port=0), serve, ["my.protocol.v1"
     server.address                             # ws://127.0.0.1:43215/?token=...
     server.call(function, value)               # from any thread: the thread of the server runs function(value)
 
-Addresses, host names, origins and the number of connections are limited as those of the page are. A program has no
-place for the token but the query of its address.
+Addresses, host names, origins and the number of connections are limited as for the page. The token is in the query of
+the address, because programs have no other place for it.
 """
 
 import asyncio
@@ -37,13 +37,13 @@ class TokenSocket:
     """A web socket at an address, which serves until it is closed.
 
     Args:
-        config: Where it is served, and to whom.
-        serve: Serves a connection until it returns; a connection that ends ends it.
-        protocols: The subprotocols of which a program has to offer one.
-        what: What the server is called in messages.
-        token: The token that its users have; a new one without it.
-        origins: The origins of pages that may connect. A program names none, and has the token.
-        most: How many may be connected at a time.
+        config: Address and access of the server.
+        serve: Coroutine that serves one connection until it returns or the connection ends.
+        protocols: The subprotocols of which a client must offer one.
+        what: The name of the server in messages.
+        token: The token of the clients; empty to generate one.
+        origins: The origins of pages that may connect. Programs send no origin and need only the token.
+        most: Most simultaneous connections.
 
     Raises:
         ConfigError: A file of the certificate is missing, or a token or an address cannot be used.
@@ -82,7 +82,7 @@ class TokenSocket:
             time.sleep(_START_S)
 
     def call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call a function in the thread of the server; a server that has not begun or has ended does nothing."""
+        """Call a function in the thread of the server; do nothing if the server is not running."""
         loop = self._loop
         with contextlib.suppress(RuntimeError):
             if loop is not None:
@@ -92,9 +92,9 @@ class TokenSocket:
         """Keep the address in a private file while a block runs, and show it on a terminal.
 
         Args:
-            called: What a person does with the address, such as `open in a viewer`.
-            show: Prints a line.
-            what: The name of the server, which begins that of the file.
+            called: The label of the address, such as `open in a viewer`.
+            show: Function that prints a line.
+            what: The name of the server, with which that of the file begins.
         """
         return announced({called: self.address}, show, what)
 
@@ -117,7 +117,7 @@ class TokenSocket:
     async def _admit(self, socket: WebSocket) -> None:
         fault = await self._fault(socket)
         if fault:
-            # before it is accepted: the program shows that the server refuses it
+            # Close it before accepting, so that the client reports a refusal.
             await socket.close(POLICY, fault)
             return
         self._connections.admit(client_of(socket.scope))
@@ -130,7 +130,7 @@ class TokenSocket:
             self._connected -= 1
 
     async def _fault(self, socket: WebSocket) -> str:
-        """Return why a connection is not admitted; empty when it is."""
+        """Return the reason why a connection is refused; empty if it is admitted."""
         if self._access.role_of(socket.query_params.get("token", "")) is None:
             await asyncio.sleep(_WRONG_TOKEN_S)
             return f"the token is missing or wrong: open the address that {self._what} printed"

@@ -1,4 +1,4 @@
-"""How SIGINT and SIGTERM reach a process that computes, and how every other process is started."""
+"""Handling of SIGINT and SIGTERM in a process that computes, and the safe start of child processes."""
 
 from typing import TYPE_CHECKING
 

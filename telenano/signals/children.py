@@ -1,8 +1,8 @@
-"""The start of every other process: where a program starts is no program.
+"""The start of every child process, without the working folder on the import path of Python.
 
 Python puts the folder in which it is started first on its path, before the project and its libraries: a file
-`recording.py` or `numpy.py` of the person who works there would be imported in their place, and what lies in a
-stranger's folder would run. Every Python is therefore started with `-P`, and what it starts in turn has PYTHONSAFEPATH.
+`recording.py` or `numpy.py` there would be imported instead of them, and code in a foreign folder would run. Every
+Python process is therefore started with `-P`, and PYTHONSAFEPATH is set for its own child processes.
 """
 
 import contextlib
@@ -28,10 +28,10 @@ def start(
 
     Args:
         command: The command and its arguments.
-        dies_with_parent: The process gets SIGTERM when this one ends, however it ends; on Linux only.
-        ends_with_command: Whether this process ends the other one in order itself. SIGINT is then kept from it, which
-            a terminal sends to both.
-        **options: Further options.
+        dies_with_parent: Whether the child gets SIGTERM when this process ends in any way; on Linux only.
+        ends_with_command: Whether this process ends the child in an orderly way itself. SIGINT, which a terminal sends
+            to both, is then blocked in the child.
+        **options: Options of `subprocess.Popen`.
     """
     if dies_with_parent:
         options["preexec_fn"] = partial(_tie_to, os.getpid())
@@ -40,20 +40,20 @@ def start(
 
 
 def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[Any]":
-    """Run a command to its end; the options are those of `subprocess.run`."""
+    """Run a command and wait for its end; the options are those of `subprocess.run`."""
     return subprocess.run(_safe(command), **options | {"env": _environment(options.get("env"))})
 
 
 def become(command: Sequence[str]) -> NoReturn:
-    """Let a command take the place of this process, so that signals reach it."""
+    """Replace this process by a command, so that signals reach the command directly."""
     os.execvpe(command[0], _safe(command), _environment(None))
 
 
 @contextlib.contextmanager
 def spawning_workers() -> Iterator[None]:
-    """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way.
+    """Set PYTHONSAFEPATH while `multiprocessing` spawns workers, because it starts Python in its own way.
 
-    SIGINT is kept from them as well, because the process with the pool ends them.
+    SIGINT is blocked in the workers, because the process with the pool ends them.
     """
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
@@ -67,13 +67,13 @@ def spawning_workers() -> Iterator[None]:
 
 def die_with_parent(signal_number: int) -> None:
     """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
-    # On other systems only its supervisor ends a node.
+    # On other systems only the supervisor ends a node.
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
 
 
 def _tie_to(parent: int) -> None:
-    """Tie the new process to its parent from its first moment; its own --with-parent comes seconds later."""
+    """Tie a new process to its parent from its first moment; its own option --with-parent acts seconds later."""
     die_with_parent(signal.SIGTERM)
     if os.getppid() != parent:
         os.kill(os.getpid(), signal.SIGTERM)

@@ -1,8 +1,8 @@
-"""SIGINT and SIGTERM in a process that computes: raised where that is safe, both alike.
+"""SIGINT and SIGTERM in a process that computes: both raise the same exception, but only where that is safe.
 
-Python runs the handler of a signal between two of its own instructions. Compiled code calls Python to make the tuples
-that it returns, and does not look whether that has failed: a KeyboardInterrupt raised there is a segmentation fault. A
-signal that arrives within a compiled call is therefore kept until the call is over, and raised then
+Python runs a signal handler between two of its own instructions. Compiled code calls Python to build the tuples that it
+returns, without checking for failure: a KeyboardInterrupt raised there is a segmentation fault. A signal that arrives
+within a compiled call is therefore held back and raised after the call
 ([ADR 0064](../../docs/decisions/0064-raise-signals-between-compiled-calls.md)).
 """
 
@@ -15,13 +15,13 @@ from importlib import import_module
 from types import FrameType
 from typing import Any
 
-# a shell adds the number of the signal that ended a command
+# Shells add this to the number of the signal that ended a command.
 _CODE_OF_SIGNALS = 128
-# an interruption that Python could not raise where it arrived is raised this much later [s]
+# An interruption that Python could not raise on arrival is raised after this time [s].
 _AGAIN_S = 0.01
 
 _SIGINT = int(signal.SIGINT)
-# `signal.getsignal` looks for an enumeration first, which takes as long as four calls of compiled code.
+# `signal.getsignal` converts to an enumeration, which takes as long as four calls of compiled code.
 _handler_of: Callable[[int], Any] = import_module("_signal").getsignal
 
 _received = 0
@@ -29,16 +29,16 @@ _held = 0
 _holding = 0
 _computing = False
 _finishing = False
-# the signal that waits for the end of `finishing`
+# Number of the signal that waits for the end of `finishing`, 0 for none.
 _kept = 0
 
 
 class Interrupted(KeyboardInterrupt):
-    """SIGINT, or SIGTERM, which every command takes for the same."""
+    """SIGINT or SIGTERM, which every command treats alike."""
 
 
 class Ended(BaseException):
-    """The end of a command by an interruption that nothing in it has reported."""
+    """A command ended by an interruption that it has not reported."""
 
 
 def received() -> int:
@@ -47,18 +47,18 @@ def received() -> int:
 
 
 def exit_code() -> int:
-    """Return the exit code of a command that a signal ended, 130 for SIGINT and 143 for SIGTERM as in shells, or 0."""
+    """Return the exit code of an interrupted command, 130 for SIGINT and 143 for SIGTERM as in shells, else 0."""
     return _received and _CODE_OF_SIGNALS + _received
 
 
 def watch() -> None:
-    """Take the place of Python's own handler of SIGINT; what somebody else has installed stays."""
+    """Replace Python's default handler of SIGINT; a handler that other code installed stays."""
     if _handler_of(_SIGINT) is signal.default_int_handler and _is_main_thread():
         signal.signal(signal.SIGINT, _receive)
 
 
 def computing(value: bool) -> None:
-    """Set whether compiled code is about to run in the main thread; at its end raise a signal that has arrived."""
+    """Set whether compiled code is running in the main thread; at its end, raise a signal that was held back."""
     global _computing
     _computing = value
     if _held:
@@ -67,7 +67,7 @@ def computing(value: bool) -> None:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Raise a signal that arrives meanwhile at the end of the block, for what must be done as a whole and is short."""
+    """Hold signals back until the end of the block, for short work that must not be interrupted."""
     global _holding
     _holding += 1
     try:
@@ -79,10 +79,10 @@ def held() -> Iterator[None]:
 
 @contextlib.contextmanager
 def finishing() -> Iterator["Finishing"]:
-    """Yield what is called when the work is done and only its results are left to be written in the block.
+    """Yield a `Finishing`; the block calls it when the work is done and only its results remain to be written.
 
-    The first signal after that call is not raised, and counts as received when the block ends. A second one is raised
-    at once, because a disk that does not answer must not keep a person waiting.
+    The first signal after that call is not raised, but counts as received when the block ends. A second one is raised
+    at once, because a hanging disk must not keep a person waiting.
     """
     global _finishing, _kept, _received
     try:
@@ -93,21 +93,21 @@ def finishing() -> Iterator["Finishing"]:
 
 
 class Finishing:
-    """What `finishing` yields."""
+    """Callable that `finishing` yields."""
 
     def __call__(self) -> None:
-        """Begin with what is left to be written."""
+        """Begin the writing of results, which the first signal does not interrupt."""
         global _finishing
         _finishing = True
 
     @property
     def exit_code(self) -> int:
-        """The exit code for the signal that ended the work, or came while its results were written; 0 for none."""
+        """The exit code for the signal received so far, see `exit_code`; 0 for none."""
         return exit_code()
 
 
 def install() -> None:
-    """Prepare the process of a command, once: see `handle`; no interruption is lost where Python cannot raise it."""
+    """Prepare the process of a command, once: call `handle`, and raise again interruptions that Python cannot raise."""
     handle()
     if hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, lambda number, frame: _receive(_received or signal.SIGINT, frame))
@@ -116,19 +116,19 @@ def install() -> None:
 
 
 def handle() -> None:
-    """Raise Interrupted at SIGINT and SIGTERM from now on, unless the parent process has them ignored."""
+    """Raise Interrupted at SIGINT and SIGTERM from now on, except for a signal that the parent process ignores."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _receive)
 
 
 def is_handled() -> bool:
-    """Return whether an interruption of this process has a class of its own, `Interrupted`."""
+    """Return whether SIGINT raises `Interrupted` in this process."""
     return _handler_of(_SIGINT) is _receive
 
 
 def restore() -> None:
-    """Let both signals end the process at once: it has nothing left to do."""
+    """Let both signals end the process at once, for its end when nothing is left to do."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -138,7 +138,7 @@ def restore() -> None:
 
 @contextlib.contextmanager
 def kept_from_children() -> Iterator[None]:
-    """Keep SIGINT from processes that are started meanwhile: a terminal sends it to all, and this one ends them."""
+    """Block SIGINT in child processes started in the block: a terminal sends it to all, but this process ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -174,9 +174,9 @@ def _raise(number: int) -> None:
 
 
 def _again_after(hook: Callable[..., Any], kind_of: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a hook for what Python cannot raise, as in a destructor: an interruption is raised again a little later.
+    """Return a hook for exceptions that Python cannot raise, as in a destructor.
 
-    All else goes to the hook before it.
+    It raises an interruption again a little later, and passes other exceptions to the previous hook.
     """
 
     def found(*args: Any) -> None:

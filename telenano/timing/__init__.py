@@ -1,4 +1,4 @@
-"""Clocks and ages: how old a sample is, how far two clocks are apart, when a message is played out."""
+"""Clocks and ages: the age of samples, the offset between two clocks, and the play-out time of messages."""
 
 from typing import TYPE_CHECKING
 

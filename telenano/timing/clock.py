@@ -1,4 +1,4 @@
-"""Clocks: the system's, one that only its owner advances, and that of a node whose inputs are journalled."""
+"""Clocks: the system clock, a virtual clock that its owner advances, and the clock of a node with a journal."""
 
 import os
 import time
@@ -8,14 +8,14 @@ from typing import Protocol
 from telenano.wire.errors import ConfigError
 
 EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
-# a time on any clock that does not come [ns]
+# A time that no clock reaches [ns].
 NEVER_NS = 2**62
 
 
 class Clock(Protocol):
     """The clock of a node.
 
-    `epoch_offset_ns`: by how much the time of a message header is ahead of the monotonic clock, constant for a process.
+    `epoch_offset_ns`: lead of message stamps over the monotonic clock [ns], constant for a process.
     """
 
     epoch_offset_ns: int
@@ -30,8 +30,8 @@ class Clock(Protocol):
 class SystemClock:
     """The clock of this machine.
 
-    The epoch is read once and then advanced by the monotonic clock, so that the time never jumps. Processes that
-    one supervisor starts inherit its offset through the environment: their time stamps are then exactly comparable.
+    The epoch is read once and then advanced by the monotonic clock, so that the time never jumps. Processes inherit the
+    offset of their supervisor through the environment, so that their time stamps are exactly comparable.
     """
 
     monotonic_ns = staticmethod(time.monotonic_ns)
@@ -60,14 +60,14 @@ class VirtualClock:
         return self._monotonic_ns + self.epoch_offset_ns
 
     def advance_ns(self, duration_ns: int) -> None:
-        """Advance the clock; ValueError for a negative duration."""
+        """Advance the clock by a duration [ns]; raise ValueError if it is negative."""
         if duration_ns < 0:
             raise ValueError(f"duration_ns is {duration_ns}, must be 0 or more")
         self._monotonic_ns += duration_ns
 
 
 class TurnClock:
-    """The clock of a node whose inputs are journalled: it shows the time of the turn in hand."""
+    """The clock of a node with a journal of its inputs; it shows the time of the current turn."""
 
     def __init__(self, time_ns: int, epoch_offset_ns: int) -> None:
         self.time_ns = time_ns
@@ -81,13 +81,13 @@ class TurnClock:
 
 
 def process_start_ns() -> int:
-    """Return when this process was started, on the monotonic clock [ns]: when a person gave its command.
+    """Return the start time of this process by the monotonic clock [ns], which is when a person gave its command.
 
-    It is the time of this call on a system that does not tell.
+    Systems without /proc return the time of this call.
     """
     now_ns = time.monotonic_ns()
     try:
-        # after the name in parentheses, which may have spaces: the 20th is the start, in ticks since the boot
+        # The name in parentheses may have spaces; the 20th field after it is the start, in ticks since boot.
         ticks = int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19])
         age_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) - ticks * 10**9 // os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError, AttributeError):

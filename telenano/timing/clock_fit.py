@@ -1,15 +1,15 @@
-"""The straight line of what another clock is ahead, from the fastest messages of both ways.
+"""Linear fit of another clock's lead over this one, from the fastest messages in both directions.
 
-It is the one estimate of clocks: of the last seconds on a link (`telenano.timing.clock_offset`), of a line whose
-queues are sought before a line between two machines, and of the parts of a recording
+It is the only clock estimate of the project: for the last seconds on a link (`telenano.timing.clock_offset`), for the
+detection of queues on a line between two machines, and for the parts of a recording
 (`telenano.recording.clock_course`).
 
-A message sent at t1 by this clock and received at t2 by the other one took t2 - t1 by two clocks, its way plus what the
-other clock is ahead there: the clock is ahead by no more than that. An answer sent at t3 and received at t4 says that
-it is ahead by no less than t3 - t4. No queue makes a way shorter. So what the other clock is ahead lies below all of
-the former and above all of the latter, and two parallel lines that touch both from inside, as far apart as they can be,
-have its drift as their slope (the convex hull method). The middle between them is the estimate, and half of their
-distance, which is half of the shortest round trip, bounds its error: no exchange tells a clock from ways that differ.
+For a message sent at t1 by this clock and received at t2 by the other one, t2 - t1 is its delay plus the lead of the
+other clock, thus an upper bound of the lead. An answer sent at t3 and received at t4 gives the lower bound t3 - t4.
+Queues only lengthen a delay. So the lead lies below all upper bounds and above all lower ones. Two parallel lines
+between them, as far apart as possible, have the drift as their slope (the convex hull method). Their middle is the
+estimate. Half their distance, which is half the shortest round trip, bounds its error, because no exchange can
+distinguish a clock offset from unequal delays.
 """
 
 import itertools
@@ -18,27 +18,27 @@ import operator
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-# A time by this clock [ns], and a bound at that time of what the other one is ahead [ns].
+# A time by this clock [ns], and a bound of the other clock's lead at that time [ns].
 Bound = tuple[int, int]
 
-# No clock of a computer gains more than this in a second [s].
+# Greatest drift of a computer's clock [s/s].
 MOST_DRIFT = 2e-3
-# A drift that brings the lines apart by no more than this [ns] is not shown.
+# A drift counts as proven only if it widens the distance of the lines by more than this [ns].
 LEAST_GAIN_NS = 500_000.0
-# Of the clocks of a session, chance has no greater share that are said to have changed and have not.
+# Probability of a false report that a clock has changed, for a whole session.
 _BY_CHANCE = 0.01
-# Bounds that scatter by less are as exact as stamps are, and what is left of them is rounding [ns].
+# Bounds that scatter by less are as exact as the stamps, so their residuals are rounding errors [ns].
 _EXACT_NS = 1_000.0
-# Of this number of points on each side, chance brings the lines apart by about what the points scatter; of more that do
-# not follow from their neighbours, by less.
+# With this number of points on each side, chance widens the distance of the lines by about the scatter of the points;
+# with more independent points, by less.
 _FEW = 8
 
 
 class ClockLine(NamedTuple):
-    """What the other clock is ahead: ahead_ns [ns] at origin_ns by this clock [ns], growing by drift [s/s].
+    """Lead of the other clock: ahead_ns [ns] at the time origin_ns of this clock [ns], growing by drift [s/s].
 
-    round_trip_ns: distance of the two lines [ns], below zero where no line lies between the bounds; chance_ns: how far
-    chance may bring lines apart through this number of points with their scatter [ns].
+    round_trip_ns: distance of the two lines [ns], negative if no line fits between the bounds. chance_ns: distance by
+    which chance may widen the lines, given the number of points and their scatter [ns].
     """
 
     origin_ns: int
@@ -48,7 +48,7 @@ class ClockLine(NamedTuple):
     chance_ns: float
 
     def at(self, time_ns: int) -> float:
-        """Return what the other clock is ahead at a time by this one [ns]."""
+        """Return the lead of the other clock at a time of this one [ns]."""
         return self.ahead_ns + self.drift * (time_ns - self.origin_ns)
 
     @classmethod
@@ -59,20 +59,20 @@ class ClockLine(NamedTuple):
         expected_drift: float = 0.0,
         most_ns: float = math.inf,
     ) -> "ClockLine":
-        """Return the line between bounds from above and from below, neither of them empty.
+        """Fit a line between upper and lower bounds, neither of which is empty.
 
-        The best of each second are enough points. A drift other than the expected one has to bring the lines apart by
-        more than chance does; a queue that fills on one way does not.
+        The best bound of each second suffices. A drift other than the expected one is accepted only if it widens the
+        distance of the lines by more than chance does; a queue that fills in one direction does not do that.
 
         Args:
-            upper: What the other clock is ahead by no more than.
-            lower: What it is ahead by no less than.
-            expected_drift: The drift where these points show no other one [s/s].
-            most_ns: No two lines are further apart than this [ns], as no round trip was longer; a drift that would
-                bring them so far apart comes from points that stand for others of their time.
+            upper: Upper bounds of the other clock's lead.
+            lower: Lower bounds of the other clock's lead.
+            expected_drift: The drift if the bounds prove no other one [s/s].
+            most_ns: Greatest distance of the lines [ns], the longest round trip; a drift with a greater distance is an
+                artefact of bounds that represent others of their time.
         """
         origin_ns, base_ns = upper[0]
-        # Both clouds become points above a line: those from below change their sign, and so does the slope.
+        # Mirror the lower bounds (and their slope), so that both sets of points lie above a line.
         above = [(at_ns - origin_ns, value_ns - base_ns) for at_ns, value_ns in upper]
         below = [(at_ns - origin_ns, base_ns - value_ns) for at_ns, value_ns in lower]
         highs, lows = _hull(above), _hull(below)
@@ -97,25 +97,25 @@ class ClockLine(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Bounds of what the other clock is ahead in some time, from above and from below; neither is empty."""
+    """Upper and lower bounds of the other clock's lead in some interval; neither is empty."""
 
     upper: Sequence[Bound]
     lower: Sequence[Bound]
 
 
 def are_apart(whole: ClockLine, parts: Sequence[tuple[ClockLine, Bounds]], looks: int = 1) -> bool:
-    """Return whether a line for each of two parts fits them better than one for both, by more than chance.
+    """Return whether two lines fit two parts better than one line for both, by more than chance.
 
-    The other clock has changed its rate or was set in between then; a network that has become slower does not do that.
-    What chance does has the uncertainty of both parts: if the clock stays as it is, its lowest bounds from above and
-    its highest from below may be in either part, as often as that has bounds. So it is counted how many of the ones
-    are lower than all in the other part, and how many of the others, there, are higher than all in the first, in
-    correlation times of the bounds about their own line (the tails of Tukey's quick test, Technometrics 1, 1959).
+    This means that the other clock changed its rate or was set in between; a slower network does not have this effect.
+    If the clock is unchanged, the lowest upper bounds and the highest lower bounds may be in either part, in proportion
+    to its number of bounds. The test counts the upper bounds of one part below all of the other part, and the lower
+    bounds of that other part above all of the first, in correlation times of the bounds about their own line (the tails
+    of Tukey's quick test, Technometrics 1, 1959).
 
     Args:
         whole: The line of both parts.
-        parts: The line of the older part, then that of the newer one, each with the bounds that it is of.
-        looks: How many comparisons of a session are made, of which hardly any is to be wrong.
+        parts: The older part, then the newer one, each as its line and the bounds of that line.
+        looks: Number of comparisons in a session, for which the probability of a false report is corrected.
     """
     if whole.round_trip_ns < 0.0:
         return True
@@ -131,7 +131,7 @@ def are_apart(whole: ClockLine, parts: Sequence[tuple[ClockLine, Bounds]], looks
 
 
 def _tails(first: Sequence[Sequence[float]], second: Sequence[Sequence[float]], times: float) -> float:
-    """Return the chance that the least of both are where they are: of the first of each, so many below all others."""
+    """Return the probability that chance puts as many values of each pair's first part below all of its second part."""
     chance = 1.0
     for ours, others in (first, second):
         below = sum(value < min(others) for value in ours) / times
@@ -140,10 +140,10 @@ def _tails(first: Sequence[Sequence[float]], second: Sequence[Sequence[float]], 
 
 
 def _correlation_times(parts: Sequence[tuple[ClockLine, Bounds]]) -> float:
-    """Return how many neighbouring bounds are as good as one, of those from above or below, whichever is more.
+    """Return the correlation time of the bounds, in bounds: the greater one of upper and lower bounds.
 
-    Each part has a line of its own, so that a change between parts is no correlation. It is the sum of the correlations
-    at all lags either way, up to the first that could be chance.
+    Residuals are taken from each part's own line, so that a change between parts is no correlation. The result is the
+    sum of the autocorrelation over positive and negative lags, up to the first value that could be chance.
     """
     most = 1.0
     for side in (0, 1):
@@ -184,11 +184,11 @@ def _slopes(corners: Sequence[Bound]) -> list[float]:
 
 
 def _least(corners: Sequence[Bound], slope: float) -> float:
-    """Return where the highest line of a slope below the corners is at the origin [ns]."""
+    """Return the value at the origin of the highest line with a slope below the corners [ns]."""
     return min(y - slope * x for x, y in corners)
 
 
 def _scatter(points: Sequence[Bound], corners: Sequence[Bound], slope: float) -> float:
-    """Return the median distance of points from the line of a slope that touches their hull [ns]."""
+    """Return the median distance of points from the line with a slope that touches their hull [ns]."""
     off = sorted(y - slope * x for x, y in points)
     return off[len(off) // 2] - _least(corners, slope)

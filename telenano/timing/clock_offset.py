@@ -1,16 +1,16 @@
-"""The clock of the other site against this one, from exchanges of four time stamps.
+"""Offset of the other site's clock against this one, from exchanges of four time stamps.
 
-A question leaves here at t1 (this clock), reaches the other site at t2 (its clock), the answer leaves there at t3 and
-arrives here at t4. With the delays d_there and d_back and the other clock ahead by the offset o,
+A question leaves here at t1 (this clock) and reaches the other site at t2 (its clock); the answer leaves there at t3
+and arrives here at t4. With the delays d_there and d_back and the other clock ahead by the offset o,
 
     t2 = t1 + d_there + o,    t4 = t3 + d_back - o,
     t3 - t4 <= o <= t2 - t1,  round trip = (t4 - t1) - (t3 - t2) = d_there + d_back        (RFC 5905, section 8).
 
-Queues only ever add delay, so the fastest question and the fastest answer of each second are kept, and the line between
-them has offset and drift (`telenano.timing.clock_fit`). Only the difference of the two least delays enters, and no
-exchange can reveal it. Neither is below zero, so the error is never above half of their sum, the uncertainty that is
-given. A way that becomes longer changes nothing of that. What the line takes now is another question, which the
-exchanges of the last second answer (`telenano.timing.line_present`).
+Queues only add delay, so the fastest question and the fastest answer of each second are kept, and a line fitted between
+them gives offset and drift (`telenano.timing.clock_fit`). The error is half the difference of the two least delays,
+which no exchange can reveal. Neither delay is negative, so the error is at most half their sum, the reported
+uncertainty. A route that becomes longer does not change that. The present round trip is estimated separately, from the
+exchanges of the last second (`telenano.timing.line_present`).
 """
 
 from collections.abc import Iterable
@@ -22,20 +22,20 @@ from telenano.timing.clock_fit import MOST_DRIFT, Bounds, ClockLine, are_apart
 from telenano.timing.line_present import LinePresent
 from telenano.wire.messages import LinkClock
 
-# Two clocks that are not set drift apart by less between two exchanges of a second.
+# Clocks that are not set drift apart by less than this between two exchanges of a second [ns].
 STEP_NS = 10_000_000
 BLOCK_NS = 1_000_000_000
-# Parts of this number of seconds show a change of the rate.
+# Least number of seconds in a part that can reveal a change of the rate.
 _LEAST_PART = 4
 _TURN_NS = 100_000_000
-# A clock that is ahead by so much more or less after it was set is worth telling of [s].
+# Least change of the offset that is reported after a clock was set [s].
 _TOLD_S = 1e-3
-# The clock is looked at each second, mostly by the same exchanges: of an hour so many looks count.
+# Number of independent comparisons in an hour: the clock is checked each second, mostly from the same exchanges.
 _LOOKS = 150
 
 
 class Offset(NamedTuple):
-    """Estimate of the offset [s], the bound of its error [s], the least round trip of now [s], exchanges in view."""
+    """Estimate of the offset [s], bound of its error [s], present least round trip [s], number of exchanges in view."""
 
     offset_s: float
     uncertainty_s: float
@@ -44,10 +44,10 @@ class Offset(NamedTuple):
 
 
 class Block(NamedTuple):
-    """The exchanges of a second.
+    """Summary of the exchanges of one second.
 
-    When the fastest question was sent, and its t2 - t1 [ns]; when the fastest answer arrived, and its t3 - t4 [ns]; how
-    many exchanges there were.
+    asked_ns and high_ns: send time of the fastest question, and its t2 - t1 [ns]; answered_ns and low_ns: arrival time
+    of the fastest answer, and its t3 - t4 [ns]; exchanges: their number.
     """
 
     asked_ns: int
@@ -64,10 +64,10 @@ class Block(NamedTuple):
 
 
 class OffsetState(msgspec.Struct, array_like=True):
-    """When the newest exchange was complete [ns], the drift shown last [s/s], the blocks in view, the line now.
+    """Completion time of the newest exchange [ns], last proven drift [s/s], blocks in view, present state of the line.
 
-    replaced: what the other clock was ahead, and its uncertainty [s], before a change that was not told of yet. The
-    state of a recording of before may lack the last two.
+    replaced: offset and uncertainty [s] before a change that is not reported yet. An older recording may lack the last
+    two fields.
     """
 
     newest_ns: int = 0
@@ -78,39 +78,39 @@ class OffsetState(msgspec.Struct, array_like=True):
 
 
 class OffsetFilter:
-    """The line through the exchanges of the last seconds; `present` is what an exchange takes at least now."""
+    """Estimates the other clock from the exchanges of the last seconds; `present` is the line's present round trip."""
 
     def __init__(self, window: int) -> None:
-        """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""
+        """Use the last `window` seconds that had exchanges; raise ValueError if this is less than 1."""
         if window < 1:
             raise ValueError(f"window is {window}, must be at least 1 second")
         self._window = window
         self.restore(OffsetState())
 
     def restore(self, state: OffsetState) -> None:
-        """Continue from a state and work on it."""
+        """Continue from a state, which is changed in place."""
         self.state = state
         self._line: ClockLine | None = None
 
     @property
     def present(self) -> LinePresent:
-        """What an exchange takes at least now."""
+        """The estimate of the present least round trip."""
         return self.state.present
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> bool:
-        """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
+        """Record an exchange; one with a negative round trip cannot be ours and is ignored.
 
-        An offset that no delay explains is that of another clock: the other site was started again after its wall clock
-        was set. What is known of the clock before is then forgotten.
+        An offset that no delay explains means another clock: the other site was restarted after its wall clock was set.
+        The knowledge of the earlier clock is then discarded.
 
         Args:
-            sent_ns: When the question was sent here [ns].
-            there_ns: When it was received there, by the clock there [ns].
-            back_ns: When the answer was sent there, by the clock there [ns].
-            received_ns: When it was received here [ns].
+            sent_ns: Send time of the question, by the clock here [ns].
+            there_ns: Reception of the question, by the clock there [ns].
+            back_ns: Send time of the answer, by the clock there [ns].
+            received_ns: Reception of the answer, by the clock here [ns].
 
         Returns:
-            Whether the line is seen with it to have become longer.
+            True if this exchange proves that the line has become longer.
         """
         if received_ns - sent_ns < back_ns - there_ns:
             return False
@@ -129,9 +129,9 @@ class OffsetFilter:
         return self.present.record(sent_ns, there_ns, back_ns, received_ns)
 
     def line(self) -> ClockLine | None:
-        """Return the line of what the other clock is ahead, None before the first exchange.
+        """Return the line of the other clock's lead; None before the first exchange.
 
-        Where the other clock has changed its rate, or was set by little, the newest seconds count alone.
+        If the other clock changed its rate, or was set by a little, only the seconds after the change are used.
         """
         if self._line is None and self.state.blocks:
             self._line = self._fitted(self.state.blocks)
@@ -143,7 +143,7 @@ class OffsetFilter:
         return self._line
 
     def estimate(self) -> Offset | None:
-        """Return the estimate for the time of the newest exchange, None before the first one."""
+        """Return the estimate at the time of the newest exchange; None before the first one."""
         line, present = self.line(), self.present.round_trip()
         if line is None or present is None:
             return None
@@ -153,14 +153,14 @@ class OffsetFilter:
         return Offset(offset_s, uncertainty_s, round_trip_s, count)
 
     def there_ns(self) -> int | None:
-        """Return t2 - t1 of the fastest question of the present [ns], which has the offset in it."""
+        """Return t2 - t1 of the present fastest question [ns], which includes the offset; None if unknown."""
         line, there = self.line(), self.present.there
         if line is None or there is None:
             return None
         return round(there.least_ns + line.drift * (self.state.newest_ns - there.at_ns))
 
     def report(self, *, of_line: bool = True) -> LinkClock:
-        """Return what is known of the other clock, and of a line between two machines how well its round trip is."""
+        """Return the clock estimate for a status; with `of_line` also the interval of the line's round trip."""
         offset, present = self.estimate(), self.present.round_trip()
         if offset is None or present is None:
             return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
@@ -168,7 +168,7 @@ class OffsetFilter:
             valid=True,
             offset_s=offset.offset_s,
             uncertainty_s=offset.uncertainty_s,
-            # On one machine it is that of processes, which no route changes.
+            # On one machine the round trip is that between processes, which no change of route affects.
             round_trip_s=offset.round_trip_s if of_line else 2.0 * offset.uncertainty_s,
             exchanges=offset.exchanges,
             round_trip_low_s=present.low_ns * 1e-9 if of_line else None,
@@ -177,9 +177,9 @@ class OffsetFilter:
         )
 
     def take_change(self) -> tuple[Offset, Offset] | None:
-        """Return what the other clock was ahead and is, where it was set and that was not told of yet."""
+        """Return the offsets before and after a change of the clock that is not reported yet; None if there is none."""
         replaced, now = self.state.replaced, self.estimate()
-        # The estimate is what finds that a clock was set.
+        # The call of `estimate` may have detected a change.
         replaced = replaced or self.state.replaced
         if replaced is None or now is None:
             return None
@@ -200,16 +200,16 @@ class OffsetFilter:
         return block.low_ns > last.high_ns + rise_ns or block.high_ns < last.low_ns - fall_ns
 
     def _newest_apart(self, whole: ClockLine) -> int:
-        """Return how many of the newest seconds are apart from those before; 0 where one line fits all of them."""
+        """Return the number of newest seconds that need a line of their own; 0 if one line fits all of them."""
         half = len(self.state.blocks) // 2
         if whole.round_trip_ns < 0.0:
             return half
-        # To try all parts at once would take milliseconds.
+        # Try one size at a time, because all of them would take milliseconds.
         sizes = [_LEAST_PART << n for n in range(half.bit_length()) if _LEAST_PART << n < half] + [half]
         newest = sizes[self.state.newest_ns // _TURN_NS % len(sizes)]
         if min(newest, len(self.state.blocks) - newest - 1) < _LEAST_PART:
             return 0
-        # The second before the newest part may have exchanges of both.
+        # Leave out the second before the newest part, which may have exchanges of both clocks.
         blocks = list(self.state.blocks)
         parts = [(self._fitted(part), _bounds_of(part)) for part in (blocks[: -newest - 1], blocks[-newest:])]
         return newest if are_apart(whole, parts, _LOOKS) else 0

@@ -1,6 +1,6 @@
-"""How old a message and the hand's sample behind it are, and whether this process itself stalled.
+"""Ages of messages and of the hand's samples behind them, and detection of stalls of this process.
 
-Nothing here reads a clock: a node passes the time of its turn, so that a re-run from its journal decides the same.
+Nothing here reads a clock: the node passes the time of its turn, so that a re-run from its journal decides the same.
 """
 
 import math
@@ -16,23 +16,23 @@ from telenano.wire.received import Received
 from telenano.wire.topics import LOOP_DEADLINE_S, deadline_of
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
-# oldest sample or signal that a controller may still take for the present, by topic [s]
+# Greatest age at which a controller still uses a sample or signal, by topic [s].
 _SIGNALS = ("teleop/forward", "teleop/backward")
 DEADLINES_S = {topic: deadline_of(topic) for topic in ("haptic/state", "afm/state", *_SIGNALS)}
-# A sample this much older than its reader was never sent to it, and so is played from a recording.
+# A sample that is older than its reader by more than this was never sent to it, so it comes from a recording.
 _OLDER_THAN_READER_NS = 1_000_000_000
-# The buffer holds the changes of the delay in flight: a round trip of four seconds with a change at every sample.
+# Most recorded changes of the delay: enough for a round trip of four seconds with a change at every sample.
 _MOST_CHANGES = 4096
 
 
 class DelayHistory(msgspec.Struct, array_like=True):
-    """Delay of one direction by the hand's sample that a message descends from: where it changed, and to what."""
+    """Delay of one direction as a step function of the stamp of the hand's sample behind a message [ns]."""
 
     from_ns: list[int] = msgspec.field(default_factory=lambda: [0])
     delay_ns: list[int] = msgspec.field(default_factory=lambda: [0])
 
     def record(self, hand_t_ns: int, delay_ns: int) -> None:
-        """Record the delay from a sample on; one before the last recorded means that a player went back in time."""
+        """Record the delay from a sample on; an earlier sample than the last means that a player went back in time."""
         if hand_t_ns > self.from_ns[-1]:
             self.from_ns.append(hand_t_ns)
             self.delay_ns.append(delay_ns)
@@ -44,21 +44,21 @@ class DelayHistory(msgspec.Struct, array_like=True):
             self.from_ns, self.delay_ns = [hand_t_ns], [delay_ns]
 
     def of(self, hand_t_ns: int) -> int:
-        """Return the delay [ns] of what descends from a sample, 0 where none was reported."""
+        """Return the delay of messages that descend from a sample [ns]; 0 if none was reported."""
         place = bisect_right(self.from_ns, hand_t_ns) - 1
         return self.delay_ns[place] if place >= 0 else 0
 
     def forget_before(self, hand_t_ns: int) -> None:
-        """Forget what applies to older samples only: a reader of `latest` topics never goes back."""
+        """Drop the entries that apply only to older samples: a reader of `latest` topics never goes back."""
         place = bisect_right(self.from_ns, hand_t_ns) - 1
         if place > 0:
             del self.from_ns[:place], self.delay_ns[:place]
 
 
 class FreshnessState(NamedTuple):
-    """When the last turn was due, the oldest stamp of this session, and what the link has reported of its delay [ns].
+    """Time since which a turn is due, oldest stamp of this session, and the delays that the link reported [ns].
 
-    judged_ns: the sample of the hand whose age was asked for last.
+    between_ns: delay of the network and lead of the clock. judged_ns: stamp of the sample whose age was last requested.
     """
 
     turn_ns: int
@@ -70,29 +70,30 @@ class FreshnessState(NamedTuple):
 
 
 class Freshness:
-    """The three facts that decide whether a node may still act on something.
+    """Three facts that decide whether a node may still act on an input.
 
     - The *age* of a message is the time since its own stamp.
-    - The age of the hand's sample that a message descends from is the time since that was taken, less what link/delay
-      accounts for. At the slave's site it came through the forward direction, and its stamp is of the master's clock.
-      At the master's it came back, so both directions count and the clock is that of the stamp.
-    - A *stall* is a time for which this process took no turn although one was due.
+    - The age of the hand's sample behind a message is the time since that sample, minus the delay that link/delay
+      reports. At the slave's site the message came through the forward direction, and the stamp is by the master's
+      clock. At the master's site it came back, so both directions count, and the stamp is by the local clock.
+    - A *stall* is a time in which this process took no turn although one was due.
     """
 
     def __init__(self, node: str, now_ns: int) -> None:
-        """Begin without a turn; `node` is node@site, `now_ns` the time on the clock of the stamps."""
-        # A message that is played from a recording has the age of its reception.
+        """Begin without a turn; `node` is node@site, `now_ns` the time by the clock of the stamps."""
+        # Whether a message from a recording has the age since its reception.
         self.allow_replay = True
-        # A turn is due since then, on the monotonic clock [ns]; 0: none was run yet, and the first may take any time.
+        # Time since which a turn is due, by the monotonic clock [ns]: that of the last turn, or a later deadline that
+        # the node sets. 0 before the first turn, which may take any time.
         self.turn_ns = 0
         self._is_slave = site_of(node) == "slave"
         self._oldest_ns = now_ns - _OLDER_THAN_READER_NS
         self._forward, self._backward = DelayHistory(), DelayHistory()
         self._between_ns = 0
         self._judged_ns = 0
-        # cached lag of the newest samples
+        # Cached lag of the newest samples.
         self._newest_from_ns = self._newest_lag_ns = 0
-        # topics whose newest message was too old, which is reported once
+        # Topics whose newest message was too old, which is reported only once.
         self._late: set[str] = set()
 
     def capture(self) -> FreshnessState:
@@ -106,13 +107,13 @@ class Freshness:
         self._note_newest()
 
     def deadline_ns(self) -> int:
-        """Return when to take a turn at the latest, so that a stall is noticed [ns]."""
+        """Return the latest time for the next turn, so that a stall is noticed [ns]."""
         return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
 
     def stalled_s(self, now_ns: int) -> float:
-        """Return how long ago a turn was due [s] where that is beyond the deadline of the loop, else 0.0.
+        """Record a turn; return the time for which it was due [s] if that exceeds the deadline of the loop, else 0.0.
 
-        This is the next turn. What waited meanwhile is late, and is not reported as such again.
+        Messages that waited during a stall are late, and are not reported as late once more.
         """
         gap_ns, self.turn_ns = now_ns - self.turn_ns, now_ns
         if not LOOP_DEADLINE_NS < gap_ns < now_ns:
@@ -121,12 +122,12 @@ class Freshness:
         return gap_ns * 1e-9
 
     def record(self, message: LinkDelay) -> None:
-        """Record what the link reports of one direction, which only the link knows."""
+        """Record the link's report on the delay of one direction; reports of other nodes are ignored."""
         if name_of(message.src) != LINK:
             return
         forward, backward = self._forward, self._backward
         for history in (forward, backward):
-            # What the hand has got may be older than what the half beside it has judged, by less than a deadline.
+            # Keep one deadline more: an answer at the hand may be older than the last judged sample.
             history.forget_before(self._judged_ns - LOOP_DEADLINE_NS)
         (forward if message.direction == "forward" else backward).record(message.hand_t_ns, message.delay_ns)
         transit_ns = message.transit_ns
@@ -138,15 +139,15 @@ class Freshness:
         self._newest_lag_ns = self.lag_ns(self._newest_from_ns)
 
     def lag_ns(self, hand_t_ns: int) -> int:
-        """Return what link, network and clocks add to the age of a sample [ns]."""
+        """Return the part of a sample's age that comes from link, network and clocks [ns]."""
         lag_ns = self._between_ns + self._forward.of(hand_t_ns)
         return lag_ns if self._is_slave else lag_ns + self._backward.of(hand_t_ns)
 
     def age_s(self, now_ns: int, hand_t_ns: int, message_age_s: float = 0.0) -> float:
-        """Return the greater of the age of a sample and of the message that descends from it [s].
+        """Return the age of a hand's sample, or that of the message that descends from it, if greater [s].
 
-        A sample from before this node began is played from a recording and has no age here: the message's counts. (A
-        live one cannot be so old: nothing was sent to this node before it subscribed.)
+        A sample from before this node began comes from a recording, so only the message's age counts. (A live sample
+        cannot be so old: nothing was sent to this node before it subscribed.)
         """
         self._judged_ns = hand_t_ns
         is_newest = hand_t_ns >= self._newest_from_ns
@@ -159,7 +160,7 @@ class Freshness:
     def command_age_s(self, command: AfmCommand | HapticCommand | None, received_ns: int, now_ns: int) -> float:
         """Return the age of a command, or of the hand's sample that it answers, if greater [s]; inf without a command.
 
-        A command that moves nothing answers none.
+        For a haptic command in mode off, which moves nothing, only its own age counts.
         """
         if command is None:
             return math.inf
@@ -169,10 +170,10 @@ class Freshness:
         return self.age_s(now_ns, command.hand_t_ns, command_age_s)
 
     def answer_age_s(self, sampled_ns: int, answered_ns: int) -> float:
-        """Return the age of the newest answer that a hand has at one of its samples [s]; inf before the first.
+        """Return the age of the newest answer that a hand has received at one of its samples [s]; inf before the first.
 
-        Both stamps are of the hand: that of the sample, and that of the one which the answer descends from. So what the
-        hand has felt is known without any other clock. A sample that is played from a recording has no age here.
+        Both stamps are by the hand's clock: of the sample, and of the earlier sample from which the answer descends. No
+        other clock is involved. A sample from a recording has the age 0.
         """
         if self.allow_replay and sampled_ns < self._oldest_ns:
             return 0.0
@@ -182,17 +183,17 @@ class Freshness:
         return age_s(sampled_ns, answered_ns + (self._newest_lag_ns if is_newest else self.lag_ns(answered_ns)))
 
     def stamp_ns(self, t_ns: int, received_ns: int) -> int:
-        """Return the time from which a message counts [ns]: its own stamp, or of a played one that of its reception.
+        """Return the time from which a message's age counts [ns]: its stamp, or its reception if it is replayed.
 
-        One whose stamp is from before this node began is from a recording.
+        A stamp from before this node began means that the message comes from a recording.
         """
         return received_ns if self.allow_replay and t_ns < self._oldest_ns else t_ns
 
     def rejection(self, received: Received) -> str | None:
-        """Return whether an input of a controller is too old to act on: None if it is not, else a sentence to report.
+        """Check the age of a controller's input: return None if it is fresh, else a sentence to report.
 
-        A sample of the device at this site counts from its time stamp, a signal of the other half from the hand's
-        sample that it descends from. The sentence is empty where the message before was too old as well.
+        The age of a device's sample at this site counts from its stamp, that of a signal of the other half from the
+        hand's sample behind it. The sentence is empty if the previous message was too old as well.
         """
         topic, message = received.topic, received.message
         limit_s = DEADLINES_S.get(topic)
@@ -215,8 +216,8 @@ class Freshness:
 def age_s(now_ns: int, t_ns: int) -> float:
     """Return the age of a time stamp [s].
 
-    One that is later than now by more than the deadline is as far off as one that is so much earlier: clock or delay
-    are not what they are taken for.
+    A stamp in the future by more than the deadline returns its distance as an age, because the assumed clock offset or
+    delay must be wrong.
     """
     age_ns = now_ns - t_ns
     return (age_ns if age_ns >= -LOOP_DEADLINE_NS else -age_ns) * 1e-9

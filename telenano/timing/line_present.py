@@ -1,14 +1,13 @@
-"""The present of a line: the least that an exchange of time stamps takes now, as it follows changes that last.
+"""Estimate of a line's present least round trip, which follows lasting changes of the route but not queues.
 
-A queue never makes a way shorter, so that an exchange which takes less than any before is believed at once. An exchange
-that takes longer may have met a queue, a stall or jitter, or the route may have become longer. What tells them apart is
-how the delays go on. A queue fills and drains, and takes every value on its way; what was held up by a stall or by a
-lost packet arrives in one go, each later message less late than the one before. A route has one new least delay from
-one exchange to the next, and keeps it. So the exchanges since the line was last near its old least are held against one
-another: where the least of each third of them is the same, the line has become longer. Of those that came in one go the
-last one alone counts, because something held the others up. A fast exchange is enough to end that, so that a queue
-which did stand still is forgotten as it drains. A delay that grows by more than about one millisecond in a second is
-never followed while it grows.
+A queue never shortens a delay, so an exchange that is faster than all before is accepted at once. A slower exchange may
+come from a queue, a stall, jitter, or a longer route. The course of the delays distinguishes them. A queue fills and
+drains through all values. Messages held up by a stall or a lost packet arrive together, each later one less delayed
+than the one before. A new route has a new least delay from one exchange to the next, and keeps it. So the exchanges
+since the line was last near its old minimum are compared: if the minimum of each third is the same, the line has become
+longer. Of messages that arrived together only the last counts, because the others were held up. One fast exchange ends
+this, so that a standing queue is forgotten when it drains. A delay that grows by more than about one millisecond per
+second is never followed while it grows.
 
 This is the base delay of LEDBAT (RFC 6817) and the round trip of BBR (Cardwell and others, "BBR: congestion-based
 congestion control", ACM Queue 14, 2016), whose windows forget an old least after minutes and after ten seconds.
@@ -20,61 +19,61 @@ from typing import NamedTuple
 
 import msgspec
 
-# Messages within this time count as one, by the fastest of them [ns]: less than lies between two questions of a series,
-# so that each of them counts.
+# Messages sent within this time count as one, the fastest of them [ns]. The questions of a series are further apart, so
+# that each of them counts.
 _BIN_NS = 8_000_000
-# Messages of different times that arrive within this time came in one go [ns].
+# Messages that were sent at different times and arrive within this time arrived together [ns].
 _ONE_GO_NS = 500_000
-# For this time messages are kept [ns], and this number of them in any case.
+# Messages are kept for this time [ns], but at least `_KEPT` of them.
 _KEPT_NS = 1_000_000_000
 _KEPT = 6
-# A longer way has to be seen for this time [ns], in this number of messages.
+# Least duration of a longer delay after a jump [ns], and least number of messages with it.
 _SHORT_NS = 40_000_000
 _FEWEST = 5
-# A way that is longer without a jump has to be so for this time [ns].
+# Least duration of a longer delay without a jump [ns].
 _LONG_NS = 800_000_000
-# Messages that are above this share of the rise are on the other side of the jump, and those below the other share on
-# this side.
+# Messages above the share `_ABOVE` of the rise are behind the jump, those below the share `_BELOW` before it.
 _ABOVE = 0.6
 _BELOW = 0.2
-# No more than this number of messages are in between, where a way jumps.
+# Most messages between the two sides of a jump.
 _BETWEEN = 2
-# The last one on this side was sent no longer before the first one on the other side: of what lies further back it is
-# open how it became longer, as where a process stood still and is behind [ns].
+# Longest time between the last message before a jump and the first behind it [ns]. With a longer gap, such as after a
+# stalled process that lags behind, the course of the rise is unknown.
 _NEAR_NS = 350_000_000
-# That jitter keeps so many messages above that share by chance is less likely than this.
+# Greatest probability that jitter alone keeps so many messages above that share.
 _BY_CHANCE = 1e-4
-# A change is one from this on [ns], and a jump from that on: shorter queues come and go within a millisecond.
+# Least size of a change, and of a jump [ns]; queues shorter than these come and go within a millisecond.
 _CHANGE_NS = 2_000_000
 _JUMP_NS = 5_000_000
-# Within this the least of a second is that of the way [ns].
+# A minimum of the last second within this of the estimate confirms it [ns].
 _SAME_NS = 500_000
-# The least delays of a longer way are the same within this share of the rise, but within no more than the first and no
-# less than the last of these [ns].
+# Minima of the thirds are equal within this share of the rise, limited to at most `_FLAT_NS` and at least
+# `_FLAT_LEAST_NS` [ns].
 _FLAT_SHARE = 0.15
 _FLAT_NS = 1_000_000
 _FLAT_LEAST_NS = 300_000
-# Or within so many times what neighbours differ by in the median.
+# Or within this multiple of the median difference between neighbours.
 _NEIGHBOURS = 1.5
-# A clock was set if one way takes less by this at least [ns], and the other one more by this share of that at least.
+# A clock was set if one direction became faster by at least `_STEP_NS` [ns] and the other slower by at least the share
+# `_OTHER_WAY` of that.
 _STEP_NS = 10_000_000
 _OTHER_WAY = 0.5
-# This number of the newest exchanges show by how much round trips scatter.
+# Number of newest exchanges from which the scatter of round trips is taken.
 _BOTH = 32
-# A change from this on, and by this share, is worth telling of [ns].
+# Least change that is reported, absolute [ns] and as a share of the round trip.
 _TOLD_NS = 5_000_000
 _TOLD_SHARE = 0.1
-# It has lasted for this time [ns].
+# Least duration of a change before it is reported [ns].
 _LASTED_NS = 200_000_000
-# The bound below the least of some delays, in distances of the two least, that holds in nine of ten samples (Robson and
-# Whitlock, "Estimation of a truncation point", Biometrika 51, 1964).
+# Lower confidence bound (90 %) of a truncated distribution, below the sample minimum, in distances of the two smallest
+# values (Robson and Whitlock, "Estimation of a truncation point", Biometrika 51, 1964).
 _FURTHER = 9
 
 
 class RoundTrip(NamedTuple):
-    """The least round trip of the present [ns], the interval in which it is [ns], and since when it is so [ns].
+    """Present least round trip [ns], its confidence interval [ns], and the time since which it holds [ns].
 
-    It is the sum of the fastest question and of the fastest answer, which need not be those of one exchange.
+    It is the sum of the fastest question and the fastest answer, which need not belong to one exchange.
     """
 
     now_ns: int
@@ -84,7 +83,7 @@ class RoundTrip(NamedTuple):
 
 
 class RouteChange(NamedTuple):
-    """A change of the least round trip that has lasted: when it began, from and to what, with its interval [ns]."""
+    """A lasting change of the least round trip: its beginning, the old and the new value, and its interval [ns]."""
 
     at_ns: int
     before_ns: int
@@ -94,11 +93,11 @@ class RouteChange(NamedTuple):
 
 
 class Way(msgspec.Struct, array_like=True):
-    """The present of one way: the least that a message takes, with what the clocks are apart in it [ns].
+    """Present least delay of one direction; all delays include the offset between the clocks [ns].
 
-    least_ns: that; at_ns: when it was sent that took so little, by its sender's clock; since_ns: since when it is so,
-    by that clock; jumped_ns: by how much it became longer last; newest: when those of the last second were sent, and
-    what they took; is_jump: whether it became longer at once then, and not by and by.
+    least_ns: the least delay; at_ns: send time of the message with it, by the sender's clock; since_ns: time since
+    which it holds, by that clock; jumped_ns: size of the last increase; newest: send times and delays of the last
+    second; is_jump: whether the last increase was a jump rather than gradual.
     """
 
     least_ns: int
@@ -109,9 +108,9 @@ class Way(msgspec.Struct, array_like=True):
     is_jump: bool = True
 
     def record(self, sent_ns: int, took_ns: int) -> int:
-        """Record a message and what it took; return by how much the way is seen with it to have become longer [ns].
+        """Record a message's send time and delay; return the increase of the least delay that it proves [ns], else 0.
 
-        What comes in one go after a stall was sent at times of its own, so that these are the times that count.
+        Send times are used, because messages that arrive together after a stall were sent at different times.
         """
         newest = self.newest
         if took_ns < self.least_ns:
@@ -125,7 +124,7 @@ class Way(msgspec.Struct, array_like=True):
                     newest[-1] = (before_ns, took_ns)
                 return 0
             if sent_ns >= before_ns and abs(sent_ns + took_ns - before_ns - before) <= _ONE_GO_NS:
-                # Both came in one go: something held the earlier one up, as a packet of TCP that is sent again does.
+                # Both arrived together, so the earlier one was held up, for instance by a TCP retransmission.
                 del newest[-1]
         newest.append((sent_ns, took_ns))
         while len(newest) > _KEPT and sent_ns - newest[0][0] > _KEPT_NS:
@@ -133,17 +132,17 @@ class Way(msgspec.Struct, array_like=True):
         return self._follow(sent_ns)
 
     def begin(self, sent_ns: int, took_ns: int) -> None:
-        """Begin again: a clock was set."""
+        """Restart the estimate because a clock was set."""
         self.least_ns, self.at_ns, self.since_ns = took_ns, sent_ns, sent_ns
         self.newest.clear()
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether the newest messages took longer than the way is believed to take."""
+        """Whether the newest messages are slower than the estimate, so that it may have to rise."""
         return bool(self.newest) and min(took for _, took in self.newest[-2:]) - self.least_ns >= _CHANGE_NS
 
     def interval(self) -> tuple[int, int]:
-        """Return the interval in which the least is [ns]."""
+        """Return the confidence interval of the least delay [ns]."""
         seen = sorted(took for _, took in self.newest)[:2] or [self.least_ns]
         return min(self.least_ns, seen[0]) - _FURTHER * (seen[-1] - seen[0]), max(self.least_ns, seen[0])
 
@@ -154,7 +153,7 @@ class Way(msgspec.Struct, array_like=True):
         rise_ns = min(took for _, took in newest[-_FEWEST:]) - self.least_ns
         if rise_ns <= _SAME_NS:
             if now_ns - max(self.at_ns, self.since_ns, newest[0][0]) >= _LONG_NS:
-                # The clocks drift apart, so what the way seems to take is that of the last second.
+                # The clocks drift apart, so the apparent minimum is renewed from the last second.
                 self.least_ns, self.at_ns = min(took for at_ns, took in newest if at_ns >= self.since_ns), now_ns
             return 0
         above_ns = self.least_ns + _ABOVE * rise_ns
@@ -174,9 +173,9 @@ class Way(msgspec.Struct, array_like=True):
         return longer_ns
 
     def _jumps(self, first: int, rise_ns: int) -> bool:
-        """Return whether what the way takes is so from one message to the next, and not by chance."""
+        """Return whether the delay rose from one message to the next, and not by chance."""
         newest, above_ns = self.newest, self.least_ns + _ABOVE * rise_ns
-        # By chance: as often as the messages before were there (Laplace's rule of succession).
+        # Probability of a high delay by chance, from the messages before (Laplace's rule of succession).
         often = (1 + sum(took > above_ns for _, took in newest[:first])) / (2 + first)
         before = newest[max(0, first - _BETWEEN - 1) : first]
         near_ns, below_ns = newest[first][0] - _NEAR_NS, self.least_ns + _BELOW * rise_ns
@@ -185,11 +184,11 @@ class Way(msgspec.Struct, array_like=True):
 
 
 class LinePresent(msgspec.Struct, array_like=True):
-    """The present of a line, both ways; it is its own state.
+    """Present least delays of a line in both directions; the object is its own state for the journal.
 
-    there, back: the ways, None before the first exchange; since_ns: since when the round trip is so; told_ns: the round
-    trip that was told of last; both_ns: the round trips of the newest exchanges; jumped_ns: by how much each way became
-    longer at the last change.
+    there, back: the directions, None before the first exchange; since_ns: time since which the round trip holds;
+    told_ns: the last reported round trip; both_ns: round trips of the newest exchanges; jumped_ns: increase of each
+    direction at the last change.
     """
 
     there: Way | None = None
@@ -200,7 +199,7 @@ class LinePresent(msgspec.Struct, array_like=True):
     jumped_ns: tuple[int, int] = (0, 0)
 
     def record(self, sent_ns: int, there_ns: int, back_ns: int, received_ns: int) -> bool:
-        """Record an exchange of four time stamps; return whether the line is seen to have become longer with it."""
+        """Record an exchange of four time stamps [ns]; return True if it proves that the line has become longer."""
         took_there, took_back = there_ns - sent_ns, received_ns - back_ns
         there, back, both_ns = self.there, self.back, took_there + took_back
         if there is None or back is None or received_ns < self.since_ns:
@@ -209,7 +208,7 @@ class LinePresent(msgspec.Struct, array_like=True):
             return False
         falls_ns = there.least_ns - took_there, back.least_ns - took_back
         if max(falls_ns) >= _STEP_NS and min(falls_ns) <= -_OTHER_WAY * max(falls_ns):
-            # A clock was set, which takes off one way what it adds to the other.
+            # A clock was set, which shortens one apparent delay by as much as it lengthens the other.
             there.begin(sent_ns, took_there)
             back.begin(back_ns, took_back)
         elif max(falls_ns) >= _CHANGE_NS:
@@ -226,7 +225,7 @@ class LinePresent(msgspec.Struct, array_like=True):
         return True
 
     def round_trip(self) -> RoundTrip | None:
-        """Return the least round trip of the present; None before the first exchange."""
+        """Return the present least round trip; None before the first exchange."""
         if self.there is None or self.back is None:
             return None
         now_ns = max(0, self.there.least_ns + self.back.least_ns)
@@ -235,17 +234,17 @@ class LinePresent(msgspec.Struct, array_like=True):
 
     @property
     def by_and_by(self) -> tuple[bool, bool]:
-        """Whether each way became longer by and by at the last change, there and back, and not at once."""
+        """Whether the last increase was gradual rather than a jump, there and back."""
         there, back = self.there, self.back
         return there is not None and not there.is_jump, back is not None and not back.is_jump
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether the newest exchanges took longer than the line is believed to take: more of them would tell."""
+        """Whether the newest exchanges are slower than the estimate, so that further exchanges are useful."""
         return any(way is not None and way.is_in_doubt for way in (self.there, self.back))
 
     def take_change(self, now_ns: int) -> RouteChange | None:
-        """Return a change that has lasted and was not told of yet; it counts as told then."""
+        """Return a lasting change that was not reported yet, and mark it as reported; None if there is none."""
         found, before_ns = self.round_trip(), self.told_ns
         if found is None or now_ns - self.since_ns < _LASTED_NS:
             return None
@@ -256,15 +255,15 @@ class LinePresent(msgspec.Struct, array_like=True):
 
 
 def _scatter(delays_ns: Sequence[int]) -> int:
-    """Return how far the median of some delays is above their least [ns]."""
+    """Return the distance of the median of delays from their minimum [ns]."""
     ordered = sorted(delays_ns)
     return ordered[len(ordered) // 2] - ordered[0] if ordered else 0
 
 
 def _is_flat(run: Sequence[tuple[int, int]], rise_ns: int) -> bool:
-    """Return whether delays are the same all along: the least of each third, within what neighbours differ by.
+    """Return whether delays are constant: the minima of their thirds agree within the differences of neighbours.
 
-    Of what grows or falls evenly the thirds are several such distances apart.
+    If delays grow or fall steadily, the minima differ by several such differences.
     """
     ends = [round(len(run) * third / 3) for third in range(4)]
     lowest = [min(delay_ns for _, delay_ns in run[begin:end]) for begin, end in itertools.pairwise(ends)]

@@ -1,9 +1,9 @@
-"""Where the age of what a hand feels comes from: the parts of the way of its samples, by the stamps of messages.
+"""Decomposition of the loop's age, that of the force a hand feels, into its parts, from the stamps of messages.
 
-Every message of the loop carries the stamp of the sample of the hand that it descends from. What the link adds on
-purpose, and the least that the line between two machines takes besides, are known from link/delay; a recording of
-every datagram has what the line took of each. The rest of a stage is that of who sends next, and has the jitter of the
-line in it where the datagrams are not known. So the parts of a sample add up to its age by construction.
+Every message of the loop carries the stamp of the hand's sample from which it descends. The delay that the link adds on
+purpose, and the least delay of the line between two machines, are known from link/delay; a recording of every datagram
+also has the delay of each. The rest of a stage belongs to the node that sends next, and includes the jitter of the line
+if the datagrams are unknown. The parts of a sample thus add up to its age by construction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from telenano.wire.nodes import site_of
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-# The messages that answer one sample of the hand, in their order, and whose part it is until each is sent.
+# The messages that answer one sample of the hand, in order, each with the name of the part that ends when it is sent.
 STAGES = {
     "teleop/forward": "law of the master",
     "afm/command": "law of the slave",
@@ -26,27 +26,27 @@ STAGES = {
     "teleop/backward": "law of the slave",
     "haptic/command": "law of the master",
 }
-# The names of the parts that are no stages.
+# Names of the parts that are no stages.
 DEVICE = "device of the hand"
 QUEUE = "queue at the device"
 TOGETHER = "laws and instrument"
 WITH_JITTER = f"{TOGETHER}, and jitter of the line"
-# These parts begin at one site and end at the other: the clocks leave open how much belongs to which way.
+# Parts that begin at one site and end at the other: the clock offset leaves their split between directions uncertain.
 ACROSS_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
 WAYS = {"forward": "there", "backward": "back"}
 _SLAVES = ("afm/command", "afm/state", "teleop/backward")
-# By so much the clocks of two machines may differ after they were compared [ns]; datagrams are further apart.
+# Remaining uncertainty of the clocks of two machines [ns]; datagrams are further apart.
 _CLOCKS_OPEN_NS = 200_000
-# A share of the samples around a percentile, whose parts stand for it.
+# Share of the samples around a percentile over whose parts the mean is taken.
 _BAND = 0.005
-# The parts of fewer samples than this are not known.
+# Least number of samples for which parts are reported.
 _LEAST_SAMPLES = 20
-# This number of samples are kept.
+# Most samples that are kept.
 _MOST_SAMPLES = 4000
 
 
 class Part(NamedTuple):
-    """A part of the age [s], of the median sample and of the slow one at 99 %; the last part is the whole."""
+    """A part of the age [s], for samples around the median and around the 99th percentile."""
 
     name: str
     p50_s: float
@@ -54,7 +54,7 @@ class Part(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """What the link says of one way by sample of the hand: added on purpose, and the least of the line besides [ns]."""
+    """Delay of one direction for each sample of the hand, shape (n,): added on purpose, and least of the line [ns]."""
 
     injected_ns: Ints
     line_ns: Ints
@@ -64,11 +64,11 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
     """Return the parts of the age of each sample [s], by name; they add up to the age of the answer at the device.
 
     Args:
-        passed_ns: Of each sample its stamp, when each topic that descends from it was sent, and when the answer reached
-            the device, on the master's clock; shape (samples, topics + 2).
-        topics: Those topics, in the order of `STAGES`; where some are not known, their parts are reported together.
-        delays: What the link says, by direction.
-        device_s: How old each sample was when it was stamped, shape (samples,).
+        passed_ns: For each sample its stamp, the send time of each topic that descends from it, and the arrival of the
+            answer at the device, by the master's clock [ns]; shape (samples, topics + 2).
+        topics: Those topics, in the order of `STAGES`; if some are missing, their parts are reported together.
+        delays: The delays of the link, by direction.
+        device_s: Age of each sample when it was stamped [s], shape (samples,).
     """
     order, ends = list(STAGES), ["", *topics]
     parts_s: dict[str, Floats] = {DEVICE: device_s}
@@ -79,7 +79,7 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
         crossed = order[first : order.index(topic) + 1]
         for way, begins in (("forward", "afm/command"), ("backward", "haptic/command")):
             if begins in crossed and way in delays:
-                # a delay is stated in whole milliseconds, and a message may have overtaken the one that stated it
+                # Limit the delays, which are rounded to milliseconds, or may be reported after this message.
                 on_purpose = np.minimum(delays[way].injected_ns, np.maximum(rest, 0))
                 line = np.minimum(delays[way].line_ns, np.maximum(rest - on_purpose, 0))
                 rest = rest - on_purpose - line
@@ -94,12 +94,12 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
 
 
 def took_from(due_ns: Ints, left_ns: Ints, took_ns: Ints) -> Ints:
-    """Return what the line took of messages that were due at times [ns]: the first datagram that left then had them.
+    """Return the line's delay of each message [ns], that of the first datagram sent when or after it was due.
 
     Args:
-        due_ns: When each was sent or, over a link with a delay, due; shape (messages,).
-        left_ns: When each datagram that arrived had left, rising, on the same clock; shape (datagrams,).
-        took_ns: What each of them took.
+        due_ns: Time at which each message was sent or, with a delay of the link, due [ns]; shape (messages,).
+        left_ns: Send time of each datagram that arrived, rising, by the same clock [ns]; shape (datagrams,).
+        took_ns: Delay of each datagram [ns]; shape (datagrams,).
     """
     return np.asarray(took_ns[np.minimum(np.searchsorted(left_ns, due_ns - _CLOCKS_OPEN_NS), took_ns.size - 1)])
 
@@ -109,7 +109,7 @@ def _seconds(time_ns: Ints) -> Floats:
 
 
 def parts_of(split_s: Mapping[str, Floats]) -> list[Part]:
-    """Return the parts of the samples around the median and around 99 %, and the whole as the last one."""
+    """Return the parts for samples around the median and around the 99th percentile; the last one is the whole."""
     whole = np.sum(list(split_s.values()), axis=0)
     order = np.argsort(whole, kind="stable")
     half, places = max(1, round(0.5 * _BAND * len(whole))), [round(share * (len(whole) - 1)) for share in (0.5, 0.99)]
@@ -119,7 +119,7 @@ def parts_of(split_s: Mapping[str, Floats]) -> list[Part]:
 
 
 class LoopAge:
-    """The age of the loop by its parts, of a rig that runs, from whatever of its messages is taken."""
+    """Computes the parts of the loop's age for a running rig, from those of its messages that are passed in."""
 
     def __init__(self) -> None:
         self._sent: dict[str, dict[int, int]] = {topic: {} for topic in STAGES}
@@ -130,7 +130,7 @@ class LoopAge:
         self._ahead_ns = 0
 
     def take(self, topic: str, src: str, t_ns: int, fields: Mapping[str, Any]) -> None:
-        """Take a message; of what crossed the link the original is to be taken, as its publisher stamped it."""
+        """Add a message; of one that crosses the link, pass the original with its publisher's stamp `t_ns` [ns]."""
         if topic == "link/delay":
             self._delays[fields["direction"]].record(fields["hand_t_ns"], fields["delay_ns"])
             self._line_ns[fields["direction"]] = fields["transit_ns"]
@@ -145,7 +145,7 @@ class LoopAge:
             self._sent[topic].setdefault(fields["hand_t_ns"], t_ns - ahead_ns)
 
     def parts(self) -> list[Part]:
-        """Return the parts of the samples that were answered since the last call; none of too few."""
+        """Return the parts for the samples answered since the last call; empty if there are too few."""
         topics = [topic for topic, sent in self._sent.items() if sent]
         keys = [key for key in self._answered if all(key in self._sent[topic] for topic in topics)]
         ages: list[Part] = []
@@ -166,7 +166,7 @@ class LoopAge:
 
 
 def in_words(parts: Sequence[Part]) -> str:
-    """Return which part is the largest, such as `link there, on purpose: 20 of 42 ms`; empty without any."""
+    """Return a text on the largest part, such as `link there, on purpose: 20 of 42 ms`; empty without parts."""
     if len(parts) < 2:
         return ""
     largest = max(parts[:-1], key=lambda part: part.p50_s)

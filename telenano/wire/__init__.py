@@ -1,8 +1,7 @@
 """The wire contract: messages, topics and the codec. It imports nothing else of the project.
 
-What is named here is imported when it is first used: the messages and NumPy take most of the time that a command needs
-to start, and `telenano.wire.nodes` and `telenano.wire.errors` serve programs that cannot wait for them, an emergency
-stop above all.
+Each name here is imported on first use: the messages and NumPy take most of the start time of a command, and programs
+that cannot wait for them, above all the emergency stop, need only `telenano.wire.nodes` and `telenano.wire.errors`.
 """
 
 from typing import TYPE_CHECKING

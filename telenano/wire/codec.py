@@ -1,8 +1,8 @@
 """Encoding and decoding of messages.
 
-A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`. One pass
-in C decodes and checks, another one checks and encodes; what they refuse is read part by part by
-`telenano.wire.refusals`.
+A message is one msgpack map with a string key for each field. Any bytes either decode to a message or raise WireError.
+msgspec decodes and checks in one pass in C, and checks and encodes in another. A message that it refuses is read part
+by part by `telenano.wire.refusals`, which names the fault.
 """
 
 import contextlib
@@ -32,12 +32,12 @@ from telenano.wire.refusals import (
 from telenano.wire.topics import TOPICS, Topic, row_of
 
 MAX_MESSAGE_BYTES = 1 << 20
-# The limit is for a message without maps, lists and arrays of data inside; the longest golden vector has 500 bytes.
+# The limit of a message without maps, lists and arrays of data; the longest golden vector has 500 bytes.
 MAX_PLAIN_BYTES = 4096
-# A command needs room for the node that repeats it in an event.
+# A command may have half the limit, because a node repeats it in an event.
 MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
 _COUNT_LIMIT = 2**63
-# The same few sources come with every message, and the pattern takes as long as the rest of a message.
+# Sources that are known to be well formed: matching the pattern takes as long as decoding the rest of a message.
 _MOST_SOURCES = 256
 _sources: set[str] = set()
 
@@ -45,7 +45,7 @@ Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "
 
 
 class WireError(ValueError):
-    """Bytes that are not a message; `reason` is one of a few words that can be counted."""
+    """Bytes that are not a valid message; `reason` is one of a few words, by which nodes count them."""
 
     def __init__(self, reason: Reason, text: str) -> None:
         super().__init__(text)
@@ -53,11 +53,11 @@ class WireError(ValueError):
 
 
 def encode(message: Message) -> bytes:
-    """Return the msgpack bytes of a message, of which only the size is checked.
+    """Return the msgpack bytes of a message; only their size is checked.
 
     Raises:
-        WireError: The message is larger than its topic allows (`oversized`), so that the publisher gets the error and
-            not every reader; or a text is not Unicode, or an integer is beyond 64 bits (`malformed`).
+        WireError: The message is larger than its topic allows (`oversized`), so that the publisher gets the error
+            instead of every reader; or a text is not Unicode, or an integer exceeds 64 bits (`malformed`).
     """
     try:
         payload = _encode(message)
@@ -69,11 +69,11 @@ def encode(message: Message) -> bytes:
 
 
 def accept(topic: str, payload: bytes) -> Message:
-    """Return the message that `payload` holds on `topic`, if a node may act on it.
+    """Decode the payload of a topic to a message on which a node may act.
 
     Raises:
-        WireError: The message is not valid; the error names the topic, the key at fault, its value and what would be
-            right. Its `reason` is `range` where a quantity is beyond its range (`telenano.wire.ranges`).
+        WireError: The message is not valid; the error names the topic, the faulty key, its value and the valid ones.
+            Its `reason` is `range` if a quantity is beyond its range (`telenano.wire.ranges`).
     """
     form = _FORMS.get(topic)
     if form is not None and len(payload) <= form.most_bytes:
@@ -94,24 +94,25 @@ def accept(topic: str, payload: bytes) -> Message:
 def compose(
     topic: str, fields: Mapping[str, Any], report: Callable[[str], None] = lambda text: None
 ) -> tuple[Message, bytes]:
-    """Return a message and its bytes, with what is beyond its range, or does not fit into a count, at the nearer end.
+    """Build a message and its bytes; numbers beyond their bounds are limited to the nearer bound.
 
-    What a node says stays in range whatever it computed: to end instead would take the guard of a device with it. A
-    number of numpy is sent as the number that it is.
+    A node thus never fails because it computed an excessive value: its end would also end the guard of a device. NumPy
+    numbers are sent as plain numbers.
 
     Args:
         topic: The topic, which names the model.
         fields: The fields of the message by key.
-        report: Called with a sentence when a value was limited.
+        report: Called with a sentence if a value was limited.
 
     Raises:
-        WireError: The fields do not make a valid message, NaN included, or one that is larger than `encode` allows.
+        WireError: The fields are not a valid message, for instance NaN, or it is larger than `encode` allows.
+        KeyError: The topic is unknown.
     """
     if (form := _FORMS.get(topic) or _form(topic)) is None:
         raise KeyError(topic)
     try:
         if form.nested:
-            # A record that was made before is not looked at when it is taken into a message, but here.
+            # msgspec.convert does not check records that exist already; a round trip through bytes does.
             message = form.decode(_encode(msgspec.convert(fields, form.model, builtin_types=(bytes,))))
         else:
             message = msgspec.convert(fields, form.model)
@@ -124,18 +125,18 @@ def compose(
         ):
             return message, payload
     except REFUSALS:
-        # What is refused here is read part by part below, which limits it or names the fault.
+        # The slow path below reads the fields part by part, and limits a value or names the fault.
         pass
     return _compose_limited(topic, form, fields, report)
 
 
 def decode(topic: str, payload: bytes) -> Message:
-    """Return the message that `payload` holds on `topic`, with any finite quantities.
+    """Decode the payload of a topic to a message whose quantities may have any finite value.
 
-    This is for recordings and examples. Use `accept` for what acts on a message.
+    This is for recordings and examples; code that acts on a message uses `accept`.
 
     Raises:
-        WireError: The message is not valid, as in `accept`, but for its ranges.
+        WireError: The message is not valid, as in `accept`, except for its ranges.
     """
     try:
         return accept(topic, payload)
@@ -146,12 +147,12 @@ def decode(topic: str, payload: bytes) -> Message:
 
 
 def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dict[str, Any]]:
-    """Return seq, t_ns and src of a message, and all its fields as they came, arrays as lists.
+    """Return (seq, t_ns, src) of a message, and all its fields unchecked, with sequences as lists.
 
-    For those who keep messages and need not understand them: only the header is checked.
+    Programs that store messages without interpreting them use it: only the header is checked.
 
     Raises:
-        WireError: The header is not valid, as in `read_header`, or another field holds no text in UTF-8.
+        WireError: The header is not valid, as in `read_header`, or another field is not valid msgpack or UTF-8.
     """
     header = read_header(topic, payload)
     try:
@@ -161,7 +162,7 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
 
 
 class _Header(msgspec.Struct, gc=False):
-    """What every message has; `v` is the version of its schema."""
+    """Header that every message has; `v` is the version of its schema."""
 
     seq: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
     t_ns: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
@@ -173,13 +174,13 @@ _decode_header_alone = msgspec.msgpack.Decoder(_Header).decode
 
 
 def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
-    """Return seq, t_ns and src of a message, of whose other fields the bytes are skipped.
+    """Return (seq, t_ns, src) of a message and skip its other fields.
 
-    For a recorder, which keeps messages as they came. What the other fields are, and the form of `src`, is left to
-    whoever decodes the message.
+    A recorder uses it, because it stores messages unchanged. The other fields, and the form of `src`, are checked when
+    the message is decoded.
 
     Raises:
-        WireError: The payload is no msgpack map, too long, of a newer version or without a valid header.
+        WireError: The payload is not a msgpack map, too long, of a newer version, or without a valid header.
     """
     try:
         header = _decode_header_alone(payload)
@@ -187,7 +188,7 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
         if header.v <= form.version and len(payload) <= form.most_bytes:
             return header.seq, header.t_ns, header.src
     except (KeyError, *REFUSALS):
-        # The error below names what is wrong.
+        # The slow path below names the fault.
         pass
     _, parts = _opened(topic, payload)
     record = _read_record(topic, _Header, parts, Reading("ignore"))
@@ -195,7 +196,7 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
 
 
 def fields_of(message: Record) -> dict[str, Any]:
-    """Return the fields of a message as plain data: records as maps. A key that is absent has None."""
+    """Return the fields of a message as plain data, with records as dicts; an absent key has None."""
     fields = msgspec.structs.asdict(message)
     for name, value in fields.items():
         if isinstance(value, Record) or (type(value) is tuple and value and isinstance(value[0], Record)):
@@ -204,9 +205,9 @@ def fields_of(message: Record) -> dict[str, Any]:
 
 
 def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
-    """Return seq, t_ns and src of a payload that is valid, and just as this codec writes it; else None.
+    """Return (seq, t_ns, src) if the payload is valid and exactly the bytes that this codec writes; else None.
 
-    So no key is there twice, of which a reader takes the last.
+    This excludes a repeated key, of which readers would use only the last value.
     """
     try:
         message = accept(topic, payload)
@@ -216,7 +217,7 @@ def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
 
 
 def keys_twice(payload: bytes) -> list[str]:
-    """Return the keys that a map of a valid message has more than once, of which a reader takes the last."""
+    """Return the keys that occur more than once in a map of a valid message; readers use only the last value."""
     twice: list[str] = []
 
     def note(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -229,11 +230,11 @@ def keys_twice(payload: bytes) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """What the bytes of a topic's messages look like.
+    """Form of the messages of a topic, for encoding and decoding.
 
-    `version` is the newest that is known, `most_bytes` the most that a message may have. `nested`: records stand
-    inside. `elements`: the fields whose arrays have elements with a range, and their kinds. `unknown`: what becomes of
-    a key that is not known.
+    `version`: the newest schema version known here. `most_bytes`: the size limit of a message. `nested`: True if it
+    contains records. `elements`: names and declared types of the arrays whose elements have a range. `unknown`: whether
+    unknown keys are ignored or forbidden.
     """
 
     model: type[Message]
@@ -257,13 +258,13 @@ def _form_of(row: Topic) -> _Form:
     decode_whole = msgspec.msgpack.Decoder(row.model).decode
     unknown: Literal["ignore", "forbid"] = "ignore"
     if row.model is SessionControl:
-        # Half a command is another command: its sender gets a refusal that names the word which is not understood.
+        # A command without its unknown keys would be another command, so they are refused by name.
         most_bytes, unknown = MAX_COMMAND_BYTES, "forbid"
     return _Form(row.model, row.model.version, decode_whole, most_bytes, Record in parts, elements, unknown)
 
 
 def _parts(kind: Any) -> Iterator[Any]:
-    """Yield what a kind consists of: `Record` for any record, `dict` for a map, `...` for a list of any length."""
+    """Yield the parts of a declared type: `Record` for any record, `dict` for a map, `...` for an open-ended tuple."""
     if isinstance(kind, type) and issubclass(kind, Record):
         yield Record
     elif get_origin(kind) is not Literal:
@@ -273,12 +274,12 @@ def _parts(kind: Any) -> Iterator[Any]:
 
 
 _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
-# The most bytes that a message may have, by its model.
+# Size limit of a message [bytes], by its model.
 MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
 def _form(topic: str) -> _Form | None:
-    """Return the form of a topic, also of one that a package declares; None for one that is unknown."""
+    """Return the form of a topic, including those that packages declare; None for an unknown one."""
     form = _FORMS.get(topic)
     if form is None and (row := row_of(topic)) is not None:
         form = _FORMS[topic] = _form_of(row)
@@ -287,14 +288,14 @@ def _form(topic: str) -> _Form | None:
 
 
 def _number_of(value: Any) -> Any:
-    """Return a number of numpy as the number that it is."""
+    """Return a NumPy number or array as Python numbers; raise TypeError for any other object."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"msgpack has no form for a {type(value).__name__}")
 
 
 def _as_plain(topic: str, key: str, value: Any) -> Any:
-    """Return a value of numpy as numbers, and a record as a map, whose fields are looked at."""
+    """Return a value as plain data, NumPy as numbers and records as dicts, so that all parts can be checked."""
     try:
         return msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=_number_of)
     except REFUSALS as error:
@@ -305,7 +306,7 @@ _encode = msgspec.msgpack.Encoder(enc_hook=_number_of).encode
 
 
 def _takes_source(src: str) -> bool:
-    """Return whether a source is well formed, which is remembered of a few."""
+    """Return whether a source is well formed; some of the valid ones are cached."""
     if not is_source(src):
         return False
     if len(_sources) < _MOST_SOURCES:
@@ -314,7 +315,7 @@ def _takes_source(src: str) -> bool:
 
 
 def _read(topic: str, payload: bytes, beyond: Callable[[Beyond], float | None] = lambda found: None) -> Message:
-    """Return a message that was refused as a whole, if all its known keys are good; WireError names the first fault."""
+    """Decode a message key by key after the fast path refused it; raise WireError for the first fault."""
     form, parts = _opened(topic, payload)
     return _with_source(topic, _read_record(topic, form.model, parts, Reading(form.unknown, beyond)))
 
@@ -340,7 +341,7 @@ def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
         raise WireError("malformed", f"{topic}: {text}") from error
     except REFUSALS as error:
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
-    # The version comes before the keys, because a later one may have others.
+    # Check the version before the keys, because a newer version may have others.
     version, src = (_scalar(parts.get(name)) for name in ("v", "src"))
     if type(version) is int and version > form.version:
         sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"
@@ -380,7 +381,7 @@ def _compose_limited(
     plain = {key: _as_plain(topic, key, value) for key, value in fields.items()}
     message: Message | None = None
     with contextlib.suppress(*REFUSALS):
-        # If only numbers of numpy were in the way, they are not any more.
+        # This succeeds if NumPy numbers were the only obstacle.
         message = msgspec.convert(plain, form.model, builtin_types=(bytes,))
     if message is None or not form.fits(message):
         message = _read_record(topic, form.model, plain, Reading("forbid", nearer_end))

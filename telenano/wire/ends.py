@@ -1,6 +1,6 @@
-"""The last message of a publisher: how many messages it has sent on each topic, in the data of a session/event.
+"""The end message of a publisher, a session/event whose data count the messages that it sent on each topic.
 
-A reader that has recorded fewer lacks the end of that topic, which no later number would show.
+A reader that received fewer knows that it lacks the last ones, which no later sequence number would reveal.
 """
 
 from collections.abc import Mapping
@@ -18,8 +18,8 @@ def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] |
     """Return the data of the event.
 
     Args:
-        sent: The number of messages sent, by topic, this event included.
-        forwarded: The seq after the newest message that was sent on, by topic and source.
+        sent: The number of messages sent on each topic, including this event.
+        forwarded: The seq after the newest forwarded message, by topic and source.
     """
     own = {f"{_PREFIX}{topic}": count for topic, count in sent.items()}
     others = {f"{_PREFIX}{topic}.{src}": count for (topic, src), count in (forwarded or {}).items()}
@@ -27,11 +27,10 @@ def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] |
 
 
 def read_end(fields: Mapping[str, Any]) -> dict[tuple[str, str], int] | None:
-    """Return by topic and source the seq after the last one that a publisher has sent; None for any other event.
+    """Return the seq after the publisher's last message, by topic and source; None if the event is no end message.
 
     Args:
-        fields: The fields of a session/event as they came. Entries in another form than that of `end_data` are left
-            out.
+        fields: The unchecked fields of a session/event. Entries that do not have the form of `end_data` are ignored.
     """
     data = fields.get("data")
     if fields.get("kind") != "node" or not isinstance(data, Mapping) or data.get("state") != _STATE:

@@ -1,4 +1,4 @@
-"""The exceptions: whatever a user can cause raises one of these; the text names what would be right."""
+"""Exceptions of the project: every error that a user can cause is one of these, and its text names a remedy."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -8,23 +8,22 @@ from telenano.wire.printable import shown
 
 
 def known_names(name: str, choices: Iterable[str]) -> str:
-    """Return the names that there are, for an error, after the one that was probably meant: `known are a, b`."""
+    """Return the valid names for an error text, `known are a, b`, after the one that was probably meant."""
     names = [str(choice) for choice in choices]
     meant = probably_meant(name, names).removeprefix("; ")
     return f"{meant} Known are {', '.join(names)}" if meant else f"known are {', '.join(names)}"
 
 
-# The least shares of letters in common, as `difflib` counts them, of a name that is meant by another one.
+# Least similarity (ratio of `difflib`) of a typed name to the one meant; the second is for names of equal length.
 _NEAR = 0.78
 _NEAR_OF_LENGTH = 0.7
 
 
 def probably_meant(name: str, choices: Iterable[str]) -> str:
-    """Return `; did you mean NAME?` with the nearest of some names, empty where none is near.
+    """Return `; did you mean NAME?` with the nearest of the choices; empty if none is near.
 
-    Of a name that is the first part of others, as `afm` is of `afm/state`, all of them are meant. Capitals do not
-    matter, nor do the dashes before an option. A short name has many others that share letters with it, so that
-    one of another length has to share more.
+    If the name is the first part of others, as `afm` of `afm/state`, all of those are named. Case and the dashes of an
+    option are ignored. A choice of another length must be more similar, because short names share letters by chance.
     """
     from difflib import get_close_matches
 
@@ -40,11 +39,11 @@ def probably_meant(name: str, choices: Iterable[str]) -> str:
 
 
 def named_by(word: str, abouts: Mapping[str, str]) -> list[str]:
-    """Return the names that a word means which is none of them: it is a word of the name, or of what is said of it.
+    """Return the names that contain a word, or else those whose description does.
 
     Args:
-        word: What was typed, such as `delay_ms`; the whole of it comes before its first word.
-        abouts: What is said of each name.
+        word: The typed text, such as `delay_ms`; searched as a whole first, then its first word.
+        abouts: The description of each name.
     """
     whole = re.sub(r"[^a-z0-9]+", " ", word.lower()).strip()
     for typed in dict.fromkeys([whole, *whole.split()[:1]]):
@@ -58,27 +57,27 @@ def named_by(word: str, abouts: Mapping[str, str]) -> list[str]:
 
 
 class TelenanoError(Exception):
-    """Base of every error that the project raises on purpose; of a text of several lines each is an argument."""
+    """Base of every error that the project raises on purpose; each argument is one line of its text."""
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Return the text as it is printed: each is one line, whatever the names in it are."""
+        """The lines of the text as they are printed."""
         return tuple(map(str, self.args))
 
 
 def described(error: BaseException) -> str:
-    """Return class and text of an error, of which the text may be a stranger's: the class alone where it has none.
+    """Return class and text of an error, made safe to print because foreign code may have written the text.
 
-    A group of errors has the text of each as well, which its own does not say.
+    An error without text is described by its class alone, and an exception group with the errors in it.
     """
     name = shown(type(error).__name__)
     try:
         text = shown(error)
         inner = [described(each) for each in error.exceptions] if isinstance(error, BaseExceptionGroup) else []
-    # The code of a stranger makes this text, and may raise anything.
+    # Foreign code makes this text and may raise anything.
     except BaseException:  # noqa: BLE001
         return f"{name}, whose text cannot be made"
     whole = f"{name}: {text}" if text else name
@@ -86,7 +85,7 @@ def described(error: BaseException) -> str:
 
 
 def cause(error: BaseException) -> str:
-    """Return why something failed, for a person: a text that was written for one, or class and text of the surprise."""
+    """Return the reason of a failure for a person: the text of a project's error, or class and text of another one."""
     if isinstance(error, TelenanoError):
         return str(error)
     if isinstance(error, OSError):
@@ -99,7 +98,7 @@ class ConfigError(TelenanoError):
 
 
 class EndpointError(TelenanoError):
-    """A socket cannot be bound or connected; the text names the endpoint and who holds it, where that is known."""
+    """A socket cannot be bound or connected; the text names the endpoint and, if known, the process that holds it."""
 
 
 class RefusedError(TelenanoError):
@@ -115,11 +114,11 @@ class RecordingError(TelenanoError):
 
 
 class NoRecordingError(RecordingError):
-    """A recording that was named is not there."""
+    """The named recording does not exist."""
 
 
 class ExistsError(RecordingError):
-    """The result that was named is there already, and is not overwritten."""
+    """The named result exists already and is not overwritten."""
 
 
 class ReportError(RecordingError):

@@ -12,12 +12,12 @@ from telenano.wire.messages import Message
 
 
 def example(topic: str, **fields: Any) -> Message:
-    """Return a message of a topic as the contract of the wire has it, with some fields changed; KeyError if unknown."""
+    """Return the example message of a topic with some fields replaced; raise KeyError for an unknown topic."""
     base = decode(topic, bytes.fromhex(_examples()[topic]))
     return type(base)(**(msgspec.structs.asdict(base) | fields))
 
 
 @cache
 def _examples() -> dict[str, str]:
-    # These are the golden vectors of the case `minimal`; an installation does not have the others.
+    # The golden vectors of the case `minimal`; the others are not installed.
     return dict(json.loads((Path(__file__).with_name("examples.json")).read_text(encoding="utf-8")))

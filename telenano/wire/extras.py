@@ -1,13 +1,13 @@
-"""How what is missing is installed: by the extra of this distribution that has it, from where it was installed."""
+"""Commands that install a missing package: the extra of this distribution that contains it, from the same source."""
 
 import re
 import sys
 from pathlib import Path
 
 DISTRIBUTION = "telenano"
-# the distributions of the project beside it
+# The other distributions of the project.
 OWN_PACKAGES = ("telenano-bridges", "telenano-devices", "telenano-lab", "telenano-laws", "telenano-wide-area")
-# These distributions have another name than their module.
+# Distributions whose name differs from that of their module.
 _DISTRIBUTIONS = {"serial": "pyserial", "yaml": "pyyaml", "zmq": "pyzmq"}
 _EXTRA = re.compile(r"extra == ['\"]([^'\"]+)['\"]")
 
@@ -19,10 +19,10 @@ def how_to_install(extra: str) -> str:
 
 
 def how_to_add_package(package: str) -> str:
-    """Return the command that adds a package of the project: to a checkout, or as a wheel of the release.
+    """Return the command that adds a package of the project, from the checkout or as a wheel of the release.
 
     Args:
-        package: The name of a distribution, with an extra where one is needed, such as `telenano-lab[experiments]`.
+        package: The name of a distribution, with an extra if needed, such as `telenano-lab[experiments]`.
     """
     from importlib.metadata import version
 
@@ -31,19 +31,19 @@ def how_to_add_package(package: str) -> str:
         return f"make -C '{source}' setup"
     if editable:
         return f"pip install -e '{source}/packages/{package}'"
-    # A file and no name, because the index may have a stranger's package of that name.
+    # A file instead of a name, because the index may have a foreign package of that name.
     name, bracket, extra = package.partition("[")
     wheel = f"{name.replace('-', '_')}-{version(DISTRIBUTION)}-py3-none-any.whl{bracket}{extra}"
     return f"pip install '{wheel}'" if bracket else f"pip install {wheel}"
 
 
 def extra_of(module: str) -> str:
-    """Return the smallest extra that a module comes with, `rig`, which has all that a rig uses, where none names it."""
+    """Return the smallest extra that contains a module; `rig`, which has all that a rig needs, if none names it."""
     return _extra_in(DISTRIBUTION, module) or "rig"
 
 
 def _extra_in(distribution: str, module: str) -> str:
-    """Return the smallest extra of a distribution that a module comes with; empty where none names it."""
+    """Return the smallest extra of a distribution that contains a module; empty if none names it."""
     from packaging.requirements import Requirement
     from packaging.utils import canonicalize_name
 
@@ -58,18 +58,18 @@ def _extra_in(distribution: str, module: str) -> str:
         sizes[extra] = sizes.get(extra, 0) + 1
         if canonicalize_name(requirement.name) == wanted:
             having.append(extra)
-    # Of two that bring the same the shorter name is the plainer one.
+    # Of two extras of the same size, prefer the shorter name.
     return min(having, key=lambda extra: (sizes[extra], len(extra), extra), default="")
 
 
 def extra_in(marker: object) -> str:
-    """Return the extra that the marker of a requirement names, empty where it names none."""
+    """Return the extra that the marker of a requirement names; empty if it names none."""
     match = _EXTRA.search(str(marker))
     return match[1] if match else ""
 
 
 def missing(module: str) -> str:
-    """Return that a package is missing and what adds it: `scipy is not installed: pip install 'telenano[studies]'`."""
+    """Return the error text for a missing module: `scipy is not installed: pip install 'telenano[studies]'`."""
     top = module.partition(".")[0]
     if not _extra_in(DISTRIBUTION, top):
         for package in OWN_PACKAGES:
@@ -88,7 +88,7 @@ def _required(distribution: str) -> list[str]:
 
 
 def _source() -> tuple[bool, str]:
-    """Return whether this installation is a checkout in use, and what pip was given: a folder, a wheel or a name."""
+    """Return whether this installation is editable, and the argument that pip had: a folder, a wheel or a name."""
     import json
     from importlib import metadata
     from urllib.parse import unquote, urlsplit

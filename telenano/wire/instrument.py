@@ -1,13 +1,13 @@
-"""Messages of the instrument that only come while it does something of its own accord."""
+"""Messages that the instrument sends only while it runs a program of its own."""
 
 from typing import Annotated, Literal
 
 from telenano.wire.messages import Count, Facts, Message, about
 from telenano.wire.ranges import Percent
 
-# A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
+# Most characters of a text: with four bytes each, the message still fits the limit of a plain one.
 MOST_TEXT = 512
-# The program is one of the project, or of an installed package.
+# Name of a program of the project or of an installed package.
 AfmProgramName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 

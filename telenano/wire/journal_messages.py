@@ -1,4 +1,4 @@
-"""The message in which a node says in which order it took its inputs and deadlines."""
+"""The message in which a node reports the order of its inputs and deadlines, for a re-run from a recording."""
 
 from typing import Annotated
 

@@ -4,8 +4,8 @@ Frames: one right-handed frame a site, z up, away from the sample. A force is th
 paper's one-dimensional symbols are x_m = -z of the hand, F_m = -F_z on the device, x_s = -z of the AFM base
 (origin at its rest point), F_s = F_z on the tip.
 
-A message is made by `telenano.wire.compose`, which checks it: the constructor of a class here checks nothing but what
-`__post_init__` says. Order of the fields is order on the wire. A key that may be absent has the default None, which is
+Make messages with `telenano.wire.compose`, which checks them: the constructor of a class here runs only the checks of
+`__post_init__`. The order of the fields is their order on the wire. An optional key has the default None, which is
 never sent.
 """
 
@@ -44,10 +44,10 @@ from telenano.wire.ranges import (
 
 MAX_ITEMS = 4096
 MAX_KEYS = 1024
-# The rows of a table of records, such as the inputs of a node.
+# Most rows of a table of records, such as the inputs of a node.
 MAX_ROWS = 1024
 MAX_TEXT = 4096
-# This reason in `rejected` of node/health is no fault: a newer message was waiting as well.
+# This reason in `rejected` of node/health is no fault: a newer message was already waiting.
 SUPERSEDED = "superseded"
 
 SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"
@@ -57,8 +57,8 @@ Scalar = bool | int | float | str
 
 
 def about(description: str | None = None, pattern: str | None = None, **rules: Any) -> Meta:
-    """Return the description and the rules of a field; a pattern ends with `$`, and nothing may follow the text."""
-    # In Python a new line may stand after what `$` matches.
+    """Return description and rules of a field; its pattern ends with `$`, and the text must end there, too."""
+    # In Python `$` also matches before a final newline, and `\Z` does not.
     whole = pattern and pattern.removesuffix("$") + r"\Z"
     return Meta(description=description, pattern=whole, **rules)
 
@@ -67,16 +67,16 @@ Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Stamp = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 RawCount = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
-# A message without maps and lists has at most 4096 bytes in all (`telenano.wire.codec`), and so has a text in it.
+# A message without maps and lists has at most 4096 bytes (`telenano.wire.codec`), which also limits its texts.
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Name = Annotated[str, Meta(max_length=64)]
 LawName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 _Finite = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
-# the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
+# The link reports its delay rounded down to this step [ns], so an age may come out too great by less than one step.
 DELAY_STEP_NS = 1_000_000
 Facts = Annotated[dict[str, bool | int | _Finite | str], Meta(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Meta(max_length=MAX_KEYS)]
-# This is the name that a person was given at the rig.
+# Name of a person at the rig.
 PersonName = Annotated[str, Meta(min_length=1, max_length=64)]
 Latches = Annotated[dict[str, Name], Meta(max_length=MAX_KEYS)]
 DeviceStatus = Literal["ok", "stale", "lost"]
@@ -85,7 +85,7 @@ _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8":
 
 
 class _RecordMeta(msgspec.StructMeta):
-    """Makes the fields of every record keywords: msgspec passes `kw_only`, alone of its options, on to no subclass."""
+    """Makes the fields of every record keyword-only: unlike other options of msgspec, `kw_only` is not inherited."""
 
     def __new__(mcls, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> Any:
         return super().__new__(mcls, name, bases, namespace, kw_only=True, **options)
@@ -105,7 +105,7 @@ class Message(Record):
 
     seq: Annotated[Count, about("Number of this message on its topic from this source, counted from 0")]
     t_ns: Annotated[Count, about("Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")]
-    # `accept` looks at the pattern of each source once: in each message it would take as long as all the rest.
+    # `accept` checks the pattern once for each source: in each message that would take as long as all the rest.
     src: Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
     v: Annotated[int, about("Schema version of this message", ge=1)]
 
@@ -125,7 +125,7 @@ class Array(Record):
     data: Annotated[bytes, about("Elements in C order")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError where the data are not as many elements as the shape has, or not finite."""
+        """Raise ValueError if the size of the data does not fit the shape, or if a float is not finite."""
         expected = math.prod(self.shape) * np.dtype(_DTYPES[self.dtype]).itemsize
         if len(self.data) != expected:
             raise ValueError(
@@ -136,7 +136,7 @@ class Array(Record):
 
     @classmethod
     def from_numpy(cls, array: npt.NDArray[np.generic]) -> "Array":
-        """Pack a numpy array of a supported element type; ValueError names any other."""
+        """Pack a NumPy array of up to four axes; raise ValueError for an unsupported element type."""
         name = f"{array.dtype.kind}{array.dtype.itemsize}"
         if name not in _DTYPES:
             raise ValueError(f"element type {array.dtype} cannot be sent, use one of {', '.join(_DTYPES)}")
@@ -154,7 +154,7 @@ Angles = Annotated[Array, ANGLE.of_elements()]
 Forces = Annotated[Array, FORCE.of_elements()]
 Energies = Annotated[Array, ENERGY.of_elements()]
 
-# What only a real device has to say: these keys are absent where the device is simulated.
+# Keys of a real device; they are absent if the device is simulated.
 DeviceState = Annotated[
     DeviceStatus | None,
     about("State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated"),
@@ -190,7 +190,7 @@ class HapticState(Message):
         EnergyJ | None,
         about("Energy that the virtual coupling has taken in, less what it gave out [J]; below 0 it makes energy"),
     ] = None
-    # What the handle sent, before any calibration: a better calibration reads it again.
+    # Raw values of the handle, so that a better calibration can be applied later.
     position_raw: Annotated[RawCount | None, about("Position as the handle sent it [counts]")] = None
     velocity_raw: Annotated[RawCount | None, about("Velocity as the handle sent it [counts/s]")] = None
     operator_force_raw: Annotated[RawCount | None, about("Operator's force as it was sent [counts]")] = None
@@ -294,10 +294,10 @@ class AfmCommand(_OfHand):
 class AfmState(_OfHand):
     """The AFM: what was measured and what was really applied."""
 
-    # What the converters of a real instrument had, before any calibration.
+    # Raw values of the converters of a real instrument, before any calibration.
     output_v: Annotated[VoltageV | None, about("Output to the stage, read back [V]")] = None
     input_v: Annotated[VoltageV | None, about("Input of the deflection [V]")] = None
-    # What the hand feels where that is no force on the tip: a measured channel, by a table of the instrument.
+    # A measured channel that the hand feels instead of the force on the tip, converted by a table of the instrument.
     felt_channel: Annotated[
         Literal["frequency_shift", "current", "amplitude", "phase"] | None,
         about("Channel that tip_force_n along z is made of, which is no force then; absent otherwise"),

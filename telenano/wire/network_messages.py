@@ -1,4 +1,4 @@
-"""The messages of the link between two machines: its keys, and what the network did."""
+"""Messages of the link between two machines: its keys, pieces of recordings, and the state of the network."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -47,7 +47,7 @@ class LinkNetwork(Message):
     network, as link/fates is that of an injected one. One-way delays rest on `clock`, and are as uncertain.
     """
 
-    # After this a datagram that a newer one overtook is settled as lost; one that still arrives is late after all.
+    # After this time a datagram that a newer one overtook counts as lost; if it still arrives it counts as late [ns].
     SETTLE_NS: ClassVar[int] = 1_000_000_000
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]

@@ -1,12 +1,12 @@
-"""The state of a node in its journal: what the node declares, as bytes, and what these bytes were made of.
+"""Encoding of a node's state for its journal, from which a re-run of the node continues.
 
-A node declares all that its outputs depend on besides its inputs in one struct, which it works on: `capture` returns
-it, of the class `state_kind`, `restore` takes one, and `state_version` counts what its values have meant. So a field
-that is added is kept without another line. The struct is encoded in the turn in which it is captured, and nothing else
-holds it. Its fields are plain values, arrays, settings, messages, structs, and NamedTuples of these. What the settings
-choose, such as a law, a sample or a program, keeps its state in a `Part`. The bytes hold the names of the fields and no
-name of an attribute, class or module, so these may change without ending a re-run. Fields at the end of a struct that
-have a default may be missing from the state of an older recording.
+A node keeps everything that its outputs depend on, besides its inputs, in one struct: `capture` returns it, of the
+class `state_kind`, `restore` continues from one, and `state_version` rises when the meaning of its values changes. A
+new field of the struct is thus saved without further code. The struct is encoded in the turn in which it is captured,
+so it may be mutable. Its fields are plain values, arrays, settings, messages, structs, and NamedTuples of these. A
+component chosen by the settings, such as a law, a sample or a program, keeps its state in a `Part`. The bytes contain
+the names of the fields but none of a class or module, so these may be renamed without breaking a re-run. Fields with a
+default at the end of a struct may be missing from the state in an older recording.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,31 +21,31 @@ from telenano.wire.errors import ConfigError, RecordingError
 from telenano.wire.messages import Record
 
 T = TypeVar("T")
-# payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
+# Finds the payload of an input from topic, source, seq, time of arrival [ns] and size [bytes].
 FindInput = Callable[[str, str, int, int, int], bytes]
 
 
 class Stateful(Protocol):
-    """A node, as far as its state is concerned."""
+    """Interface of a node whose state can be saved and restored."""
 
     state_kind: Any
     state_version: int
 
     def capture(self) -> Any:
-        """Return the state, None for a node that has none to restore. ValueError says why it has none now."""
+        """Return the state; None if the node has none. Raise ValueError, with the reason, if it has none just now."""
 
     def restore(self, state: Any, find: FindInput) -> None:
-        """Continue from a state; `find` returns the payloads of messages that the state only names."""
+        """Continue from a state; `find` returns the payloads of messages to which the state only refers."""
 
 
 class Part(NamedTuple):
-    """The state of a part that the settings choose: the names of its fields, and their values."""
+    """State of a component that the settings choose: the names of its fields, and their values."""
 
     names: tuple[str, ...]
     values: Any
 
     def like(self, example: T) -> T:
-        """Return the state as one of the kind of `example`, such as the state in which the part starts.
+        """Return the state as an object of the type of `example`, such as the initial state of the component.
 
         Raises:
             ValueError: The state does not have the same fields.
@@ -54,21 +54,21 @@ class Part(NamedTuple):
         return cast(T, _made(self.values, example))
 
     def of_kind(self, kind: Any) -> Any:
-        """Return the state as one of a class whose fields declare all kinds within; ValueError as in `like`."""
+        """Return the state as an object of a class that declares all nested types; raise ValueError as `like`."""
         _demand(self.names, _declared(kind), kind)
         return msgspec.convert(self.values, kind, dec_hook=_object)
 
 
 def part(state: Any) -> Part:
-    """Return the state of a part; a NamedTuple of plain values, arrays and NamedTuples needs no more than this."""
+    """Return the `Part` of a state; this is all that a NamedTuple of plain values, arrays and NamedTuples needs."""
     return Part(_names(state), state)
 
 
 def pack(node: Stateful) -> bytes:
-    """Return the state of a node, empty where it has none to restore.
+    """Return the encoded state of a node; empty bytes if it has none.
 
     Raises:
-        ValueError: A part cannot be kept, which the message names; TypeError and OverflowError mean the same.
+        ValueError: A value cannot be saved; TypeError and OverflowError mean the same.
     """
     state = node.capture()
     if state is None:
@@ -77,7 +77,7 @@ def pack(node: Stateful) -> bytes:
 
 
 def is_whole(packed: bytes) -> bool:
-    """Return whether a state is there, and none of its bytes is missing."""
+    """Return whether an encoded state is not empty and complete."""
     try:
         return bool(packed) and msgspec.msgpack.decode(packed) is not None
     except (ValueError, RecursionError):
@@ -89,7 +89,7 @@ def _zeros(topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> 
 
 
 def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
-    """Put a node that was just built into a state; RecordingError when that is not one of this node and version."""
+    """Restore the state of a newly built node; raise RecordingError if it does not fit this node and version."""
     try:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
@@ -101,7 +101,7 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
 
 
 def _demand(recorded: tuple[str, ...], declared: tuple[str, ...], kind: Any) -> None:
-    """Raise ValueError naming the fields that only one of two states has; a default at an end may be missing."""
+    """Raise ValueError if the recorded fields differ from the declared ones; fields with a default may be missing."""
     optional = _optional(kind)
     expected = tuple(name for name in declared if name in recorded or name not in optional)
     if recorded != expected:
@@ -113,7 +113,7 @@ def _demand(recorded: tuple[str, ...], declared: tuple[str, ...], kind: Any) -> 
 
 
 def _check_ends(recorded: frozenset[str], kind: Any, within: str = "") -> None:
-    """Raise ValueError where a field is missing that is not at the end: the values have places, and no names."""
+    """Raise ValueError if a missing field is not at the end: values are stored by position, without names."""
     missing = ""
     for field, hint in _hints(kind).items():
         name = within + field
@@ -128,7 +128,7 @@ def _check_ends(recorded: frozenset[str], kind: Any, within: str = "") -> None:
 
 @cache
 def _declared(kind: Any) -> tuple[str, ...]:
-    """Return the names of the fields of a kind of state, with those of the kinds within, such as `guard.mode`."""
+    """Return the field names of a state type, including those of nested types, such as `guard.mode`."""
     return tuple(
         name
         for field, hint in _hints(kind).items()
@@ -137,7 +137,7 @@ def _declared(kind: Any) -> tuple[str, ...]:
 
 
 def _names(state: Any) -> tuple[str, ...]:
-    """Return the names of the fields of a state, where the values say what kind a field declared as Any is of."""
+    """Return the field names of a state; the value of a field declared as Any determines its type."""
     kind: Any = type(state)
     if not _open_fields(kind):
         return _declared(kind)
@@ -151,7 +151,7 @@ def _names(state: Any) -> tuple[str, ...]:
 
 @cache
 def _optional(kind: Any) -> frozenset[str]:
-    """Return those names of `_declared` that recordings of before may lack: fields that were added with a default."""
+    """Return the names of `_declared` that older recordings may lack: the fields with a default."""
     if not (hints := _hints(kind)):
         return frozenset()
     if issubclass(kind, msgspec.Struct):
@@ -169,20 +169,20 @@ def _optional(kind: Any) -> frozenset[str]:
 
 @cache
 def _hints(kind: Any) -> dict[str, Any]:
-    # other tuples, plain values and arrays have no fields
+    # Only NamedTuples and structs have fields.
     has_fields = isinstance(kind, type) and (hasattr(kind, "_fields") or issubclass(kind, msgspec.Struct))
-    # A message is kept as it is on the wire.
+    # A message is saved in its wire form, so its fields are not listed.
     return get_type_hints(kind) if has_fields and kind is not Part and not issubclass(kind, Record) else {}
 
 
 @cache
 def _open_fields(kind: Any) -> tuple[str, ...]:
-    """Return the fields that are declared as Any, or as a kind that has such fields."""
+    """Return the fields that are declared as Any, or as a type that has such fields."""
     return tuple(field for field, hint in _hints(kind).items() if hint is Any or _open_fields(hint))
 
 
 def _kinds(hint: Any) -> Iterator[Any]:
-    """Yield the kinds in a hint such as `tuple[Fate, ...] | None`."""
+    """Yield the types in a hint such as `tuple[Fate, ...] | None`."""
     if arguments := get_args(hint):
         for argument in arguments:
             yield from _kinds(argument)
@@ -191,7 +191,7 @@ def _kinds(hint: Any) -> Iterator[Any]:
 
 
 def _made(values: Any, example: Any) -> Any:
-    """Return values as one of the kind of `example`, which says what kind a field declared as Any is of."""
+    """Return values as an object of the type of `example`, which determines the types of fields declared as Any."""
     kind: Any = type(example)
     if kind is tuple:
         return tuple(_made(value, like) for value, like in zip(values, example, strict=True))
@@ -199,7 +199,7 @@ def _made(values: Any, example: Any) -> Any:
     if not is_open:
         return msgspec.convert(values, kind, dec_hook=_object)
     hints = list(_hints(kind).items())
-    # The last fields may be missing where they have defaults.
+    # The last fields may be missing if they have defaults.
     if not len(hints) - len(getattr(kind, "_field_defaults", ())) <= len(values) <= len(hints):
         raise ValueError(f"it has {len(values)} values for {len(hints)} fields")
     fields = zip(values, hints, strict=False)
@@ -219,7 +219,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, BaseModel):
-        # by the keys that a scenario has, which is what the model takes
+        # By the keys of a scenario, which validation of the model expects.
         fields = type(value).model_fields
         return {field.alias or name: getattr(value, name) for name, field in fields.items()}
     raise TypeError(f"a {type(value).__name__} cannot be kept in a journal")
@@ -229,7 +229,7 @@ def _object(kind: Any, value: Any) -> Any:
     kind = get_origin(kind) or kind
     if kind is np.ndarray:
         dtype, shape, data = value
-        # a copy can be written to, which compiled steps take for another type
+        # A copy, because frombuffer is read-only, which is another type for compiled steps.
         return np.frombuffer(data, dtype).reshape(shape).copy()
     if issubclass(kind, BaseModel):
         return kind.model_validate(value, strict=False)

@@ -1,4 +1,4 @@
-"""The table of nodes: which processes take part in the bus, at which site, and what part each has in a rig."""
+"""The table of nodes: the processes on the bus, their sites, and their parts in a rig."""
 
 from typing import Literal, NamedTuple
 
@@ -8,16 +8,15 @@ Site = Literal["master", "slave"]
 
 
 class NodeRow(NamedTuple):
-    """One row of the table: a node, as `name@site`.
+    """One row of the table: a node, with its key `name@site`.
 
-    `part`: `rig`, a process of its own that the launcher starts and stops; `beside`, one that it keeps running as well,
-    and that a session neither waits for nor ends with; `carrier`, one that it keeps running where a rig needs it, which
-    carries messages of others and publishes none under its own name; `endpoint`, a further endpoint of such a process;
+    `part` is one of: `rig`, a process that the launcher starts and stops; `beside`, a process that the launcher also
+    keeps running, but for which no session waits or ends; `carrier`, a process started if a rig needs it, which carries
+    messages of others and publishes none under its own name; `endpoint`, a further endpoint of another row's process;
     `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects
-    to the nodes, and so needs no endpoint. The rows stand in the order in which a rig is started; `stop` is the place
-    in the order in which it is stopped. A session waits for the nodes that are `required`; a site may have the others.
-    `no_rerun` says why a re-run of the node from recorded inputs has no meaning; it is empty for those that keep a
-    journal of their inputs.
+    to the nodes, so it needs no endpoint. Rows are in the order in which a rig is started; `stop` is the position in
+    the stop order. A session waits for `required` nodes; the others are optional. `no_rerun` is the reason why a node
+    cannot be run again from recorded inputs; empty for nodes that keep a journal of their inputs.
     """
 
     key: str
@@ -32,8 +31,8 @@ _BY_HAND = "its commands are those that a person typed"
 _CARRIES = "it carries messages of others, and has no inputs of its own"
 _SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
-# The recorders start first and stop last, so that they record the start and the stop of the others; the devices are
-# made safe first.
+# Recorders start first and stop last, so that they record the start and stop of the others. Devices stop first, to be
+# safe.
 NODES = (
     NodeRow("recorder@slave", "rig", stop=8, required=False, no_rerun=_RECORDS),
     NodeRow("recorder@master", "rig", stop=7, no_rerun=_RECORDS),
@@ -64,27 +63,27 @@ NODES = (
 
 HAND = "haptic_node@master"
 TIP = "afm_node@slave"
-# These nodes obey an emergency stop.
+# Nodes that obey an emergency stop.
 DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
 LAUNCHERS = (LAUNCHER, "launcher@slave")
 PLAYER = "player@master"
-# the process that serves the page, and the force of an operator at it
+# The process that serves the page, and the publisher of the force of an operator at that page.
 PAGE = "viz_node@master"
 VIEW = "view@master"
-# It reads each node once for all observers on one machine.
+# Subscribes to each node once and serves all observers on one machine.
 FAN_OUT = "fan_out@master"
-# The name of the process that reaches the other site through a relay, at either one.
+# Name of the process that reaches the other site through a relay, at either site.
 RELAY = "relay"
-# an experiment, which tells its cues and trials
+# An experiment, which publishes its cues and trials.
 EXPERIMENT = "experiment@master"
 RECORDER = "recorder@master"
 FAR_RECORDER = "recorder@slave"
-# the name of the process between the sites, and its endpoint at either one
+# Name of the process between the sites, and of its endpoint at either site.
 LINK = "delay_node"
-# These nodes keep an emergency stop in a file until it is obeyed: each device its own, the link that of the far one.
+# Nodes that keep an emergency stop in a file until it is obeyed: each device its own, the link the far device's.
 KEEPERS = (*DEVICES, f"{LINK}@master")
-# The link ends in this node at the slave's site when messages cross as datagrams.
+# The node at the slave's site in which the link ends if messages cross as datagrams.
 FAR_END = "controller@slave"
 
 _RIG = tuple(row for row in NODES if row.part == "rig")
@@ -92,7 +91,7 @@ _PROCESSES = tuple(row for row in NODES if row.part in ("rig", "beside"))
 START_ORDER = tuple(row.key for row in _RIG if row.required)
 OPTIONAL_NODES = tuple(row.key for row in _RIG if not row.required)
 STOP_ORDER = tuple(row.key for row in sorted(_PROCESSES, key=lambda row: row.stop))
-# These nodes keep a journal of their inputs, from which they are run again.
+# Nodes that keep a journal of their inputs and can be run again from it.
 RERUN_NODES = tuple(row.key for row in _RIG if not row.no_rerun)
 
 
@@ -111,7 +110,7 @@ SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 
 def module_of(name: str) -> str:
-    """Return the module of the process of a name, which is run as `python -m`.
+    """Return the module of a process, for `python -m`.
 
     Raises:
         ValueError: The table of nodes has no process of this name.
@@ -124,45 +123,45 @@ def module_of(name: str) -> str:
 
 
 def sites_of(name: str) -> tuple[str, ...]:
-    """Return the sites at which processes of a name may run, the master's first."""
+    """Return the sites at which processes of this name may run, the master's first."""
     return tuple(sorted(site_of(row.key) for row in _PROCESSES if name_of(row.key) == name))
 
 
 def is_console(node: str) -> bool:
-    """Return whether commands are typed at a node: console@site, or console_NAME@site on a further machine."""
+    """Return whether a node is a console: console@site, or console_NAME@site on a further machine."""
     name = name_of(node)
     return name == "console" or name.startswith("console_")
 
 
 def is_estop(node: str) -> bool:
-    """Return whether a node is a sender of emergency stops."""
+    """Return whether a node sends emergency stops."""
     return name_of(node) == "estop"
 
 
 def is_meant(node: str, target: str) -> bool:
-    """Return whether a target means a node (node@site): by its full name, its name at every site, or a pattern."""
+    """Return whether a target, which is node@site, a node name or a pattern, includes a node (node@site)."""
     return matches(node, target) or matches(name_of(node), target)
 
 
 def is_pattern(target: str) -> bool:
-    """Return whether a target is a pattern: a node that one matches keeps silent about commands it does not know."""
+    """Return whether a target has wildcards; nodes ignore unknown commands to a pattern instead of refusing them."""
     return any(sign in target for sign in "*?[")
 
 
 def is_visitor(node: str) -> bool:
-    """Return whether a rig is whole without a node, which comes and goes: its absence is not reported."""
+    """Return whether a node comes and goes, so that its absence from a rig is not reported."""
     return is_console(node) or any(
         name_of(row.key) == name_of(node) and row.part in ("beside", "visitor") for row in NODES
     )
 
 
 def endpoints_of(node: str) -> tuple[str, ...]:
-    """Return the endpoints of the process that a node is, its own first."""
+    """Return the endpoints of the process of a node, its own first."""
     return (node, *(row.key for row in NODES if row.part == "endpoint" and name_of(row.key) == name_of(node)))
 
 
 def no_rerun_reason(node: str) -> str:
-    """Return why a node cannot be run again, in words; empty when it can."""
+    """Return the reason why a node cannot be run again from a recording; empty if it can."""
     if is_console(node):
         node = f"console@{site_of(LAUNCHER)}"
     reasons = {row.key: row.no_rerun for row in NODES}

@@ -1,26 +1,26 @@
-"""Patterns of names as a person writes them, such as `teleop/*`, with the wildcards of file names: `*`, `?`, `[...]`.
+"""Patterns of names, such as `teleop/*`, with the wildcards of file names: `*`, `?`, `[...]`.
 
     if fault := fault_of_pattern(text):     # where a pattern is read
         raise ConfigError(fault)
     matches("teleop/forward", text)
 
-Comparing a name with a pattern takes the square of the length of the pattern, and for some the cube, so that a long one
-would keep a node for minutes.
+The length of patterns is limited: matching takes time of the second or even third power of it, so a long pattern would
+block a node for minutes.
 """
 
 from fnmatch import fnmatchcase
 
-# The longest name of a topic, node or field has half of this.
+# Twice the length of the longest name of a topic, node or field.
 MOST_LETTERS = 128
 
 
 def fault_of_pattern(text: str) -> str:
-    """Return why a text is not taken for a pattern, empty where it is."""
+    """Return an error text if a pattern is too long, else an empty text."""
     if len(text) <= MOST_LETTERS:
         return ""
     return f"the pattern {text[:20]!r}... has {len(text)} letters, and at most {MOST_LETTERS} are read"
 
 
 def matches(name: str, pattern: str) -> bool:
-    """Return whether a pattern means a name; one that is too long means none."""
+    """Return whether a name matches a pattern, with case; a pattern that is too long matches none."""
     return len(pattern) <= MOST_LETTERS and fnmatchcase(name, pattern)

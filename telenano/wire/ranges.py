@@ -1,7 +1,7 @@
-"""The range of every quantity on the wire: declared here once, with the hardest physical case that needs it.
+"""The range of every quantity on the wire, declared once, with the most extreme physical case that needs it.
 
-A range bounds what a reader may act on, so that the arithmetic behind it stays finite. It lies far above anything that
-can be measured and is no limit of an instrument: those stand in the guard of each device.
+Readers reject values beyond a range, so that their arithmetic stays finite. A range lies far above anything that can be
+measured and is no limit of an instrument: those belong to the guard of each device.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from msgspec import Meta
 
 @dataclass(frozen=True)
 class Range:
-    """Bounds of a quantity, both included, and the case that needs them."""
+    """Inclusive bounds of a quantity, their unit, and the case that needs them."""
 
     quantity: str
     low: float
@@ -21,11 +21,11 @@ class Range:
     reason: str
 
     def of_value(self) -> Meta:
-        """Return the rule of a number within the bounds, which refuses NaN."""
+        """Return the msgspec rule for a number within the bounds; it rejects NaN."""
         return Meta(ge=self.low, le=self.high, extra={"range": self})
 
     def of_elements(self) -> Meta:
-        """Return the rule of an array whose elements are all within the bounds, for `telenano.wire.codec`."""
+        """Return the rule for an array with all elements within the bounds, which `telenano.wire.codec` checks."""
         return Meta(extra={"elements": self})
 
     def __str__(self) -> str:

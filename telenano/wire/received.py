@@ -1,4 +1,4 @@
-"""A message as a node gets it."""
+"""A message as a node receives it."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from telenano.wire.sequence import Arrival
 
 
 class Received(NamedTuple):
-    """A message with its bytes, when it was received on the clock of the stamps [ns], and how it follows the last."""
+    """A message with its bytes, its reception time by the node's clock [ns], and its relation to the previous one."""
 
     topic: str
     message: Message

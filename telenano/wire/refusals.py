@@ -1,10 +1,10 @@
-"""A message read part by part, where msgspec refuses the whole of it.
+"""Reading of a message part by part, after msgspec refused it as a whole.
 
-msgspec states neither the value that it refuses nor the key inside a map. Here it is asked again for the parts, level
-by level: each field, item and element is converted to the type that is declared for it, the *kind*. So msgspec alone
-decides what is right, and the sentence about a fault has key, value and bounds; keys that are not known can be left
-out; and a number beyond its bounds can be refused, kept or limited (`Reading`). Bytes are decoded one level at a time
-(`msgspec.Raw`), so that refusing a message costs no more than reading one.
+The errors of msgspec name neither the refused value nor the key inside a map. This module therefore converts the parts
+again, level by level: each field, item and element to its declared type, called its *kind*. msgspec alone still decides
+about validity, but the error has key, value and bounds, unknown keys can be ignored, and a number beyond its bounds can
+be refused, kept or limited (`Reading`). Bytes are decoded one level at a time (`msgspec.Raw`), so that refusing a
+message costs no more than reading one.
 """
 
 import math
@@ -23,21 +23,21 @@ from telenano.wire.ranges import Range
 
 S = TypeVar("S", bound=msgspec.Struct)
 R = TypeVar("R", bound=Record)
-# msgspec looks for the keys of what is no map, such as a number of numpy: an AttributeError.
+# An AttributeError comes from msgspec looking for the keys of an object that is no map, such as a NumPy number.
 REFUSALS = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
 is_source = re.compile(SOURCE_PATTERN.removesuffix("$")).fullmatch
-# A scalar of more bytes is a text, and no number.
+# Scalars of more bytes are not decoded for an error text: they are texts, not numbers.
 _MOST_SHOWN_BYTES = 256
-# A sentence has at most this number of characters of a value, and of a key, which may be the sender's text.
+# Most characters of a value, and of a key, in an error: both may be texts of the sender.
 _MOST_SHOWN = 80
 _MOST_KEY = 100
 
 
 class Fault(NamedTuple):
-    """What is wrong with a part of a message: its key, and a sentence without the topic.
+    """Fault in a part of a message: the key, its kind, and a sentence without the topic.
 
-    `kind`: a key is missing or unknown, the type is another one, a word is not one of those declared, a number is
-    beyond its bounds (`bounds` for a count, `range` for a finite quantity), or the whole of a record is wrong.
+    `kind`: a key is `missing` or `unknown`, a value has another `type`, a text is not a valid `word`, a number is
+    beyond its `bounds` (a count) or `range` (a finite quantity), or a `record` as a whole is invalid.
     """
 
     key: str
@@ -46,7 +46,7 @@ class Fault(NamedTuple):
 
 
 class FaultError(ValueError):
-    """A message has a fault, or some of them."""
+    """A message has one fault or several."""
 
     def __init__(self, fault: Fault, *others: Fault) -> None:
         super().__init__(fault.text)
@@ -55,9 +55,9 @@ class FaultError(ValueError):
 
 
 class Beyond(NamedTuple):
-    """A number beyond its bounds, both included.
+    """A number beyond its inclusive bounds.
 
-    `range` is that of a quantity, None for a count; `in_array`: the number is an element of an array of data.
+    `range` is the range of a quantity, None for a count; `in_array`: True if the number is an element of an array.
     """
 
     key: str
@@ -76,12 +76,12 @@ class Beyond(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """How parts are read.
+    """Rules for reading the parts of a message.
 
     Args:
-        unknown: Whether keys that are not known are left out, or are a fault.
-        beyond: Returns what to take for a number beyond its bounds, None where that is a fault.
-        every: Whether the error has every fault, or only the first, at which reading ends.
+        unknown: Whether unknown keys are ignored or are a fault.
+        beyond: Function that returns the replacement of a number beyond its bounds, or None to make it a fault.
+        every: Whether to collect all faults, or to stop at the first one.
     """
 
     unknown: Literal["ignore", "forbid"]
@@ -90,14 +90,14 @@ class Reading(NamedTuple):
 
 
 def any_finite(beyond: Beyond) -> float | None:
-    """Return a finite quantity as it is; None for a count, and for a negative value of what cannot be negative."""
+    """Return a finite quantity unchanged; None for a count, and for a negative value if the range begins at 0."""
     if beyond.range is None or not math.isfinite(beyond.value) or (beyond.range.low == 0.0 and beyond.value < 0.0):
         return None
     return float(beyond.value)
 
 
 def faults_of(model: type[Record], fields: object) -> list[Fault]:
-    """Return all that is wrong with the fields of a record, keys that are not known included."""
+    """Return all faults in the fields of a record, including unknown keys; empty if there are none."""
     faults: list[Fault] = []
     try:
         read_record(model, fields, Reading("forbid", every=True))
@@ -110,7 +110,7 @@ def faults_of(model: type[Record], fields: object) -> list[Fault]:
 
 
 def made(model: type[R], fields: Mapping[str, Any]) -> R:
-    """Return a record of some fields; FaultError states the first of them that is wrong."""
+    """Return a record built from fields; raise FaultError for the first fault."""
     try:
         return msgspec.convert(fields, model, builtin_types=(bytes,))
     except ValueError as error:
@@ -119,16 +119,16 @@ def made(model: type[R], fields: Mapping[str, Any]) -> R:
 
 
 def source_fault(source: str) -> Fault:
-    """Return the fault of a source that is not well formed."""
+    """Return the fault of a malformed source."""
     text = f"src is {source[:_MOST_SHOWN]!r}, must be node@site, of small letters, digits and _"
     return Fault("src", "word", text)
 
 
 def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S:
-    """Return a map, of plain values or of their `Raw` bytes, as a record.
+    """Convert a map of plain values, or of their `Raw` bytes, to a record.
 
     Raises:
-        FaultError: What is wrong; keys that are not known come last.
+        FaultError: The map has a fault; unknown keys come last.
     """
     parts = _opened(dict, (), value, key)
     fields = _fields_of(model)
@@ -156,7 +156,7 @@ def read_record(model: type[S], value: Any, how: Reading, key: str = "") -> S:
 
 
 def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
-    """Return a value as the kind that is declared for it."""
+    """Convert a value to its declared kind."""
     try:
         return _as_kind(kind, value)
     except REFUSALS as error:
@@ -179,7 +179,7 @@ def _read(kind: Any, value: Any, how: Reading, key: str) -> Any:
 
 
 def _each(read: Callable[[Any], Any], names: Iterable[Any], how: Reading) -> dict[Any, Any]:
-    """Return the parts of a map, list or record by name."""
+    """Read the parts of a map, list or record and return them by name; raise FaultError for one or all faults."""
     values: dict[Any, Any] = {}
     faults: list[Fault] = []
     for name in names:
@@ -212,7 +212,7 @@ def _read_scalar(base: Any, rules: Sequence[Meta], value: Any, how: Reading, key
     elif type(value) is float and not math.isfinite(value):
         right, kind = "a finite number", "bounds"
     elif not got:
-        # The type is right, and the value is not.
+        # The type is right, but the value is not.
         kind = "word" if type(value) is str else "bounds"
     raise _error(key, kind, f"{key} is {repr(value)[:_MOST_SHOWN]}, must be {right}")
 
@@ -237,7 +237,7 @@ def _as_kind(kind: Any, value: Any) -> Any:
 
 
 def _opened(container: type, rules: Sequence[Meta], value: Any, key: str) -> Any:
-    """Return the parts of a map or list, each as it came."""
+    """Return the unconverted parts of a map or list."""
     part: Any = Raw if type(value) is Raw else Any
     kind: Any = dict[str, part] if container is dict else list[part]
     for rule in rules:
@@ -252,12 +252,12 @@ def _opened(container: type, rules: Sequence[Meta], value: Any, key: str) -> Any
 
 
 def _told(refusal: BaseException) -> str:
-    """Return what msgspec says of a refusal, without its place, which has no key of a map, and without nil."""
+    """Return the text of a msgspec error without its path, which lacks the keys of maps, and without nil."""
     return str(refusal).partition(" - at ")[0].replace("`", "").replace(" | null", "")
 
 
 def _shown(raw: Raw) -> Any:
-    """Return a scalar, and the size of what is none."""
+    """Return the value of a short scalar for an error text, else a text with its size."""
     size = len(memoryview(raw))
     try:
         return msgspec.msgpack.decode(raw) if size <= _MOST_SHOWN_BYTES else f"<{size} bytes>"
@@ -267,19 +267,19 @@ def _shown(raw: Raw) -> Any:
 
 @cache
 def _fields_of(model: type[msgspec.Struct]) -> dict[str, msgspec.structs.FieldInfo]:
-    """Return what is declared of each field of a record, which takes msgspec longer than to read one."""
+    """Return the declared fields of a record; cached because msgspec takes longer for this than for decoding one."""
     return {field.name: field for field in msgspec.structs.fields(model)}
 
 
 def declared_elements(kind: Any) -> Range | None:
-    """Return the range that a kind declares for the elements of an array."""
+    """Return the range that a kind declares for the elements of an array; None if it declares none."""
     return next(
         (rule.extra["elements"] for rule in _unwrapped(kind)[1] if rule.extra and "elements" in rule.extra), None
     )
 
 
 def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
-    """Return an element of an array that is beyond the range declared with its kind, and that range; else None."""
+    """Return an element beyond the range that the array's kind declares, and that range; None if all are within."""
     declared = declared_elements(kind) if isinstance(array, Array) and array.data else None
     if declared is None:
         return None
@@ -291,7 +291,7 @@ def elements_beyond(kind: Any, array: object) -> tuple[float, Range] | None:
 
 
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Meta, ...]]:
-    """Return what a kind is where it is not nil, and all its rules."""
+    """Return the type of a kind without None, and all its rules."""
     if get_origin(kind) is Annotated:
         base, rules = _unwrapped(kind.__origin__)
         return base, (*rules, *kind.__metadata__)

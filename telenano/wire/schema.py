@@ -1,4 +1,4 @@
-"""The JSON Schema of a message, from its declaration: for recordings, viewers, and clients in other languages."""
+"""JSON Schema of a message, generated from its declaration, for recordings, viewers and clients in other languages."""
 
 import inspect
 import sys
@@ -12,7 +12,7 @@ from telenano.wire.messages import Record
 def json_schema(model: type[Record]) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a record, with the records inside it under `$defs`.
 
-    The words of a field are in the order in which they are declared, a pattern ends with `$`, and bytes have the format
+    The choices of a field are in the order of their declaration, a pattern ends with `$`, and bytes have the format
     `binary`.
     """
     (_,), definitions = msgspec.json.schema_components([model])
@@ -27,7 +27,7 @@ def json_schema(model: type[Record]) -> dict[str, Any]:
 
 
 def _restore(schema: dict[str, Any], kind: Any) -> None:
-    """Write what msgspec says of a field as the schemas of the contract have it."""
+    """Change the schema of a field from the form of msgspec to that of the contract."""
     kind = kind.__origin__ if get_origin(kind) is Annotated else kind
     for choice in (kind, *get_args(kind)):
         if get_origin(choice) is Literal:
@@ -38,13 +38,13 @@ def _restore(schema: dict[str, Any], kind: Any) -> None:
 
 def _simplify(schema: dict[str, Any]) -> None:
     if schema.pop("contentEncoding", ""):
-        # On the wire they are bytes, which JSON does not have.
+        # The wire has bytes, which JSON lacks.
         schema["format"] = "binary"
     if schema.get("maximum") == sys.float_info.max:
-        # Any number of JSON is finite.
+        # Every JSON number is finite anyway.
         del schema["maximum"], schema["minimum"]
     if schema.get("items") is False:
-        # minItems and maxItems say that no further items may come.
+        # minItems and maxItems already exclude further items.
         del schema["items"]
     if "pattern" in schema:
         schema["pattern"] = schema["pattern"].replace(r"\Z", "$")
@@ -54,7 +54,7 @@ def _simplify(schema: dict[str, Any]) -> None:
 
 
 def records_in(kind: Any) -> list[type[Record]]:
-    """Return a record and those inside it, or those inside a kind."""
+    """Return the records in a type: a record itself and those nested in it, or those in a union or tuple."""
     kind = kind.__origin__ if get_origin(kind) is Annotated else kind
     if isinstance(kind, type) and issubclass(kind, Record):
         return [kind, *(record for field in msgspec.structs.fields(kind) for record in records_in(field.type))]

@@ -1,28 +1,28 @@
-"""Tracking of sequence numbers: gaps, duplicates, late arrivals, restarts of the publisher."""
+"""Tracking of sequence numbers: gaps, duplicates, late arrivals, and restarts of the publisher."""
 
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable
 from enum import Enum, auto
 
-# A count on the wire can hold at most this number and stays there, whatever numbers a peer makes up.
+# The largest count on the wire; counts saturate here, whatever numbers a peer sends.
 MOST_COUNTED = 2**63 - 1
-# a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
+# A longer gap is counted whole, but late arrivals are recognised only in its newest part of this length.
 _REMEMBERED_GAP = 4096
-# This many messages in a row that are in order and this old are neither repeated nor late. Either the publisher's clock
-# was set back, or a recording is played where its publisher, or an earlier replay, was received before, or a number
-# that was far ahead did not come from the publisher.
+# This many messages in a row, in order and older than this [ns], are neither repeated nor late but a restart. The
+# publisher's clock was set back, or a player replaced the publisher or an earlier replay, or an earlier number that was
+# far ahead did not come from the publisher.
 _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
 
 
 def total(counts: Iterable[int]) -> int:
-    """Return the sum of counts, which stays where each of them does: no reader has a larger number to expect."""
+    """Return the sum of counts, limited to `MOST_COUNTED` as each of them is."""
     return min(sum(counts), MOST_COUNTED)
 
 
 class Arrival(Enum):
-    """How a message relates to those before it."""
+    """Relation of a message to the earlier ones of its topic and source."""
 
     NEXT = auto()
     AFTER_GAP = auto()
@@ -35,11 +35,11 @@ _NEXT = Arrival.NEXT
 
 
 class SequenceTracker:
-    """Counts of one topic from one source.
+    """Counts of the messages of one topic from one source.
 
-    A lower `seq` with a later time stamp means that the publisher was restarted; with an earlier or equal one, that
-    the message was overtaken (it fills a gap, and is no longer lost) or came twice. A whole run of old ones in order
-    is a restart as well.
+    A lower `seq` with a later time stamp means that the publisher was restarted. With an earlier or equal stamp the
+    message was overtaken, so it fills a gap and is no longer lost, or it came twice. A run of old messages in order is
+    also a restart.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class SequenceTracker:
         self.late = 0
         self.duplicates = 0
         self.restarts = 0
-        # The message was received and counted, but not acted on, because a newer one was waiting as well.
+        # Messages that were received and counted, but not acted on, because a newer one was waiting.
         self.superseded = 0
         self.last_seq = -1
         self.last_t_ns = 0
@@ -57,13 +57,13 @@ class SequenceTracker:
         self.ended = False
         self._run = 0
         self._run_at = (-1, 0)
-        # The first and the last number of each gap, in order, and the numbers within them that came late.
+        # First and last number of each gap, in order, and the numbers within them that came late.
         self._gaps: deque[tuple[int, int]] = deque()
         self._remembered = 0
         self._filled: set[int] = set()
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
-        """Record a message and return how it relates to those before it."""
+        """Count a message, from its seq and publisher's time [ns], and return its relation to the earlier ones."""
         if (seq == self.last_seq + 1 and not self.ended) or not self.received:
             self.received += 1
             self.last_seq = seq
@@ -79,12 +79,12 @@ class SequenceTracker:
         return arrival
 
     def finish(self, sent: int) -> int:
-        """Record that the publisher has ended after `sent` messages; return how many of the last are missing, and lost.
+        """Record that the publisher ended after `sent` messages; return the number of missing ones at the end.
 
-        Messages that come after this are those of its next process, whatever their number.
+        They count as lost. Later messages belong to the publisher's next process, whatever their number.
         """
         if not self.received:
-            # Messages that were sent before the reader connected do not count as missing.
+            # Messages sent before the reader connected do not count as missing.
             return 0
         missing = max(0, sent - 1 - self.last_seq)
         if missing:
@@ -101,7 +101,7 @@ class SequenceTracker:
         if t_ns > self.last_t_ns:
             return self._restart()
         missing = self._is_missing(seq)
-        # Any other message in between breaks the run.
+        # Any other message in between interrupts the run.
         self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
         self._run_at = (seq, self.received + missing)
         if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
@@ -133,7 +133,7 @@ class SequenceTracker:
         start = max(first, after - _REMEMBERED_GAP)
         self._gaps.append((start, after - 1))
         self._remembered += after - start
-        # The margin keeps a reader on a bad link from forgetting at every gap.
+        # The margin saves a reader on a bad link from this work at every gap.
         if self._remembered > 2 * _REMEMBERED_GAP:
             self._forget()
 

@@ -1,7 +1,7 @@
 """The table of topics: message, publishers, rate and delivery of each.
 
-`row_of("afm/state")` returns a row. A package declares rows of its own in the same form (`telenano.topics` in
-docs/extending/io.md); a process takes one into the table when a command, a recording or a message names it.
+`row_of("afm/state")` returns a row. Packages declare rows in the same form (`telenano.topics` in
+docs/extending/io.md); a process adds such a row to its table when a command, a recording or a message names the topic.
 """
 
 import re
@@ -27,10 +27,10 @@ Delivery = Literal["latest", "lossless"]
 class Topic:
     """One row of the table.
 
-    `rate_hz` is the declared rate, None for topics sent on change. `deadline_s` is how old the newest message may be
-    before it counts as stale, None where no deadline applies. `latest`: a reader acts on the newest message only;
-    `lossless`: a reader handles every one, and a gap is counted and reported. `bridged` is the direction in which the
-    link carries it: `forward` to the slave, `backward` to the master, `both`, or None.
+    `rate_hz`: declared rate [Hz], None for topics sent on change. `deadline_s`: age at which the newest message counts
+    as stale [s], None without a deadline. `delivery`: with `latest` a reader acts on the newest message only, with
+    `lossless` it handles every message, and gaps are counted and reported. `bridged`: direction in which the link
+    carries the topic, `forward` to the slave, `backward` to the master, `both`, or None.
     """
 
     name: str
@@ -43,19 +43,18 @@ class Topic:
     recorded: bool = True
 
     def faults_in(self, fields: Mapping[str, Any]) -> list[Fault]:
-        """Return what is wrong with the fields of a message of this topic, each with key and kind."""
+        """Return the faults in the fields of a message of this topic, each with key and kind; empty if valid."""
         return faults_of(self.model, fields)
 
     def is_published_by(self, node: str) -> bool:
-        """Return whether a node (node@site) may publish it."""
+        """Return whether a node (node@site) may publish this topic."""
         return any(matches(node, pattern) or name_of(node) == pattern for pattern in self.publishers)
 
 
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (
     Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
-    # A page sends this at its frame rate while a person pushes. No node waits for it, and none is at fault when it
-    # ends.
+    # A page sends this at its frame rate while a person pushes. It has no deadline, because no node waits for it.
     Topic("operator/force", m.OperatorForce, ("view",), "lossless", None, None, None),
     Topic("haptic/command", m.HapticCommand, ("controller@master",), "latest", 1000.0, 0.05, None),
     Topic("teleop/forward", m.TeleopForward, ("controller@master",), "latest", 1000.0, 0.05, "forward"),
@@ -63,7 +62,7 @@ _ROWS = (
     Topic("afm/command", m.AfmCommand, ("controller@slave",), "latest", 1000.0, 0.05, None),
     Topic("afm/state", m.AfmState, ("afm_node",), "latest", 1000.0, 0.05, None),
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
-    # It is sent while the instrument runs a program; its readers act on a lack of it after half a second.
+    # Sent while the instrument runs a program; readers react if it is absent for half a second.
     Topic("afm/program", AfmProgram, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
@@ -88,35 +87,35 @@ _ROWS = (
     ),
 )
 
-# The rows of the core, which are the contract of the wire.
+# The rows of the core, which are part of the wire contract.
 OWN_TOPICS: Mapping[str, Topic] = {row.name: row for row in _ROWS}
-# The rows that this process knows: those of the core, and of packages those that were named to it.
+# The rows that this process knows: those of the core, and those of packages that were needed so far.
 TOPICS: dict[str, Topic] = dict(OWN_TOPICS)
 NAME = re.compile(r"[a-z]+/[a-z]+")
-# A recorder keeps at most this many topics that it does not know.
+# Most unknown topics that a recorder records.
 MOST_UNKNOWN = 64
-# A deadline is at least this many periods of the declared rate, so that a lost message makes nothing stale.
+# Least deadline in periods of the declared rate, so that one lost message makes nothing stale.
 _LEAST_PERIODS = 3.0
-# A deadline is at most this many periods, so that a publisher that is gone is noticed.
+# Longest deadline in periods, so that a publisher that is gone is noticed.
 _MOST_PERIODS = 100.0
 _finders: list[Callable[[str], Topic | None]] = []
 
 
 def row_of(name: str) -> Topic | None:
-    """Return the row of a topic, for which a package that declares it is imported; None for one that is unknown."""
+    """Return the row of a topic, importing the package that declares it if necessary; None for an unknown topic."""
     return TOPICS.get(name) or next(filter(None, (find(name) for find in _finders)), None)
 
 
 def find_with(find: Callable[[str], Topic | None]) -> None:
-    """Look up the topics that are missing from the table with a function, which takes those it finds into the table."""
+    """Register a function that looks up topics missing from the table and adds those that it finds."""
     _finders.append(find)
 
 
 def register_topic(row: Topic) -> Topic:
-    """Take the row of a package into the table.
+    """Add the row of a package to the table and return it.
 
     Raises:
-        ValueError: The row breaks a rule of the contract; the text says which, and what would be right.
+        ValueError: The row breaks a rule of the contract; the text names the rule and the remedy.
     """
     if TOPICS.get(row.name) != row and (fault := _fault_of(row)):
         raise ValueError(fault)
@@ -124,9 +123,10 @@ def register_topic(row: Topic) -> Topic:
 
 
 def keep_unknown(name: str) -> Topic | None:
-    """Take a topic whose package is missing into the table, to keep its messages as they come; None for no such name.
+    """Add a topic whose package is missing to the table, so that its messages can be recorded unchanged.
 
-    Only the header of its messages is known, so only that is checked.
+    Only their header is known and checked. Returns None if the name is no valid topic, overlaps another, or
+    `MOST_UNKNOWN` is reached.
     """
     taken = sum(row.model is m.Message for row in TOPICS.values()) >= MOST_UNKNOWN
     if taken or not NAME.fullmatch(name) or _overlap(name):
@@ -135,7 +135,7 @@ def keep_unknown(name: str) -> Topic | None:
 
 
 def _fault_of(row: Topic) -> str:
-    """Return which rule of the contract the row of a package breaks; empty where there is none."""
+    """Return a sentence on the rule of the contract that a package's row breaks; empty if it breaks none."""
     if not NAME.fullmatch(row.name):
         return f"topic {row.name!r}: must be two words of lower-case letters with / between them, such as wind/speed"
     if other := _overlap(row.name):
@@ -163,7 +163,7 @@ def _fault_of(row: Topic) -> str:
 
 
 def _overlap(name: str) -> str:
-    """Return the topic that begins a name or begins with it; empty where there is none."""
+    """Return a topic of the table that is a prefix of a name or has it as a prefix; empty if there is none."""
     return next(
         (name_of_table for name_of_table in TOPICS if name_of_table.startswith(name) or name.startswith(name_of_table)),
         "",
@@ -175,7 +175,7 @@ def _is_of_table(publisher: str, publishers: set[str]) -> bool:
 
 
 def _faults_of_fields(model: type[m.Message]) -> Iterator[str]:
-    """Yield what is wrong with the fields of a message: a key without description, a number without bounds."""
+    """Yield sentences on faulty declarations: a key without description, a number without bounds, a wrong default."""
     schema = json_schema(model)
     kinds = {model.__name__: schema, **schema.get("$defs", {})}
     for name, kind in kinds.items():
@@ -190,7 +190,7 @@ def _faults_of_fields(model: type[m.Message]) -> Iterator[str]:
 
 
 def _is_bounded(part: dict[str, Any]) -> bool:
-    """Return whether every number in the schema of a field has both bounds; a map of facts may hold any."""
+    """Return whether every number in the schema of a field has both bounds; the values of maps are not checked."""
     nested = [part["items"]] if isinstance(part.get("items"), dict) else []
     if part.get("type") in ("number", "integer") and "enum" not in part:
         low = {"minimum", "exclusiveMinimum"} & part.keys()
@@ -199,7 +199,7 @@ def _is_bounded(part: dict[str, Any]) -> bool:
 
 
 def deadline_of(topic: str) -> float:
-    """Return how old a message on a topic may be before it counts as stale [s]; ValueError for one without deadline."""
+    """Return the age at which a message on a topic counts as stale [s]; raise ValueError if it has no deadline."""
     deadline_s = TOPICS[topic].deadline_s
     if deadline_s is None:
         raise ValueError(f"{topic} has no deadline")
@@ -207,14 +207,14 @@ def deadline_of(topic: str) -> float:
 
 
 def output_name(topic: str, endpoint: str) -> str:
-    """Return what a journal calls the messages of an endpoint on a topic: the topic, and the site where that needs it.
+    """Return the name of an endpoint's messages on a topic in a journal: the topic, with `@site` if it is ambiguous.
 
-    A process with a further endpoint may publish on the same topic at both, with numbers of their own.
+    A process with a further endpoint may publish on the same topic at both, each with its own sequence numbers.
     """
     further = any(row.key == endpoint and row.part == "endpoint" for row in NODES)
     return f"{topic}@{site_of(endpoint)}" if further and name_of(endpoint) in TOPICS[topic].publishers else topic
 
 
-# Nodes do not act on a sample, a command or an answer of the loop that is older than this; the whole loop has one
+# Nodes do not act on a sample, command or answer of the loop that is older than this [s]; the whole loop has one
 # deadline.
 LOOP_DEADLINE_S = deadline_of("haptic/state")

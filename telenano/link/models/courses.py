@@ -1,4 +1,4 @@
-"""Delay and loss at a time of a trace."""
+"""Delay and loss at a given time of a trace."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -8,9 +8,9 @@ from telenano.settings.link_traces import DelayCourse, LossCourse
 
 
 def delay_at(course: DelayCourse, elapsed_ns: int, *, interpolation: Literal["hold", "linear"], repeat: bool) -> int:
-    """Return the delay [ns] of a course at a time since its origin.
+    """Return the delay [ns] of a trace at a time since its origin [ns].
 
-    Before the first line its delay holds; after the last one the trace starts again (`repeat`) or its delay holds.
+    Before the first line its delay applies. After the last one the trace restarts (`repeat`), or its delay applies.
     """
     times, delays = course
     if repeat and times[-1] > 0:
@@ -24,7 +24,7 @@ def delay_at(course: DelayCourse, elapsed_ns: int, *, interpolation: Literal["ho
 
 
 def lost_at(course: LossCourse, elapsed_ns: int, *, repeat: bool) -> bool:
-    """Return whether what arrives at a time since the origin of a course is lost; nothing is before its first line."""
+    """Return whether a message that arrives at a time since the origin of a trace [ns] is lost; never before line 1."""
     times, lost = course
     if repeat and times[-1] > 0:
         elapsed_ns %= times[-1]

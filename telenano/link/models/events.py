@@ -1,4 +1,4 @@
-"""Things that happen to single messages: flipped bits, and being sent past the delay."""
+"""Impairments of single messages: flipped bits, and overtaking."""
 
 from telenano.link.random_streams import Draw, Occurrence
 
@@ -14,7 +14,7 @@ class Corruptor:
         self._draw = draw
 
     def corrupt(self, payload: bytes) -> bytes:
-        """Return the payload with this number of different bits flipped, all of them if it has fewer."""
+        """Return the payload with the configured number of different bits flipped, or all if it has fewer."""
         available = 8 * len(payload)
         places: set[int] = set()
         while len(places) < min(self._bits, available):
@@ -26,10 +26,10 @@ class Corruptor:
 
 
 class Overtaking:
-    """Chooses the messages that are sent at once; at least gap - 1 go the normal way between two of them.
+    """Selects the messages that are sent at once; at least gap - 1 messages are delayed normally between two of them.
 
-    After the gap each message is chosen with the probability of the occurrence, so that the share of those chosen
-    is 1 / (gap - 1 + 1/p) without correlation.
+    After the gap each message is selected with the probability p of the occurrence, so without correlation the share of
+    selected messages is 1 / (gap - 1 + 1/p).
     """
 
     __slots__ = ("_gap", "_happens", "state")
@@ -37,7 +37,7 @@ class Overtaking:
     def __init__(self, happens: Occurrence, gap: int) -> None:
         self._happens = happens
         self._gap = gap
-        # messages since the last one that was chosen; the occurrence is a model of its own
+        # Number of messages since the last selected one; the occurrence has its own state.
         self.state = 0
 
     def __call__(self) -> bool:

@@ -10,11 +10,11 @@ from telenano.link.random_streams import CorrelatedUniform, Draw, share_below
 from telenano.settings.link_settings import Jitter
 
 normal_quantile = NormalDist().inv_cdf
-# the random part of the delay [ns] of a message that arrives at a time [ns]
+# Returns the random part of the delay [ns] of a message that arrives at a time [ns].
 RandomDelay = Callable[[int], float]
-# Newton's method ends with a step that changes the root by less than this share.
+# Newton's method ends after a step that changes the root by less than this share.
 _SMALLEST_STEP = 1e-13
-# Newton's method ends after at most this number of steps.
+# Most steps of Newton's method.
 _MOST_STEPS = 100
 
 
@@ -39,10 +39,10 @@ def pareto_quantile(shape: float) -> Callable[[float], float]:
 
 
 def hyperexponential_quantile(second_share: float, second_mean: float) -> Callable[[float], float]:
-    """Quantile of exponential numbers, of which the share w has the mean m and the others have the mean 1.
+    """Quantile of a mixture of exponential distributions: the share w has the mean m, the rest the mean 1.
 
-    S(x) = (1 - w) exp(-x) + w exp(-x/m) = 1 - u has no inverse in closed form. log S is convex and falls, so Newton's
-    steps from 0 on rise to the root and never pass it; without a second part the first step is exact.
+    S(x) = (1 - w) exp(-x) + w exp(-x/m) = 1 - u has no closed inverse. log S is convex and decreasing, so Newton's
+    steps from 0 rise to the root without overshoot; for w = 0 the first step is exact.
     """
     rate = 1.0 / second_mean if second_share > 0.0 else 1.0
 
@@ -86,7 +86,11 @@ def pairs_quantile(pairs: Sequence[tuple[float, float]]) -> Callable[[float], fl
 
 
 class JitterState(NamedTuple):
-    """The last normal score, None before the first and without correlation; step and u of what lasts in time."""
+    """State of a jitter source.
+
+    score: the last normal score, None before the first one and without correlation; step and u: number of the last time
+    step and its uniform number, for jitter with a correlation time.
+    """
 
     score: float | None
     step: int
@@ -94,7 +98,7 @@ class JitterState(NamedTuple):
 
 
 class JitterSource:
-    """Random delays [ns, may be negative], one for each message."""
+    """Source of random delays [ns, may be negative], one for each message."""
 
     __slots__ = ("_quantile", "_scale_ns", "_step", "_step_ns", "_u", "_uniform")
 
@@ -104,7 +108,7 @@ class JitterSource:
         self._step_ns = round(settings.correlation_time_s * 1e9 / Jitter.DRAWS_IN_CORRELATION_TIME)
         rho = math.exp(-1.0 / Jitter.DRAWS_IN_CORRELATION_TIME) if self._step_ns else settings.correlation
         self._uniform = CorrelatedUniform(rho, draw, normal_quantile)
-        # The draws in time count from here, so that no message shifts those of another.
+        # With a correlation time, draws are made per time step, so that messages do not shift each other's draws.
         self._step = now_ns // self._step_ns - 1 if self._step_ns else 0
         self._u = 0.5
 
@@ -117,14 +121,14 @@ class JitterSource:
         self._uniform.score, self._step, self._u = state
 
     def __call__(self, now_ns: int = 0) -> float:
-        """Return the random part [ns] of a message that arrives now; now_ns must not decrease."""
+        """Return the random delay [ns] of a message that arrives at `now_ns` [ns], which must not decrease."""
         if not self._step_ns:
             return self._scale_ns * self._quantile(self._uniform())
         self._advance(now_ns)
         return self._scale_ns * self._quantile(self._u)
 
     def beside(self, second: "JitterSource", share: float) -> RandomDelay:
-        """Return a source [ns] of whose scores this share of the variance is that of a second one over time."""
+        """Return a source [ns] that mixes the normal scores of both; `share` of their variance comes from `second`."""
         own, other = math.sqrt(1.0 - share), math.sqrt(share)
 
         def draw(now_ns: int) -> float:
@@ -136,7 +140,7 @@ class JitterSource:
     def _advance(self, now_ns: int) -> float:
         behind = now_ns // self._step_ns - self._step
         if behind > Jitter.LONGEST_WALK:
-            # Nothing is left of a score after this long.
+            # After this time the new score is independent of the old one.
             self._uniform.score, behind = None, 1
         for _ in range(behind):
             self._u = self._uniform()

@@ -3,7 +3,7 @@
 from telenano.link.random_streams import Draw
 from telenano.settings.link_settings import GilbertElliott, MarkovLoss
 
-# The states of the Markov chain, by the numbers that its probabilities p_ij have.
+# The states of the Markov chain, with the indices of its probabilities p_ij.
 _RECEIVED = 1
 _RECEIVED_IN_BURST = 2
 _LOST_IN_BURST = 3
@@ -13,9 +13,9 @@ _LOST_ALONE = 4
 class MarkovLossChain:
     """Four states: 1 received, 2 received inside a burst, 3 lost inside a burst, 4 lost alone.
 
-    The chain steps once for each message and the state reached decides. Transitions 1->3 (p13), 1->4 (p14),
-    3->1 (p31), 3->2 (p32), 2->3 (p23), 4->1 always; what remains of each row stays. With
-    D = 1 + p14 + p13/p31 (1 + p32/p23) the loss rate is (p14 + p13/p31) / D.
+    The chain steps once for each message, and the new state decides. Transitions: 1->3 (p13), 1->4 (p14), 3->1 (p31),
+    3->2 (p32), 2->3 (p23), 4->1 always; otherwise the state stays. With D = 1 + p14 + p13/p31 (1 + p32/p23) the loss
+    rate is (p14 + p13/p31) / D.
     """
 
     __slots__ = ("_draw", "_settings", "state")
@@ -40,11 +40,11 @@ class MarkovLossChain:
 
 
 class GilbertElliottChain:
-    """Two states with a loss probability each; starts good.
+    """Two states, each with its own loss probability; the chain starts in the good one.
 
-    The state decides about the message (1 - k in the good state, 1 - h in the bad one), then the chain steps
-    (good->bad p, bad->good r). The bad share is p/(p + r), the loss rate ((1 - k) r + (1 - h) p)/(p + r), and for
-    h = 0, k = 1 the mean burst 1/r messages.
+    The state decides about the message (loss probability 1 - k in the good state, 1 - h in the bad one), then the chain
+    steps (good->bad p, bad->good r). The share of the bad state is p/(p + r), the loss rate
+    ((1 - k) r + (1 - h) p)/(p + r), and for h = 0, k = 1 the mean burst is 1/r messages.
     """
 
     __slots__ = ("_decide", "_settings", "_step", "state")
@@ -53,11 +53,11 @@ class GilbertElliottChain:
         self._settings = settings
         self._step = step
         self._decide = decide
-        # It is true while the channel is bad.
+        # True while the channel is in the bad state.
         self.state = False
 
     def __call__(self) -> bool:
-        """Decide about the next message, then step."""
+        """Return whether the next message is lost, then step."""
         s = self._settings
         lost = self._decide() < (s.loss_in_bad if self.state else s.loss_in_good)
         if self._step() < (s.r if self.state else s.p):

@@ -1,4 +1,4 @@
-"""Times without connection: on a schedule, at random, or both."""
+"""Outages of the connection, by schedule, at random, or both."""
 
 import math
 from bisect import bisect_right
@@ -8,16 +8,16 @@ from telenano.link.models.jitter import normal_quantile
 from telenano.link.random_streams import SMALLEST, Draw
 from telenano.settings.link_settings import Outage
 
-# outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
+# Most cycles that are drawn one by one for a message; a longer pause is skipped, because it would block the link.
 _LONGEST_WALK = 10_000
-# No session has begun.
+# Represents the start of a session that has not begun.
 NO_SESSION_NS = 2**62
 
 
 class OutageState(NamedTuple):
-    """The origin of the schedule [ns], and begin and end [ns] of the random outages drawn that are not over yet.
+    """Origin of the schedule [ns], and begin and end [ns] of the random outages that are drawn and not over yet.
 
-    The last one of these is where the next begins to count.
+    The time up before the next random outage counts from the end of the last one.
     """
 
     origin_ns: int
@@ -25,12 +25,12 @@ class OutageState(NamedTuple):
 
 
 class Outages:
-    """When the connection is down.
+    """Times at which the connection is down.
 
-    `origin_ns` is the moment the settings came into force; the schedule counts from `session_ns` instead where it is
-    given in session time, and is not there before.
-    Random outages alternate exponential times up with exponential or log-normal times down, starting up. They are
-    drawn in the order of time, so the same seed gives the same outages whatever messages pass.
+    `origin_ns` is the time at which the settings came into force; a schedule in session time counts from `session_ns`
+    instead, and does not apply before. Random outages alternate exponential times up with exponential or log-normal
+    times down, starting up. They are drawn in order of time, so the same seed gives the same outages whatever messages
+    pass.
     """
 
     __slots__ = ("_down_ns", "_draw", "_is_of_session", "_period_ns", "_schedule", "_spread", "_up_ns", "state")
@@ -46,15 +46,15 @@ class Outages:
         self.state = OutageState(session_ns if self._is_of_session else origin_ns, [(origin_ns, origin_ns)])
 
     def begin_session(self, session_ns: int) -> None:
-        """Count the schedule from here on, where it is given in session time."""
+        """Set the origin of a schedule in session time to `session_ns` [ns]."""
         if self._is_of_session:
             self.state = self.state._replace(origin_ns=session_ns)
 
     def end_ns(self, now_ns: int) -> int | None:
-        """Return when the outage that covers now ends, or None while connected; now_ns must not decrease."""
+        """Return the end of the outage at `now_ns` [ns], None while connected; `now_ns` must not decrease."""
         while len(self.state.random) > 1 and self.state.random[0][1] <= now_ns:
             del self.state.random[0]
-        # The end of one outage may lie inside another one.
+        # The end of one outage may lie within another one.
         at_ns = now_ns
         while (later_ns := max(self._scheduled_end(at_ns), self._random_end(at_ns))) > at_ns:
             at_ns = later_ns
@@ -72,8 +72,8 @@ class Outages:
             return at_ns
         cycle_ns = self._up_ns + self._down_ns
         if at_ns - self.state.random[-1][1] > _LONGEST_WALK * cycle_ns:
-            # An exponential time has no memory: it is up or down by its share, for as long as from the start. A
-            # log-normal time has a memory, and after a pause of this length nothing depends on it.
+            # Draw the present state from the shares of time up and down, and the rest of the interval like a whole one:
+            # exponential times have no memory, and that of log-normal times is negligible after so long a pause.
             start_ns = at_ns
             if self._draw() * cycle_ns >= self._down_ns:
                 start_ns += self._exponential(self._up_ns)
@@ -90,5 +90,5 @@ class Outages:
         return max(1, round(self._down_ns * math.exp(self._spread * (score - 0.5 * self._spread))))
 
     def _exponential(self, mean_ns: float) -> int:
-        # At least one nanosecond, so that the walk through the intervals always moves on.
+        # At least one nanosecond, so that the loop over the intervals always advances.
         return max(1, round(-mean_ns * math.log(1.0 - self._draw() or SMALLEST)))

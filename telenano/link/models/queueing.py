@@ -1,4 +1,4 @@
-"""What the messages under the same settings share: a server with a finite throughput, its queue, and slots."""
+"""Models shared by all messages under the same settings: a server of finite throughput, its queue, and slots."""
 
 from bisect import bisect_left
 from collections import deque
@@ -9,19 +9,19 @@ from telenano.link.random_streams import Draw
 from telenano.settings.link_settings import Queue
 
 Item = TypeVar("Item")
-# slots that are walked through for a message; a longer pause is jumped over, or it would stop the link
+# Most slots that are drawn one by one for a message; a longer pause is skipped, because it would block the link.
 _LONGEST_WALK = 20_000
 
 
 class Passage(NamedTuple):
-    """DirectionPath of a message through a server."""
+    """Times of a message's passage through a server [ns]."""
 
     leave_ns: int  # leaves the queue; from here on nothing can drop it
     finish_ns: int  # last byte sent
 
 
 class Server(Protocol):
-    """Sends one message after the other, `is_instant` where that takes no time."""
+    """Server that sends one message after the other; `is_instant` is True if this takes no time."""
 
     is_instant: bool
     state: Any
@@ -30,10 +30,10 @@ class Server(Protocol):
         """Return the passage of the next message without sending it."""
 
     def send(self, ready_ns: int, size_bytes: int) -> int:
-        """Send the next message; return when its last byte is sent."""
+        """Send the next message; return the time at which its last byte is sent [ns]."""
 
     def wait_until(self, free_ns: int) -> None:
-        """Start no transmission before free_ns [ns]: what an earlier server still sends comes first."""
+        """Start no transmission before `free_ns` [ns], because an earlier server is still sending."""
 
 
 class RateServer:
@@ -45,7 +45,7 @@ class RateServer:
         self._ns_per_byte = 1e9 / rate_bytes_per_s
         self._overhead_bytes = overhead_bytes
         self.is_instant = self._ns_per_byte == 0.0
-        # It has sent everything at this time [ns].
+        # Time at which the server has sent everything [ns].
         self.state = 0
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
@@ -61,7 +61,10 @@ class RateServer:
 
 
 class DeliveryState(NamedTuple):
-    """The origin of the trace [ns]; the number of the opportunity in use, and what it can still carry [bytes]."""
+    """Origin of the trace [ns], number of the current opportunity, and its remaining capacity.
+
+    The capacity is a size [bytes], or without a byte limit a number of messages (0 or 1).
+    """
 
     origin_ns: int
     opportunity: int
@@ -69,10 +72,10 @@ class DeliveryState(NamedTuple):
 
 
 class DeliveryServer:
-    """Sends at recorded opportunities of this number of bytes each; what an opportunity leaves unused is lost.
+    """Sends at recorded opportunities with a fixed number of bytes each; unused capacity is lost.
 
-    The trace repeats with its last time as period. A message that does not fit into what is left continues at the next
-    opportunity and is delivered with its last byte. Without a byte limit each opportunity carries one message.
+    The trace repeats with its last time as the period. A message that exceeds the remaining capacity continues at the
+    next opportunity and is delivered with its last byte. Without a byte limit each opportunity carries one message.
     """
 
     __slots__ = ("_bytes", "_times_ns", "state")
@@ -96,7 +99,7 @@ class DeliveryServer:
         self.send(free_ns, 0)
 
     def _seek(self, ready_ns: int, size_bytes: int) -> tuple[int, int]:
-        """Return the number of the last opportunity needed and what the message leaves of it."""
+        """Return the number of the last opportunity that a message needs, and the capacity that then remains."""
         _, index, left = self.state
         earliest = self._first_from(ready_ns)
         if earliest > index:
@@ -110,7 +113,7 @@ class DeliveryServer:
         return index, left - size_bytes
 
     def _first_from(self, ready_ns: int) -> int:
-        # The last opportunity belongs to the cycle that it ends, so a cycle is (0, period], and the first has 0 too.
+        # The last opportunity belongs to the cycle that it ends, so a cycle is (0, period]; the first also includes 0.
         period_ns, elapsed_ns = self._times_ns[-1], max(0, ready_ns - self.state.origin_ns)
         cycle = max(0, elapsed_ns - 1) // period_ns
         return cycle * len(self._times_ns) + bisect_left(self._times_ns, elapsed_ns - cycle * period_ns)
@@ -132,16 +135,17 @@ class Waiting(NamedTuple, Generic[Item]):
 
 
 class QueueState(NamedTuple):
-    """When the last byte of all that has left the queue is sent [ns], and the state of its server."""
+    """Time at which everything that has left the queue is sent [ns], and the state of the server."""
 
     free_ns: int
     server: Any
 
 
 class ServedQueue(Generic[Item]):
-    """A first-in first-out queue before a server, with limits on what waits and a choice of whom to drop.
+    """A first-in first-out queue before a server, with limits on the waiting messages and a drop policy.
 
-    What the server is sending has left the queue. Reliable messages wait beyond the limits and are never dropped.
+    The message that the server is sending has left the queue. Reliable messages may exceed the limits and are never
+    dropped.
     """
 
     def __init__(self, limits: Queue, server: Server, draw: Draw) -> None:
@@ -159,7 +163,7 @@ class ServedQueue(Generic[Item]):
 
     @property
     def state(self) -> QueueState:
-        """The state without what waits, whose items a queue does not know."""
+        """The state without the waiting messages, whose items the queue cannot encode."""
         return QueueState(self.free_ns, self._server.state)
 
     @state.setter
@@ -171,17 +175,17 @@ class ServedQueue(Generic[Item]):
         return tuple(self._waiting)
 
     def refill(self, waiting: Iterable[Waiting[Item]]) -> None:
-        """Let exactly these wait, whatever the limits."""
+        """Replace the waiting messages by these, regardless of the limits."""
         self._waiting = deque(waiting)
         self._bytes = sum(entry.size_bytes for entry in self._waiting)
         self._update_leave_time()
 
     def is_open(self, ready_ns: int) -> bool:
-        """Return whether a message that is ready at this time [ns] goes through at once and changes nothing here."""
+        """Return whether a message that is ready at this time [ns] passes at once without changing the queue."""
         return self.is_instant and not self._waiting and self.free_ns <= ready_ns
 
     def holds_before(self, topic: str, order: int) -> bool:
-        """Return whether a message of the topic waits that arrived before the one of this order."""
+        """Return whether a message of a topic waits that arrived before the message with this order of arrival."""
         return any(entry.topic == topic and entry.order < order for entry in self._waiting)
 
     def wait_until(self, free_ns: int) -> None:
@@ -190,7 +194,7 @@ class ServedQueue(Generic[Item]):
         self._update_leave_time()
 
     def push(self, entry: Waiting[Item]) -> list[Item]:
-        """Add a message; return the items dropped for it, which may be its own."""
+        """Add a message; return the items that were dropped, which may include its own."""
         dropped: list[Item] = []
         while not entry.reliable and not self._has_room(entry):
             victim = self._victim(entry)
@@ -204,7 +208,7 @@ class ServedQueue(Generic[Item]):
         return dropped
 
     def pop(self) -> tuple[Item, int]:
-        """Send the foremost message; return its item and the time its last byte is sent."""
+        """Send the foremost message; return its item and the time at which its last byte is sent [ns]."""
         entry = self._waiting.popleft()
         self._bytes -= entry.size_bytes
         self.free_ns = self._server.send(entry.ready_ns, entry.size_bytes)
@@ -216,7 +220,7 @@ class ServedQueue(Generic[Item]):
         self.leave_ns = None if head is None else self._server.passage(head.ready_ns, head.size_bytes).leave_ns
 
     def _has_room(self, entry: Waiting[Item]) -> bool:
-        # A message that the idle server takes at once does not wait: a queue of length 0 still has a line behind it.
+        # A message that the idle server takes at once does not wait, so it passes even a queue of length 0.
         if not self._waiting and self._server.passage(entry.ready_ns, entry.size_bytes).leave_ns <= entry.ready_ns:
             return True
         most, most_bytes = self._limits.limit_messages, self._limits.limit_bytes
@@ -225,7 +229,7 @@ class ServedQueue(Generic[Item]):
         )
 
     def _victim(self, arriving: Waiting[Item]) -> int | None:
-        """Return the place of the message to drop, or None for the arriving one."""
+        """Return the index of the message to drop; None for the arriving one."""
         most_bytes = self._limits.limit_bytes
         if self._limits.drop == "tail" or (most_bytes is not None and arriving.size_bytes > most_bytes):
             return None
@@ -233,7 +237,7 @@ class ServedQueue(Generic[Item]):
         at_risk = ((n, entry) for n, entry in enumerate(self._waiting) if not entry.reliable)
         places = (n for n, entry in at_risk if topic is None or entry.topic == topic)
         if self._limits.drop == "random":
-            # the arriving message is one of those at risk
+            # The arriving message is one of the candidates.
             all_places = [*places, None]
             return all_places[int(self._draw() * len(all_places))]
         return next(places, None)
@@ -247,7 +251,7 @@ class ServedQueue(Generic[Item]):
 
 
 class SlotState(NamedTuple):
-    """Times of the slots drawn so far [ns], and what each carries: messages, and bytes."""
+    """Times of the slots drawn so far [ns], and the number of messages and bytes in each, by its time."""
 
     times_ns: list[int]
     messages: dict[int, int]
@@ -255,10 +259,10 @@ class SlotState(NamedTuple):
 
 
 class SlotGate:
-    """Slots at random distances, uniform between shortest and longest; each carries so much.
+    """Slots at random intervals, uniform between the shortest and the longest; each has a limited capacity.
 
-    A message that would be released at t leaves with the first slot from t on that has room. One that is larger than
-    a whole slot takes a slot alone.
+    A message that would be released at t leaves with the first slot at or after t that has room. A message larger than
+    a whole slot gets a slot of its own.
     """
 
     def __init__(
@@ -277,7 +281,7 @@ class SlotGate:
         self.state = SlotState([origin_ns], {}, {})
 
     def slot_ns(self, now_ns: int, release_ns: int, size_bytes: int) -> int:
-        """Reserve a place in a slot; no later message may ask for a time before now_ns.
+        """Reserve room in a slot; no later call may request a time before `now_ns`.
 
         Returns:
             The time of the slot [ns], >= release_ns.
@@ -286,7 +290,7 @@ class SlotGate:
             self._forget(now_ns)
         interval_ns = self._shortest_ns + self._spread_ns // 2
         if release_ns - self.state.times_ns[-1] > _LONGEST_WALK * interval_ns:
-            # a slot somewhere in the last interval before
+            # After a long pause, draw one slot at random within the last interval before the release.
             self.state.times_ns.append(release_ns - int(self._draw() * interval_ns))
         place = bisect_left(self.state.times_ns, release_ns)
         while self._is_full(time_ns := self._slot(place), release_ns, size_bytes):
@@ -313,7 +317,7 @@ class SlotGate:
         return self.state.times_ns[place]
 
     def _forget(self, now_ns: int) -> None:
-        # The last slot stays, because the next one counts from it.
+        # Keep the last slot, because the next one is drawn from it.
         past = min(bisect_left(self.state.times_ns, now_ns), len(self.state.times_ns) - 1)
         for time_ns in self.state.times_ns[:past]:
             self.state.messages.pop(time_ns, None)
