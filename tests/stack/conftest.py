@@ -57,6 +57,17 @@ def chromium() -> Iterator[Any]:
         yield found
 
 
+@pytest.fixture(autouse=True)
+def closed_windows(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Close the windows that a test has opened: a page goes on drawing, and takes a processor from the tests after it."""
+    found = request.getfixturevalue("chromium") if "chromium" in request.fixturenames else None
+    before = list(found.contexts) if found else []
+    yield
+    for window in list(found.contexts) if found else []:
+        if window not in before:
+            window.close()
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(tmp_path_factory.mktemp("wheel"))
