@@ -137,8 +137,9 @@ def look(page: Page, state: str) -> None:
             for name, left, top, right, bottom in page.page.evaluate(_BOXES, list(_FIRST)):
                 seen = left >= 0 and top >= 0 and right <= size.width and bottom <= size.height
                 assert seen, f"{name} is not in the window"
-            check_rules(page, f"{state}, {size.name}")
             shown = size.name == "laptop" or f"{state}-{size.name}" in _SHOWN
+            # before the rules are checked, which holds the page up so that a hand may be let go
             if (folder := os.environ.get("TELENANO_PICTURES")) and shown:
                 keep(page.page.screenshot(), Path(folder) / f"{state}-{size.name}.png")
+            check_rules(page, f"{state}, {size.name}")
     page.page.set_viewport_size({"width": 1366, "height": 768})

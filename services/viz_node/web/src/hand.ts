@@ -285,7 +285,7 @@ export class Hand {
     const mark = slow ? "too slow" : apart ? "not as held" : "";
     if (mark) {
       pen.fillStyle = colour("bad");
-      pen.fillText(mark, x - pen.measureText(mark).width / 2, height - 6);
+      pen.fillText(mark, x - pen.measureText(mark).width / 2, 16);
     }
     this.pad.dataset["slow"] = String(slow !== "");
     this.pad.dataset["apart"] = String(apart !== "");

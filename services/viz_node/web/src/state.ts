@@ -2,6 +2,7 @@ import type { LinkState } from "./connection";
 import { whyWithdrawn } from "./guard";
 import { oscillationIn } from "./oscillation";
 import { programName } from "./programs";
+import { speaker } from "./sentences";
 import type { Store } from "./store";
 import { fixed } from "./numbers";
 
@@ -26,7 +27,7 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   // what was stopped swings no more, whatever the last seconds show
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
-  if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
+  if (lost.length) found.push(["bad", `LOST: ${lost.map((name) => speakerOf(name, store)).join(", ")}`]);
   if (store.apart) found.push(["bad", `NOT AS HELD: ${store.apart}`]);
   if (swing) found.push(["bad", `OSCILLATES: ${fixed(swing.peakToPeak, 1)} N peak to peak at ${fixed(swing.hertz, 1)} Hz`]);
   if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
@@ -40,6 +41,13 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   // an instrument that runs a program runs it whatever else is to be seen
   if (doing && (found[0]![0] !== "bad" || programOf(store))) found.push([found[0]![0], doing]);
   return found;
+}
+
+/** What a node is called, with its place where there is one of the kind at either. */
+function speakerOf(name: string, store: Store): string {
+  const [kind, site] = name.split("@");
+  const isTwin = [...store.nodes.keys()].some((other) => other !== name && other.startsWith(`${kind}@`));
+  return `${speaker(name)}${isTwin ? (site === "slave" ? " at the tip" : " at the hand") : ""}`;
 }
 
 /** What the link delays there and back [s]. */
