@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import BESIDE_A_BROWSER, FILLED, Page, View, needs_browser, open_page, until
+from browser_page import BESIDE_A_BROWSER, FILLED, PATIENCE_S, Page, View, needs_browser, open_page, until
 from page_walks import look, theme
 from stack_rig import Rig
 
@@ -121,11 +121,13 @@ def delay(page: Page, one_way_ms: int) -> None:
 
 
 def swing(page: Page) -> None:
-    """Raise the delay and push until the loop swings."""
-    delay(page, 200)
-    end = time.monotonic() + 60.0
+    """Hold the hand on the sample, and raise the delay until the loop swings."""
+    page.lower_until(0.7)
+    delay(page, 300)
+    end = time.monotonic() + PATIENCE_S
     while "OSCILLATES" not in page.banners():
         assert time.monotonic() < end, f"no oscillation was seen: {page.banners()}"
-        page.press(6.0)
-        page.page.mouse.up()
-        page.page.wait_for_timeout(6000.0)
+        # a machine that is held up may lose the hand for a moment
+        if not page.value("telenano.cockpit.hand.isHeld"):
+            page.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(5e-3), 0")
+        page.page.wait_for_timeout(500.0)

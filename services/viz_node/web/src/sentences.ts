@@ -66,5 +66,6 @@ export function rounded(text: string): string {
 /** What a node reported, as a sentence that begins with who says it. */
 export function eventText(src: string, text: string): string {
   const who = speaker(src);
-  return who ? `${who}: ${plain(text)}` : plain(text);
+  const said = plain(text);
+  return who && !said.startsWith(`${who} `) ? `${who}: ${said}` : said;
 }

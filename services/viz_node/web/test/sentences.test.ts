@@ -17,6 +17,7 @@ it("leaves alone what is no quantity: names, versions, whole numbers, other unit
 it("says who speaks in the words of the page", () => {
   expect([speaker("afm_node@slave"), speaker("haptic_node@master"), speaker("my_node@slave"), speaker("this page"), speaker("")]).toEqual(["Tip", "Hand", "My node", "This page", ""]);
   expect(eventText("afm_node@slave", "armed at 1e-9 nm")).toBe("Tip: armed at 0 nm");
+  expect(eventText("afm_node@slave", "afm_node@slave has ended")).toBe("Tip has ended");
 });
 
 it("says what a guard reports in words, whatever its mode and reason", () => {
