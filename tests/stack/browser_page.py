@@ -189,6 +189,12 @@ class Page:
         until(shown.count, "an answer on the page")
         return str(shown.first.inner_text())
 
+    def obeyed(self, action: Callable[[], object]) -> None:
+        """Do something until it is acknowledged: again where a server that was held up has refused it, as it says."""
+        end = time.monotonic() + PATIENCE_S
+        while "acknowledged" not in (answer := self.answered(action)):
+            assert "held up" in answer and time.monotonic() < end, answer
+
     def measured(self, curve: str) -> list[str]:
         """Return what stands beside the name of a curve in the table of the cursors: A, B, B - A, peak to peak, …"""
         rows = self.page.locator(".measures tbody tr").all()

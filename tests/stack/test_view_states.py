@@ -44,7 +44,7 @@ def test_the_page_while_an_image_is_taken(chromium: Any, tmp_path: Path) -> None
     with opened(chromium, tmp_path) as (page, _):
         for key, value in {"pixels": "48", "lines": "48", "dwell_s": "12"}.items():
             page.fill(f"#program-scan-{key}", value)
-        assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
+        page.obeyed(lambda: page.click("#program-scan"))
         page.until(f"{FILLED} > 24", "a part of the image")
         look(page, "imaging")
 
@@ -77,7 +77,7 @@ def test_the_page_of_a_rig_that_swings_and_is_stopped(chromium: Any, tmp_path: P
         swing(page)
         theme(page, "dark")
         look(page, "oscillating")
-        assert "acknowledged" in page.answered(lambda: page.page.keyboard.press("Escape"))
+        page.obeyed(lambda: page.page.keyboard.press("Escape"))
         until(lambda: "EMERGENCY STOP" in page.banners(), "the banner of the stop")
         look(page, "stopped")
 
@@ -103,7 +103,7 @@ def take_image(page: Page) -> None:
     """Take a small image of the sample, and let the tip follow the hand again."""
     for key, value in {"pixels": "32", "lines": "32"}.items():
         page.fill(f"#program-scan-{key}", value)
-    assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
+    page.obeyed(lambda: page.click("#program-scan"))
     page.until(f"{FILLED} > 31", "an image")
     page.until("telenano.store.fact('afm/state/slave', 'mode') === 'retracted'", "a tip that is away")
     page.follow()
@@ -112,12 +112,12 @@ def take_image(page: Page) -> None:
 def go_to_middle(page: Page) -> None:
     page.fill("#tip-x", "0")
     page.fill("#tip-y", "0")
-    assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
+    page.obeyed(lambda: page.click("#tip-go"))
 
 
 def delay(page: Page, one_way_ms: int) -> None:
     page.fill("#delay", str(one_way_ms))
-    assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
+    page.obeyed(lambda: page.click("#delay-set"))
 
 
 def swing(page: Page) -> None:
