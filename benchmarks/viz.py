@@ -8,8 +8,9 @@ One rig runs throughout. Windows without a page alternate with windows with `--p
 in each is read from the recording: the ratio compares moments of the same run. Pages are web sockets that read
 everything; with `--browser` a Chromium draws one of them, all scopes live. The benchmark then measures the time between
 two of its frames, which on a machine without a graphics processor is that of a software renderer, and the time that the
-page itself needs for each: reading the data, decimation, drawing (`performance.now` in its own callbacks). A browser on
-the same machine takes processor time as any program does, so its ratio says more about the machine than about the view.
+page itself needs for each: reading the data, decimation, drawing (`performance.now` in its own callbacks), and the age
+of what it draws: the way from the rig's server, half of the time between two pictures, and a frame. A browser on the
+same machine takes processor time as any program does, so its ratio says more about the machine than about the view.
 With `--recording` there is no rig, and Chromium has the machine for a page that plays a recording. `--hour` repeats a
 recording until it is an hour long, and opens the result twice. It measures the time to the address of the page, to
 curves in a scope, to an outline of the whole, to all curves, and to the verdict; the second time with the cache of the
@@ -45,6 +46,8 @@ from telenano.wire.topics import LOOP_DEADLINE_S
 
 SETTLE_S = 1.0
 PATIENCE_S = 90.0
+# The age of what the page draws, by its own measure [ms]; NaN until it is known.
+DRAWN_AGE = "(({ wayS, pictureS, frameS }) => 1e3 * (wayS + pictureS / 2 + frameS))(telenano.store)"
 # Without a graphics processor Chromium composes a page a hundred times as fast by itself as with a software WebGL.
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--disable-gpu", "--enable-unsafe-swiftshader"]
 FLAGS += ["--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows"]
@@ -150,6 +153,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     received: list[float] = []
     frames: list[float] = []
     costs: list[float] = []
+    drawn_ages: list[float] = []
     pictures = 0
     with process(up, environment) as rig, process(["view", "--port", "0"], environment) as view:
         address = address_of(view)
@@ -171,6 +175,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
                 with_pages.append(_window(given.window))
                 received += [(r.bytes - b) / given.window for r, (b, _) in zip(readers, before, strict=True)]
                 if page is not None:
+                    drawn_ages.append(float(page.evaluate(DRAWN_AGE)))
                     drawn_frames, drawn_costs, scenes = page.evaluate(
                         "[telenano.frames, telenano.costs, telenano.view.frames]"
                     )
@@ -189,6 +194,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
         "kilobytes_per_s": statistics.mean(received) / 1e3 if received else None,
         "frame_ms": figures(frames) if frames else None,
         "page_ms": figures(costs) if costs else None,
+        "drawn_age_ms": figures(drawn_ages) if drawn_ages else None,
         "pictures_of_the_scene": pictures if given.browser else None,
     }
 

@@ -12,6 +12,10 @@ Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
 Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
 
 
+# A pixel lasts at least so many steps of the instrument.
+PIXEL_STEPS = 2
+
+
 class ProgramSettings(Settings):
     """Settings of a program."""
 
@@ -29,7 +33,13 @@ class ScanSettings(ProgramSettings):
     y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
     pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line.")
     lines: int = Field(64, ge=1, le=4096, description="Lines of the image.")
-    dwell_s: float = Field(4e-3, gt=0.0, le=10.0, description="Time on each pixel, each way [s].")
+    dwell_s: float = Field(
+        4e-3,
+        gt=0.0,
+        le=10.0,
+        description="Time on each pixel, each way [s].",
+        json_schema_extra={"least_steps": PIXEL_STEPS},
+    )
     setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
     amplitude_m: float = Field(20e-9, ge=1e-12, le=1e-3, description="Amplitude without a sample, in tapping mode [m].")
     setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of that amplitude that is held.")

@@ -159,10 +159,13 @@ class Page:
             self.answered(lambda: self.click("#mode-bilateral"))
             self.page.wait_for_timeout(1500.0)
         # arming moves nothing: a tip that is withdrawn goes back by a choice of its own
-        if self.value("telenano.cockpit.commands.wayBack !== undefined"):
-            self.until("document.querySelector('#go-back') !== null", "the choice to go back")
-            self.click("#go-back")
-            self.until("telenano.cockpit.commands.wayBack === undefined", "a tip that is back")
+        end = time.monotonic() + PATIENCE_S
+        while self.value("telenano.cockpit.commands.wayBack !== undefined"):
+            assert time.monotonic() < end, f"the tip does not go back: {self.page.inner_text('#answers')!r}"
+            # again where it was refused, as above; what goes is left alone
+            if self.value("document.querySelector('#go-back') !== null"):
+                self.click("#go-back")
+            self.page.wait_for_timeout(500.0)
 
     def fact(self, state: str, key: str) -> Any:
         return self.value(f"telenano.store.fact('{state}', '{key}')")
@@ -185,6 +188,12 @@ class Page:
         shown = self.page.locator(".answer.done, .answer.refused, .answer.unknown")
         until(shown.count, "an answer on the page")
         return str(shown.first.inner_text())
+
+    def obeyed(self, action: Callable[[], object]) -> None:
+        """Do something until it is acknowledged: again where a server that was held up has refused it, as it says."""
+        end = time.monotonic() + PATIENCE_S
+        while "acknowledged" not in (answer := self.answered(action)):
+            assert "held up" in answer and time.monotonic() < end, answer
 
     def measured(self, curve: str) -> list[str]:
         """Return what stands beside the name of a curve in the table of the cursors: A, B, B - A, peak to peak, …"""

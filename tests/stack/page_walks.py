@@ -98,8 +98,9 @@ _SIZES = (
     Size("tablet", 1024, 768, True),
     Size("phone", 390, 844, True),
 )
-# The documents show these windows besides the laptop.
-_SHOWN = ("live-desktop", "recording-desktop")
+# The documents show one window of a state each, and of these the larger one, or both.
+_DESKTOP = ("live", "recording")
+_NO_LAPTOP = ("recording",)
 # boxes of the parts of a page that must be seen without scrolling, wherever they are
 _BOXES = """(names) => names.map((name) => {
   const box = document.querySelector(name).getBoundingClientRect();
@@ -137,8 +138,10 @@ def look(page: Page, state: str) -> None:
             for name, left, top, right, bottom in page.page.evaluate(_BOXES, list(_FIRST)):
                 seen = left >= 0 and top >= 0 and right <= size.width and bottom <= size.height
                 assert seen, f"{name} is not in the window"
-            check_rules(page, f"{state}, {size.name}")
-            shown = size.name == "laptop" or f"{state}-{size.name}" in _SHOWN
+            of_laptop = size.name == "laptop" and state not in _NO_LAPTOP
+            shown = of_laptop or (size.name == "desktop" and state in _DESKTOP)
+            # before the rules are checked, which holds the page up so that a hand may be let go
             if (folder := os.environ.get("TELENANO_PICTURES")) and shown:
                 keep(page.page.screenshot(), Path(folder) / f"{state}-{size.name}.png")
+            check_rules(page, f"{state}, {size.name}")
     page.page.set_viewport_size({"width": 1366, "height": 768})

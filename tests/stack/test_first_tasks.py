@@ -159,7 +159,7 @@ def test_a_first_operator_finds_the_softest_of_three_places_by_what_the_page_say
                 lead(page, "Hold the hand")
                 page.fill("#tip-x", f"{place:g}")
                 page.fill("#tip-y", "0")
-                assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
+                page.obeyed(lambda: page.click("#tip-go"))
                 hold(page)
                 read = []
                 for felt_n in (1.0, 2.0):
@@ -176,7 +176,7 @@ def test_a_first_operator_finds_the_softest_of_three_places_by_what_the_page_say
 
 def test_a_first_operator_takes_an_image_and_goes_to_a_particle_by_what_the_page_says(page: Page) -> None:
     with step("take an image"):
-        assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
+        page.obeyed(lambda: page.click("#program-scan"))
         until(lambda: "Image" in page.banners(), "an image that is taken")
         end = time.monotonic() + 5.0 * PATIENCE_S
         while "Image" in page.banners():
@@ -204,7 +204,7 @@ def test_a_first_operator_says_why_it_feels_late_by_what_the_page_says(page: Pag
         assert "DELAYED" not in page.banners()
     with step("with one it is, and both places say so"):
         page.fill("#delay", "400")
-        assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))
+        page.obeyed(lambda: page.click("#delay-set"))
         until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
         until(lambda: "link" in page.page.inner_text("#age summary"), "the link as the largest part")
         page.page.locator("#age summary").focus()

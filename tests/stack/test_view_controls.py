@@ -265,6 +265,13 @@ _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((e
 }))"""
 
 
+# Where the rows of the page begin, and how high those above them are.
+_ROWS = """["#status", "#next", "#answers", "main", "#hand-force", "#gap"].map((name) => {
+  const { y, height } = document.querySelector(name).getBoundingClientRect();
+  return [name, y, height];
+})"""
+
+
 @pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP])
 def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_nothing(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
@@ -293,6 +300,34 @@ def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_
         found = box(page, number)
         assert found["y"] >= place["y"] + place["height"] or found["x"] >= place["x"] + place["width"], number
     page.until("/couple hand and tip: acknowledged/.test(document.querySelector('#events').textContent)", "the event")
+    # one that has no room there is whole for who looks at it, by keys too, and nothing moves for it
+    page.value("telenano.cockpit.commands.show('begin', false, 'a reason of many words '.repeat(24)), 0")
+    page.until("document.querySelector('#answers').hasAttribute('data-long')", "a place that says that there is more")
+    assert page.value(_BOXES) == before
+    page.page.focus("#answers")
+    assert page.value(
+        "(({ clientHeight, scrollHeight }) => clientHeight >= scrollHeight)(document.querySelector('#answers'))"
+    )
+    assert page.value(_BOXES) == before
+
+
+def test_a_tip_that_its_guard_withdrew_is_said_to_be_so_and_nothing_moves_for_it(
+    chromium: Any, rig_page: tuple[SaidRig, str]
+) -> None:
+    rig, address = rig_page
+    for size in (PHONE, TABLET, LAPTOP):
+        rig.tip = {}
+        page = open_page(chromium, f"{address}#{TOKEN}", viewport=size)
+        until(lambda page=page: "running" in page.banners(), "a rig that runs")
+        before = page.value(_ROWS)
+        rig.tip = {"mode": "retracted"}
+        rig.event = {"kind": "mode", "level": "warning", "text": "the AFM is in mode retracted: force_limit"}
+        until(lambda page=page: "above its limit" in page.banners(), "the reason")
+        assert "running" not in page.banners()
+        assert "force_limit" not in page.page.inner_text("body")
+        page.until("document.querySelector('#arm') !== null", "the button that arms")
+        assert page.value(_ROWS) == before
+        page.page.context.close()
 
 
 def test_a_page_whose_server_has_gone_calls_nothing_refused(chromium: Any) -> None:

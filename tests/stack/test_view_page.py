@@ -386,7 +386,7 @@ def test_the_tip_is_pressed_from_a_headset_and_stopped_there(rig: Rig, chromium:
 FIRST_LOST = """
 globalThis.lostAfter = Infinity;
 new MutationObserver((_, observer) => {
-  if (!document.querySelector("#banners").textContent.includes("LOST: controller@slave")) return;
+  if (!document.querySelector("#banners").textContent.includes("LOST: Law at the tip")) return;
   globalThis.lostAfter = telenano.store.clock.ms - telenano.store.nodes.get("controller@slave").heard;
   observer.disconnect();
 }).observe(document.querySelector("#banners"), { childList: true, subtree: true });
@@ -400,7 +400,7 @@ def test_a_lost_node_is_shown_within_a_second(rig: Rig, operator: Page) -> None:
     operator.value(FIRST_LOST)
     os.kill(found, signal.SIGSTOP)
     try:
-        until(lambda: "LOST: controller@slave" in operator.banners(), "the banner of the lost node")
+        until(lambda: "LOST: Law at the tip" in operator.banners(), "the banner of the lost node")
     finally:
         os.kill(found, signal.SIGCONT)
     until(lambda: "LOST" not in operator.banners(), "its return")

@@ -24,7 +24,7 @@ from telenano.extend.programs import (
     Way,
 )
 from telenano.extend.stage import LateralParams, Place, moved
-from telenano.settings.program_settings import ScanSettings
+from telenano.settings.program_settings import PIXEL_STEPS, ScanSettings
 from telenano.wire.errors import RefusedError
 
 Array = npt.NDArray[np.float64]
@@ -280,8 +280,9 @@ def line_fault(plan: ScanPlan, reach_m: float, speed_m_per_s: float, force_limit
             f"a line would need {speed:.3g} m/s, above lateral.speed_m_per_s = {speed_m_per_s:g} m/s: a dwell of"
             f" {needed_s:.3g} s or more on each pixel is within it"
         )
-    if plan.line_s < 2.0 * plan.period_s * s.pixels:
-        return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * plan.period_s:g} s or more"
+    if plan.line_s < PIXEL_STEPS * plan.period_s * s.pixels:
+        least_s = PIXEL_STEPS * plan.period_s
+        return f"a pixel needs at least {PIXEL_STEPS} steps of the instrument: a dwell of {least_s:g} s or more"
     if s.mode == "contact" and not s.setpoint_n < force_limit_n:
         return f"the set-point {s.setpoint_n:g} N must be below safety.force_limit_n = {force_limit_n:g} N"
     if not math.isfinite(plan.clear_m):

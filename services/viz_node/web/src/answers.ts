@@ -1,5 +1,6 @@
 import { make, part } from "./dom";
-import { rounded } from "./sentences";
+import { plain } from "./sentences";
+import { fixed } from "./numbers";
 
 /** What became of a request: the server answered, or nothing did, which leaves open whether it was carried out. */
 export type Outcome = "acknowledged" | "refused" | "not sent" | "lost" | "no answer";
@@ -11,10 +12,19 @@ const LOOKS: Record<Outcome, string> = { acknowledged: "done", refused: "refused
 
 /** What came of an action, in one line: who said so, or that nobody did and for how long this page waited [s]. */
 export function outcomeText(about: string, outcome: Outcome, text: string, waitedS = 0): string {
-  const waited = waitedS < 10 ? waitedS.toFixed(1) : waitedS.toFixed(0);
+  const waited = waitedS < 10 ? fixed(waitedS, 1) : fixed(waitedS, 0);
   if (outcome === "lost") return `${about}: connection lost after ${waited} s, before the answer · it may have been carried out, or not`;
   if (outcome === "no answer") return `${about}: no answer in ${waited} s · it may have been carried out, or not: the rig or its server may be gone`;
   return `${about}: ${outcome} · ${text}`;
+}
+
+/** Note whether the newest answer has more lines than its place: it then opens under the pointer, or with the focus. */
+function fit(): void {
+  const place = part("answers");
+  const isLong = (place.firstElementChild?.scrollHeight ?? 0) > place.parentElement!.clientHeight;
+  place.toggleAttribute("data-long", isLong);
+  if (isLong) place.tabIndex = 0;
+  else place.removeAttribute("tabindex");
 }
 
 /** The answers to what was done last, newest first, in a place of their own where they cover and move nothing. */
@@ -43,7 +53,11 @@ export class Answers {
   }
 
   private end(note: HTMLElement, words: string): void {
-    note.textContent = note.title = rounded(words);
-    setTimeout(() => note.remove(), SHOWN_MS);
+    note.textContent = note.title = plain(words);
+    setTimeout(() => {
+      note.remove();
+      fit();
+    }, SHOWN_MS);
+    fit();
   }
 }

@@ -4,6 +4,7 @@ import type { Values } from "./form";
 import type { Facts } from "./protocol";
 import type { Store } from "./store";
 import { countdown } from "./countdown";
+import { fixed } from "./numbers";
 
 /** A slow base may take minutes until the tip is placed; the server itself gives up when it takes twice what the instrument says. */
 const PLACED_MS = 600_000;
@@ -90,9 +91,9 @@ export class Commands {
   get wayBack(): { text: string; place_m: number; speed_m_per_s: number; time_s: number } | undefined {
     const [place, speed, time] = ["return_place_m", "return_speed_m_per_s", "return_s"].map((key) => this.store.fact("afm/state/slave", key));
     if (typeof place !== "number" || typeof speed !== "number" || typeof time !== "number") return undefined;
-    // the base lies towards the sample > 0, and what is nearly 0 is 0
-    const nm = (+(place * 1e9).toFixed(1) + 0).toFixed(1);
-    return { text: `Go back to ${nm} nm (${(speed * 1e9).toFixed(0)} nm/s, ${time.toFixed(1)} s)`, place_m: place, speed_m_per_s: speed, time_s: time };
+    // the base lies towards the sample > 0
+    const nm = fixed(place * 1e9, 1);
+    return { text: `Go back to ${nm} nm (${fixed(speed * 1e9, 0)} nm/s, ${fixed(time, 1)} s)`, place_m: place, speed_m_per_s: speed, time_s: time };
   }
 
   /** Leave the tip where it is: its way back is no longer offered first, until there is another one. */

@@ -1,3 +1,5 @@
+import { fixed } from "./numbers";
+
 /** A hand that moves by less than this in the time that is looked at rests [m]. */
 const RESTS_M = 2e-6;
 /** A hand that is pressed with more than this is not free [N]. */
@@ -12,8 +14,8 @@ const PRESSED_N = 0.02;
 export function creepText(moved_m: number, over_s: number, own_n: number, tip_n: number): string {
   if (!(Math.abs(moved_m) >= RESTS_M) || !(over_s > 0) || Math.abs(own_n) > PRESSED_N) return "";
   const perMinute = (60 * 1e3 * Math.abs(moved_m)) / over_s;
-  const speed = perMinute >= 60 ? `${(perMinute / 60).toFixed(1)} mm a second` : `${perMinute.toFixed(perMinute < 1 ? 2 : 1)} mm a minute`;
-  const force = Math.abs(tip_n) < 1e-4 ? "" : ` with ${Math.abs(tip_n) < 0.1 ? `${(1e3 * Math.abs(tip_n)).toPrecision(2)} mN` : `${Math.abs(tip_n).toFixed(2)} N`}`;
+  const speed = perMinute >= 60 ? `${fixed(perMinute / 60, 1)} mm a second` : `${fixed(perMinute, perMinute < 1 ? 2 : 1)} mm a minute`;
+  const force = Math.abs(tip_n) < 1e-4 ? "" : ` with ${Math.abs(tip_n) < 0.1 ? `${(1e3 * Math.abs(tip_n)).toPrecision(2)} mN` : `${fixed(Math.abs(tip_n), 2)} N`}`;
   const isDrawn = moved_m > 0 && tip_n < 0;
   const isPushed = moved_m < 0 && tip_n > 0;
   if (isDrawn) return `Nobody holds the hand: the tip draws it down${force}, ${speed}. Hold it, and it stays`;

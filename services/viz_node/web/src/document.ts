@@ -3,6 +3,7 @@ import type { Oscillation } from "./oscillation";
 import { floats, type StreamData } from "./protocol";
 import { Ring } from "./ring";
 import type { Store } from "./store";
+import { fixed } from "./numbers";
 
 export interface Span {
   kind: string;
@@ -251,7 +252,7 @@ export class Document {
   private async ask(from: number, to: number): Promise<void> {
     const margin = MARGIN * (to - from);
     const [begin, end] = [Math.max(0, from - margin), Math.min(this.length, to + margin)];
-    const key = `${begin.toFixed(3)} ${end.toFixed(3)}`;
+    const key = `${fixed(begin, 3)} ${fixed(end, 3)}`;
     if (this.asked || !(end > begin)) return;
     this.asked = key;
     const answer = await this.connection.ask({ k: "part", from_s: begin, to_s: end, spans: PART_SPANS });

@@ -2,6 +2,7 @@ import { colourOf } from "./colormap";
 import { colour, make } from "./dom";
 import type { Section } from "./section";
 import type { Surface } from "./surface";
+import { fixed } from "./numbers";
 
 type Extent = NonNullable<Surface["extent"]>;
 const MARGIN = 26;
@@ -48,7 +49,7 @@ export class Flat {
   draw(): void {
     if (this.element.hidden) return;
     const tip = this.tip();
-    const tipAt = tip.map((at) => at.toFixed(1)).join();
+    const tipAt = tip.map((at) => fixed(at, 1)).join();
     if (!this.isDirty && tipAt === this.tipAt) return;
     this.isDirty = false;
     this.tipAt = tipAt;

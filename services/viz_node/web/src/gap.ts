@@ -15,12 +15,15 @@ const LABEL_PX = 14;
 /** Half of the opening of the tip, and of the longest arrow [px]. */
 const TIP_PX = 22;
 const ARROW_PX = 56;
+/** From the end of the tip to the words beside it [px]. */
+const SAYS_PX = 10;
 
 /** Tip and sample from the side, and their distance on a scale that shows 0.1 nm as well as 100 nm. */
 export class GapPicture {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
   private readonly words = { gap: make("b"), force: make("span", { class: "force" }), speed: make("span", { class: "quiet" }), limit: make("span", { class: "quiet", title: "Above this force the guard withdraws the tip: the line at the end of the force's scale" }) };
-  readonly root = make("div", { id: "gap", role: "img" }, this.canvas, make("div", { class: "says" }, this.words.gap, this.words.force, this.words.limit, this.words.speed));
+  private readonly says = make("div", { class: "says" }, this.words.gap, this.words.force, this.words.limit, this.words.speed);
+  readonly root = make("div", { id: "gap", role: "img" }, this.canvas, this.says);
   private drawn = "";
 
   constructor(private readonly store: Store) {
@@ -60,6 +63,8 @@ export class GapPicture {
     pen.clearRect(0, 0, width, height);
     pen.font = "12px system-ui";
     const x = SCALE_PX + Math.max(TIP_PX + 6, (width - SCALE_PX) * 0.25);
+    // the words begin where the tip and the line of its limit end
+    this.says.style.left = `${x + TIP_PX + SAYS_PX}px`;
     this.drawSample(pen, width, height, toY(0), x, touches ? apex : toY(0));
     this.drawScale(pen, width, toY, apex);
     // in contact the water stands around the tip

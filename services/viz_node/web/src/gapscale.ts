@@ -1,3 +1,5 @@
+import { fixed } from "./numbers";
+
 /** Below this the scale of the gap is even, above it each factor of ten has the same height [nm]. */
 export const EVEN_NM = 0.1;
 /** What the picture of the gap shows: so far into the sample, and so far above it [nm]. */
@@ -37,17 +39,17 @@ export function limitWords(limit_nn: number): string {
 /** What the picture of the gap says in words: distance, force, and speed. Distances in nm, force in nN, speed in nm/s. */
 export function gapWords(separation_nm: number, force_nn: number, speed_nm_per_s: number, touches: boolean, meniscus: boolean): { gap: string; force: string; speed: string } {
   const away = Math.abs(separation_nm);
-  const size = away < 9.95 ? away.toFixed(1) : away.toFixed(0);
+  const size = away < 9.95 ? fixed(away, 1) : fixed(away, 0);
   const beyond = away > HIGHEST_NM ? ", off this scale" : "";
   let gap = Number.isNaN(separation_nm) ? "distance not known" : `${size} nm above the sample${beyond}`;
   if (touches) gap = Number.isNaN(separation_nm) || separation_nm >= -0.05 ? "touches the sample" : `${size} nm into the sample`;
   else if (meniscus) gap = Number.isNaN(separation_nm) ? "held by a water bridge" : `${size} nm above, held by a water bridge`;
   const isFelt = Math.abs(force_nn) >= LEAST_NN;
-  const nn = Math.abs(force_nn) < 9.95 ? Math.abs(force_nn).toFixed(1) : Math.abs(force_nn).toFixed(0);
+  const nn = Math.abs(force_nn) < 9.95 ? fixed(Math.abs(force_nn), 1) : fixed(Math.abs(force_nn), 0);
   const speed = Math.abs(speed_nm_per_s);
   return {
     gap,
     force: !isFelt ? "no force" : force_nn > 0 ? `${nn} nN, the sample pushes` : `${nn} nN, the sample pulls`,
-    speed: !(speed >= RESTING_NM_PER_S) ? "rests" : `${speed < 9.95 ? speed.toFixed(1) : speed.toFixed(0)} nm/s ${speed_nm_per_s < 0 ? "towards the sample" : "away from it"}`,
+    speed: !(speed >= RESTING_NM_PER_S) ? "rests" : `${speed < 9.95 ? fixed(speed, 1) : fixed(speed, 0)} nm/s ${speed_nm_per_s < 0 ? "towards the sample" : "away from it"}`,
   };
 }

@@ -6,6 +6,7 @@ import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
 import { programName } from "./programs";
 import type { Store } from "./store";
+import { fixed, forceText } from "./numbers";
 
 /** Height of the pad in the travel of the arm [m]. */
 const TRAVEL_M = 0.025;
@@ -49,7 +50,7 @@ export function whyLetGo(mode: unknown, program: string, runs: boolean): string 
 export function slowText(late_s: number, way_s: number): string {
   if (!(late_s > 0)) return "";
   const age = late_s + (Number.isFinite(way_s) ? way_s / 2 : 0);
-  return `Too slow: this page is ${(1e3 * age).toFixed(0)} ms behind, and its force fades`;
+  return `Too slow: this page is ${fixed(1e3 * age, 0)} ms behind, and its force fades`;
 }
 
 /** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
@@ -284,15 +285,15 @@ export class Hand {
     const mark = slow ? "too slow" : apart ? "not as held" : "";
     if (mark) {
       pen.fillStyle = colour("bad");
-      pen.fillText(mark, x - pen.measureText(mark).width / 2, height - 6);
+      pen.fillText(mark, x - pen.measureText(mark).width / 2, 16);
     }
     this.pad.dataset["slow"] = String(slow !== "");
     this.pad.dataset["apart"] = String(apart !== "");
     const text = this.refusal || slow || apart || own;
     if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);
-    this.pad.setAttribute("aria-valuenow", force.toFixed(2));
-    this.pad.setAttribute("aria-valuetext", `${force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);
+    this.pad.setAttribute("aria-valuenow", fixed(force, 2));
+    this.pad.setAttribute("aria-valuetext", `${forceText(force)} N, ${forceText(back)} N felt from the tip`);
     this.rumble(back);
   }
 

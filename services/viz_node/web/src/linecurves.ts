@@ -1,4 +1,5 @@
 import { make } from "./dom";
+import { fixed } from "./numbers";
 
 /** What `telenano link picture` writes of a network; null where it has no number. */
 export interface LineCurves {
@@ -63,7 +64,7 @@ export function pieces(x: number[], y: (number | null)[], [left, right]: [number
     }
     const place = LEFT + along(one, left, right, xLog) * (WIDTH - LEFT - RIGHT);
     const height = HEIGHT - BOTTOM - along(other, low, high, yLog) * (HEIGHT - BOTTOM - TOP);
-    found.at(-1)!.push(`${place.toFixed(1)},${height.toFixed(1)}`);
+    found.at(-1)!.push(`${fixed(place, 1)},${fixed(height, 1)}`);
   });
   return found.filter((piece) => piece.length > 1).map((piece) => piece.join(" "));
 }

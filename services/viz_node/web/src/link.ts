@@ -1,4 +1,5 @@
 import type { EventFacts } from "./protocol";
+import { fixed } from "./numbers";
 
 /** What the slowest messages take more is said from here on [s]. */
 const LEAST_SPREAD_S = 5e-3;
@@ -26,8 +27,8 @@ export function measuredText(ways: readonly (Way | undefined)[], losses: readonl
   const trip = sum((way) => way.delay_mean_s ?? 0);
   const spread = sum((way) => Math.max(0, (way.delay_max_s ?? 0) - (way.delay_mean_s ?? 0)));
   const loss = Math.max(0, ...losses.filter(Number.isFinite));
-  const more = spread > LEAST_SPREAD_S ? `, at times ${(spread * 1e3).toFixed(0)} ms more` : "";
-  return `Measured: ${(trip * 1e3).toFixed(trip < 0.01 ? 1 : 0)} ms there and back${more}${loss > 0 ? `, ${(100 * loss).toFixed(loss < 0.1 ? 1 : 0)} % lost` : ""}`;
+  const more = spread > LEAST_SPREAD_S ? `, at times ${fixed(spread * 1e3, 0)} ms more` : "";
+  return `Measured: ${fixed(trip * 1e3, trip < 0.01 ? 1 : 0)} ms there and back${more}${loss > 0 ? `, ${fixed(100 * loss, loss < 0.1 ? 1 : 0)} % lost` : ""}`;
 }
 
 /** The newest warning of an adviser, of the law that is in force or of any; empty where there is none. */
@@ -53,7 +54,7 @@ export function lineText(ways: readonly (readonly unknown[])[]): string {
   const blocked = blockedText(ways);
   if (!queues.some(Number.isFinite)) return blocked.trim();
   const carried = ways.map(([, carries]) => (typeof carries === "number" ? (carries * 1e-6).toPrecision(2) : "?"));
-  const shown = queues.map((queue) => (Number.isFinite(queue) ? (queue * 1e3).toFixed(0) : "?"));
+  const shown = queues.map((queue) => (Number.isFinite(queue) ? fixed(queue * 1e3, 0) : "?"));
   const full = ways.some(([, , sends]) => sends === "full") ? ": the line is full, and samples are that much older" : "";
   return `${blocked}Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
 }
@@ -66,5 +67,5 @@ const SAME_MS = 4;
 export function otherDelay(inForceMs: number, shownMs: number, longestMs: number): string {
   if (Number.isNaN(inForceMs) || Math.abs(inForceMs - shownMs) <= Math.max(SAME_MS, SAME_SHARE * shownMs)) return "";
   const why = inForceMs > longestMs ? `, and none were computed beyond ${longestMs} ms` : "";
-  return `The loop runs at ${inForceMs.toFixed(0)} ms: verdict and pictures are of another delay, ${shownMs} ms${why}.`;
+  return `The loop runs at ${fixed(inForceMs, 0)} ms: verdict and pictures are of another delay, ${shownMs} ms${why}.`;
 }

@@ -1,6 +1,7 @@
 import type { LinkState } from "./connection";
 import { programName } from "./programs";
 import type { Role } from "./protocol";
+import { fixed, forceText } from "./numbers";
 
 /** What an operator does one after the other. */
 export const STEPS = ["connect", "control", "arm", "approach", "touch", "let go"] as const;
@@ -106,10 +107,10 @@ function armed(now: Situation): Next | undefined {
 
 /** What a hand does with a tip that follows it. */
 function touching(now: Situation): Next {
-  const distance = Number.isNaN(now.separation_nm) ? "The tip follows the hand" : `The tip is ${Math.max(0, now.separation_nm).toFixed(now.separation_nm < 9.95 ? 1 : 0)} nm above the sample`;
+  const distance = Number.isNaN(now.separation_nm) ? "The tip follows the hand" : `The tip is ${fixed(Math.max(0, now.separation_nm), now.separation_nm < 9.95 ? 1 : 0)} nm above the sample`;
   const back = now.wayBack ? offer("go back", now.wayBack, "g") : undefined;
   if (!now.offersHand) {
-    const says = now.touches ? `The tip touches: ${now.felt_n.toFixed(2)} N come back to the hand.` : `${distance}: press with the device.`;
+    const says = now.touches ? `The tip touches: ${forceText(now.felt_n)} N come back to the hand.` : `${distance}: press with the device.`;
     return { ...nothing(now.touches ? "touch" : "approach", says), other: back };
   }
   if (!now.isHeld) {
@@ -118,7 +119,7 @@ function touching(now: Situation): Next {
   }
   if (!now.touches) return { step: "approach", says: `${distance}: drag the hand down, or press ↓ on it.`, offer: offer("lower", "Lower by 0.5 mm"), other: offer("let go", "Let go", "u") };
   // what is felt tells whether it touches well: a press that comes back as it is
-  return { step: "let go", says: `You press ${now.pressed_n.toFixed(2)} N and feel ${now.felt_n.toFixed(2)} N. Press harder or softer as you like; let go when you are done.`, offer: offer("let go", "Let go", "u"), other: offer("lower", "Press 0.5 mm more", "n") };
+  return { step: "let go", says: `You press ${forceText(now.pressed_n)} N and feel ${forceText(now.felt_n)} N. Press harder or softer as you like; let go when you are done.`, offer: offer("let go", "Let go", "u"), other: offer("lower", "Press 0.5 mm more", "n") };
 }
 
 /** How each step stands: what comes before the one that is next is done. */

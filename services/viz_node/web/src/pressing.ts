@@ -1,3 +1,5 @@
+import { fixed } from "./numbers";
+
 /** What the page meant is compared with what the hand does over this time and the way there and back [ms]. */
 const WINDOW_MS = 1000;
 /** For so much of that time they may be apart: what is in transit, and a drop that no hand feels [ms]. */
@@ -58,8 +60,8 @@ export class Pressing {
     if (isSilent || apart >= APART_MS) {
       // where they agree again for the moment, it is said how they did not
       const last = this.looks.findLast((look) => look.isApart) ?? { meant, pressed };
-      const hand = isSilent || Number.isNaN(last.pressed) ? "no data comes from the hand" : `the hand presses with ${last.pressed.toFixed(1)} N`;
-      this.shown = { text: `this page asks for ${last.meant.toFixed(1)} N, and ${hand}`, until: now + SHOWN_MS };
+      const hand = isSilent || Number.isNaN(last.pressed) ? "no data comes from the hand" : `the hand presses with ${fixed(last.pressed, 1)} N`;
+      this.shown = { text: `this page asks for ${fixed(last.meant, 1)} N, and ${hand}`, until: now + SHOWN_MS };
     } else if (this.shown && now > this.shown.until) this.shown = undefined;
     return this.shown?.text ?? "";
   }

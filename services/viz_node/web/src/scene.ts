@@ -32,6 +32,7 @@ import { Sheet } from "./sheet";
 import { arrow, axesAndBars, empty, niceLength, point, type Extent } from "./shapes";
 import type { Store } from "./store";
 import { Surface } from "./surface";
+import { fixed } from "./numbers";
 
 /** What the pointer does in the scene. */
 export type Tool = "press" | "turn" | "place" | "profile";
@@ -218,7 +219,7 @@ export class View {
   look(): void {
     const { range } = this.surface;
     const digits = Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(range[1] - range[0] || 1))));
-    this.ends.replaceChildren(...[range[1], range[0]].map((height) => make("span", {}, `${(height - this.surface.base).toFixed(digits)} nm`)));
+    this.ends.replaceChildren(...[range[1], range[0]].map((height) => make("span", {}, `${fixed(height - this.surface.base, digits)} nm`)));
     this.ramp.style.background = gradient(this.surface.palette);
     this.section.draw();
     this.flat.invalidate();
@@ -387,7 +388,7 @@ export class View {
     const text = [
       this.surface.isEmpty ? "No image yet: the plane of contact, grid 10 nm" : `Heights as measured, ${heights}`,
       `cantilever bent ${DEFLECTION_FACTOR} ×${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} ×` : ""}, longest arrow ${quantity(this.greatestForce, "N")}`,
-      isAway ? `the tip is out of the picture, ${quantity(separation, "m")} away` : "",
+      isAway ? `the tip is out of the picture, ${quantity(Math.abs(separation), "m")} ${separation < 0 ? "into the sample" : "away"}` : "",
       this.picked,
     ].filter(Boolean).join(" · ");
     if (this.note.textContent !== text) this.note.textContent = this.note.title = text;
@@ -481,7 +482,7 @@ export class View {
     this.markHeight = found?.shown ?? 0;
     this.mark.position.set(x, y, this.level(this.markHeight));
     const which = found ? `Measured point ${found.point} of line ${found.line}` : "Point of the plane";
-    this.say(`${which}: x ${x.toFixed(3)} nm, y ${y.toFixed(3)} nm, z ${z.toFixed(3)} nm.`);
+    this.say(`${which}: x ${fixed(x, 3)} nm, y ${fixed(y, 3)} nm, z ${fixed(z, 3)} nm.`);
   }
 
   /** Move the tip, or draw the section, with the pointer instead of turning the scene. */

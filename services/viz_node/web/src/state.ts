@@ -1,7 +1,10 @@
 import type { LinkState } from "./connection";
+import { whyWithdrawn } from "./guard";
 import { oscillationIn } from "./oscillation";
 import { programName } from "./programs";
+import { speaker } from "./sentences";
 import type { Store } from "./store";
+import { fixed } from "./numbers";
 
 export type Kind = "good" | "warn" | "bad";
 export type Banner = [kind: Kind, text: string];
@@ -24,17 +27,27 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   // what was stopped swings no more, whatever the last seconds show
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
-  if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
+  if (lost.length) found.push(["bad", `LOST: ${lost.map((name) => speakerOf(name, store)).join(", ")}`]);
   if (store.apart) found.push(["bad", `NOT AS HELD: ${store.apart}`]);
-  if (swing) found.push(["bad", `OSCILLATES: ${swing.peakToPeak.toFixed(1)} N peak to peak at ${swing.hertz.toFixed(1)} Hz`]);
+  if (swing) found.push(["bad", `OSCILLATES: ${fixed(swing.peakToPeak, 1)} N peak to peak at ${fixed(swing.hertz, 1)} Hz`]);
   if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
   const delay = roundTripOf(store);
-  if (delay > 1e-3) found.push(["warn", `DELAYED: ${(delay * 1e3).toFixed(1)} ms round trip`]);
+  if (delay > 1e-3) found.push(["warn", `DELAYED: ${fixed(delay * 1e3, 1)} ms round trip`]);
   if (store.fact("law/status/master", "passive") === false) found.push(["warn", "NOT PASSIVE: the loop has made energy"]);
+  const away = isLive && !tip && !programOf(store) ? awayOf(store) : "";
+  if (away) found.push(["warn", away]);
   if (!found.length) found.push(["good", "running"]);
-  const doing = isLive ? doingOf(store) : "";
-  if (doing && found[0]![0] !== "bad") found.push([found[0]![0], doing]);
+  const doing = isLive && !away ? doingOf(store) : "";
+  // an instrument that runs a program runs it whatever else is to be seen
+  if (doing && (found[0]![0] !== "bad" || programOf(store))) found.push([found[0]![0], doing]);
   return found;
+}
+
+/** What a node is called, with its place where there is one of the kind at either. */
+function speakerOf(name: string, store: Store): string {
+  const [kind, site] = name.split("@");
+  const isTwin = [...store.nodes.keys()].some((other) => other !== name && other.startsWith(`${kind}@`));
+  return `${speaker(name)}${isTwin ? (site === "slave" ? " at the tip" : " at the hand") : ""}`;
 }
 
 /** What the link delays there and back [s]. */
@@ -46,17 +59,37 @@ export function roundTripOf(store: Store): number {
   return delays[0]! + delays[1]!;
 }
 
+interface ProgramFacts {
+  program: string;
+  state: string;
+  done_percent: number;
+}
+
+/** The program that the instrument runs, or that it pauses. */
+function programOf(store: Store): ProgramFacts | undefined {
+  const program = store.state.get("afm/program/slave") as ProgramFacts | undefined;
+  return program && ["running", "paused"].includes(program.state) ? program : undefined;
+}
+
+/** Why the tip does not follow the hand although no program runs and nothing is stopped; empty where it does. */
+function awayOf(store: Store): string {
+  const mode = String(store.fact("afm/state/slave", "mode") ?? "");
+  if (mode === "hold") return "THE TIP HOLDS ITS PLACE: no fresh command comes";
+  if (!mode.startsWith("retract")) return "";
+  if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits for an armed hand";
+  const why = whyWithdrawn(store.events);
+  return `THE TIP ${mode === "retracted" ? "IS WITHDRAWN" : "MOVES AWAY"}${why && `: ${why}`}`;
+}
+
 /** What the instrument does, in words. */
 function doingOf(store: Store): string {
-  const program = store.state.get("afm/program/slave") as { program: string; state: string; done_percent: number } | undefined;
-  if (program && ["running", "paused"].includes(program.state)) {
-    return `${programName(program.program)} ${program.state === "paused" ? "paused" : "runs"}, ${program.done_percent.toFixed(0)} %`;
+  const program = programOf(store);
+  if (program) {
+    return `${programName(program.program)} ${program.state === "paused" ? "paused" : "runs"}, ${fixed(program.done_percent, 0)} %`;
   }
   const mode = String(store.fact("afm/state/slave", "mode") ?? "");
-  if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits for an armed hand";
   if (mode === "follow" && store.fact("afm/state/slave", "placed") === false) return "the tip is on its way to the hand";
-  const words: Record<string, string> = { follow: "the tip follows the hand", hold: "the tip holds its place", retracted: "the tip is away", retracting: "the tip moves away" };
-  return words[mode] ?? "";
+  return mode === "follow" ? "the tip follows the hand" : "";
 }
 
 /** How the force of the tip at the hand's scale has been swinging for the last seconds; undefined where it has not. */

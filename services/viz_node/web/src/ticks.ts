@@ -1,3 +1,5 @@
+import { fixed } from "./numbers";
+
 /** What an axis has room for; longer numbers have an exponent. */
 const MOST_SIGNS = 7;
 
@@ -6,7 +8,7 @@ export function tickTexts(values: readonly number[]): string[] {
   const steps = values.slice(1).map((value, i) => Math.abs(value - values[i]!)).filter((step) => step > 0);
   const step = Math.min(...steps, ...(steps.length ? [] : [Math.abs(values[0] ?? 1) || 1]));
   const decimals = decimalsOf(step);
-  const texts = values.map((value) => short((+value.toFixed(decimals) + 0).toFixed(decimals)));
+  const texts = values.map((value) => short(fixed(value, decimals)));
   if (texts.every((text) => text.length <= MOST_SIGNS)) return texts;
   // with an exponent as many digits as tell neighbours apart
   const greatest = Math.max(...values.map(Math.abs));

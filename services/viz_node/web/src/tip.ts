@@ -1,6 +1,7 @@
 import type { Commands } from "./commands";
 import type { Values } from "./form";
 import type { Store } from "./store";
+import { fixed } from "./numbers";
 
 const NM = 1e-9;
 export const INSTRUMENT = "afm_node";
@@ -49,7 +50,7 @@ export class Tip {
     while (this.wanted) {
       const [x, y] = this.wanted;
       this.wanted = undefined;
-      await this.commands.command(`move the tip to ${x.toFixed(2)}, ${y.toFixed(2)} nm`, "set", INSTRUMENT, place(x, y));
+      await this.commands.command(`move the tip to ${fixed(x, 2)}, ${fixed(y, 2)} nm`, "set", INSTRUMENT, place(x, y));
     }
     this.isSending = false;
   }

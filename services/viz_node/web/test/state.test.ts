@@ -108,4 +108,23 @@ describe("the banner of arming", () => {
     expect(live(false, "follow", { placed: false })).toContain("the tip is on its way to the hand");
     expect(live(false, "follow", { placed: true })).toContain("the tip follows the hand");
   });
+
+  it("does not say that it runs where the tip does not follow: it says why, of each reason of a guard", () => {
+    const store = new Store();
+    store.source = { kind: "live", name: "rig" } as never;
+    const report = (level: string, mode: string, reason: string, seq: number): string => {
+      const event = { src: "afm_node@slave", seq, t: seq, kind: "mode", level, text: `the AFM is in mode ${mode}: ${reason}` };
+      store.take({ k: "tick", nodes: { "haptic_node@master": node }, state: { "afm/state/slave": { mode } }, events: [event] as never });
+      return texts(store);
+    };
+    expect(report("info", "follow", "armed", 0)).toBe("running | the tip follows the hand");
+    expect(report("warning", "retracting", "force_limit", 1)).toBe("THE TIP MOVES AWAY: the force on the tip was above its limit");
+    expect(report("warning", "retracted", "force_limit", 2)).toBe("THE TIP IS WITHDRAWN: the force on the tip was above its limit");
+    expect(report("warning", "retracted", "device_lost", 3)).toContain("the instrument does not answer");
+    expect(report("warning", "hold", "command_deadline", 4)).toContain("THE TIP HOLDS ITS PLACE");
+    // somebody wanted it so: nothing is to be explained
+    expect(report("info", "retracted", "retract_requested", 5)).toBe("THE TIP IS WITHDRAWN");
+    store.take({ k: "tick", state: { "afm/program/slave": { program: "scan", state: "running", text: "", done_percent: 3 } } });
+    expect(texts(store)).toContain("running");
+  });
 });

@@ -1,6 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { GapPicture } from "../gap";
+import { fixed, forceText } from "../numbers";
 
 /** One unit for one quantity: a number that changes its prefix cannot be read at a glance. */
 const FACTS: readonly (readonly [name: string, stream: string, column: string, factor: number, unit: string])[] = [
@@ -11,8 +12,6 @@ const FACTS: readonly (readonly [name: string, stream: string, column: string, f
 ];
 const AFM = "afm/state/slave";
 const FORCE_TITLE = "You feel";
-/** Below this a force is that of the read-out, and shown as none [N]. */
-const LEAST_N = 0.005;
 
 /** What the hand presses with and what comes back, large; hand and tip side by side; and the tip in numbers. */
 export class HandPanel implements Panel {
@@ -61,14 +60,14 @@ export class HandPanel implements Panel {
 
   write(): void {
     const { store } = this.cockpit;
-    show(this.own, force(store.last("hand", "force")));
-    show(this.felt, force(store.last("command", "tip_force")));
+    show(this.own, forceText(store.last("hand", "force")));
+    show(this.felt, forceText(store.last("command", "tip_force")));
     const channel = feltChannel(store.fact(AFM, "felt_channel"), store.fact(AFM, "felt_clamp"));
     show(this.feltTitle, channel === "" ? FORCE_TITLE : `You feel ${channel}`);
     show(this.names[1]!, channel === "" ? FACTS[1]![0] : "Felt, no force");
     FACTS.forEach(([, stream, column, factor, unit], i) => {
       const value = store.last(stream, column) * factor;
-      show(this.values[i]!, Number.isNaN(value) ? "–" : `${(Math.abs(value) < 0.005 ? 0 : value).toFixed(2)} ${unit}`);
+      show(this.values[i]!, Number.isNaN(value) ? "–" : `${fixed(value, 2)} ${unit}`);
     });
   }
 }
@@ -78,11 +77,6 @@ export function feltChannel(channel: unknown, clamp: unknown): string {
   if (typeof channel !== "string") return "";
   const limit = typeof clamp === "string" && clamp !== "" ? `, ${clamp}` : "";
   return `the ${channel.replace("_", " ")}, no force${limit}`;
-}
-
-function force(value: number): string {
-  if (Number.isNaN(value)) return "–";
-  return Math.abs(value) < LEAST_N ? "0.00" : value.toFixed(2);
 }
 
 function show(element: HTMLElement, text: string): void {

@@ -1,9 +1,12 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
+import { whyWithdrawn } from "../guard";
 import { programAbout, programName } from "../programs";
 import { programsOf } from "../schema";
+import { plain } from "../sentences";
 import { INSTRUMENT, place } from "../tip";
+import { fixed } from "../numbers";
 
 /** What the guard's modes mean to an operator. */
 const MODES: Record<string, string> = {
@@ -12,13 +15,6 @@ const MODES: Record<string, string> = {
   retracted: "The tip is withdrawn. Arm it, and then let it go back.",
   retracting: "The tip moves away from the sample.",
   estop: "Emergency stop: the tip is away. Arm releases it; it stays until it is to go back.",
-};
-/** Why the guard has moved the tip away, by the reason that it reports. */
-const REASONS: Record<string, string> = {
-  hold_expired: "No fresh command came, as when a delay begins: the tip is away. Arm it, and then let it go back.",
-  force_limit: "The force on the tip was above its limit: the tip is away. Arm it, and then let it go back.",
-  force_invalid: "The force on the tip is not known: the tip is away.",
-  device_lost: "The instrument does not answer: the tip is away.",
 };
 const FARTHEST_NM = 1e5;
 
@@ -74,17 +70,12 @@ export class InstrumentPanel implements Panel {
       button.disabled = !commands.may || !(running && isFit);
     }
     this.run.parentElement!.hidden = !running;
+    const away = whyWithdrawn(store.events);
     let shown = MODES[mode] ?? "";
     if (mode === "follow" && commands.wayBack) shown = "The tip stays where it was armed, and the hand moves it from there.";
-    if (program && running) shown = `${programName(program.program)} ${program.state === "paused" ? "is paused" : "runs"}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
-    else if (mode.startsWith("retract")) shown = this.whyAway() ?? (program?.text ? `${program.text[0]!.toUpperCase()}${program.text.slice(1)}. Arm it, and then let it go back.` : shown);
+    if (program && running) shown = `${programName(program.program)} ${program.state === "paused" ? "is paused" : "runs"}, ${fixed(program.done_percent, 0)} %: ${plain(program.text)}`;
+    else if (mode.startsWith("retract")) shown = away ? `${away[0]!.toUpperCase()}${away.slice(1)}: the tip is withdrawn. Arm it, and then let it go back.` : (program?.text ? `${plain(program.text)[0]!.toUpperCase()}${plain(program.text).slice(1)}. Arm it, and then let it go back.` : shown);
     if (this.state.textContent !== shown) this.state.textContent = shown;
-  }
-
-  /** Why the tip is away, by the last report of the guard; undefined where somebody wanted it so. */
-  private whyAway(): string | undefined {
-    const report = this.cockpit.store.events.findLast(({ src, text }) => src.startsWith(INSTRUMENT) && text.includes(" in mode retract"));
-    return REASONS[report?.text.split(": ").at(-1) ?? ""];
   }
 
   private move(): void {

@@ -2,6 +2,7 @@ import type { Cockpit, Panel } from "../cockpit";
 import { CycleCounter } from "../cycles";
 import { make } from "../dom";
 import { swingOf } from "../state";
+import { fixed } from "../numbers";
 
 /** The law of the loop. Its parameters are among the settings. */
 export class LawPanel implements Panel {
@@ -46,9 +47,11 @@ export class LawPanel implements Panel {
     this.cycles.see(store.last("hand", "force"));
     const passive = store.fact("law/status/master", "passive");
     const age = store.last("hand", "loop_age");
-    const words = [
-      Number.isNaN(age) ? "" : `answers in ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
-      energyText(passive, swingOf(store) !== undefined),
+    const swings = swingOf(store) !== undefined;
+    // of a motion that swings nothing is to be read but where its energy comes from
+    const words = swings && passive === true ? [energyText(passive, swings)] : [
+      Number.isNaN(age) ? "" : `answers in ${fixed(age * 1e3, age < 0.1 ? 1 : 0)} ms`,
+      energyText(passive),
       `${this.cycles.count} ${this.cycles.count === 1 ? "press" : "presses"}`,
     ];
     const text = words.filter(Boolean).join(" · ");

@@ -1,6 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import type { Node } from "../store";
+import { fixed } from "../numbers";
 
 const COLUMNS: readonly (readonly [string, string])[] = [
   ["node", "Name and site"],
@@ -19,7 +20,7 @@ export function judged(node: Pick<Node, "state" | "overruns" | "lost" | "rejecte
   const steps = Math.max(1, node.uptime_s * Math.max(1, node.rate_hz));
   const share = node.overruns / steps;
   const found: string[] = [];
-  if (share > 0.01) found.push(`${(100 * share).toFixed(0)} % of its deadlines missed`);
+  if (share > 0.01) found.push(`${fixed(100 * share, 0)} % of its deadlines missed`);
   if (node.lateness_p99_s > Math.max(LATE_S, LATE_SHARE / Math.max(1, node.rate_hz))) found.push("late");
   if (node.lost > LOST_MANY) found.push(`${node.lost} messages lost`);
   if (found.length) return ["warn", found.join(", ")];
@@ -49,9 +50,9 @@ export class NodesPanel implements Panel {
       const isLost = lost.has(name);
       const [warns, words] = judged(node, this.cockpit.tip.program !== "");
       const kind = isLost || node.state === "stopping" ? "bad" : warns;
-      const late = node.lateness_p99_s > 0 ? (node.lateness_p99_s * 1e3).toFixed(2) : "";
-      const cells = [name, isLost ? "lost" : node.state, node.rate_hz.toFixed(0), late, isLost ? "no report comes" : words];
-      const about = `overruns ${node.overruns}, lost ${node.lost}, refused ${node.rejected}, processor ${node.cpu_percent.toFixed(0)} %`;
+      const late = node.lateness_p99_s > 0 ? fixed(node.lateness_p99_s * 1e3, 2) : "";
+      const cells = [name, isLost ? "lost" : node.state, fixed(node.rate_hz, 0), late, isLost ? "no report comes" : words];
+      const about = `overruns ${node.overruns}, lost ${node.lost}, refused ${node.rejected}, processor ${fixed(node.cpu_percent, 0)} %`;
       return make("tr", { class: kind, title: about }, ...cells.map((cell) => make("td", {}, cell)));
     });
     this.rows.replaceChildren(...rows);

@@ -1,6 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { View } from "../scene";
+import { forceText } from "../numbers";
 
 /** Tip and surface, in three dimensions and from above: the scene is the control of the tip. */
 export class ScenePanel implements Panel {
@@ -16,7 +17,7 @@ export class ScenePanel implements Panel {
       const view = new View(root, store, image.surface);
       view.onPlace = (x, y) => tip.moveTo(x, y);
       view.onPress = (down) => hand.pull(down);
-      view.pressText = () => `${hand.force.toFixed(2)} N, felt ${store.last("command", "tip_force").toFixed(2)} N`;
+      view.pressText = () => `${forceText(hand.force)} N, felt ${forceText(store.last("command", "tip_force"))} N`;
       view.headset.onPress = (down, across) => hand.press(down, across);
       view.headset.onGrab = (x, y) => image.onGrab(x, y);
       view.headset.onStop = () => void commands.estop();

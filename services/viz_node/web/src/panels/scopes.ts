@@ -8,6 +8,7 @@ import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/la
 import { columnsOf, Plot, type Window } from "../scopes/plot";
 import { measure, neighbour, readAt, type Reading, type Samples, type Stretch } from "../scopes/reading";
 import { sheetOf } from "../scopes/sheet";
+import { fixed } from "../numbers";
 
 /** Where frames are slow the curves are drawn in every second one, so that the page still answers. */
 const SLOW_SHARE = 2;
@@ -441,7 +442,7 @@ export class ScopesPanel implements Panel {
     const [a, b] = this.cursors;
     const zero = this.cockpit.document.isThere ? 0 : this.shownWindow.zero;
     const number = (value: number, floor = 0): string => (Number.isNaN(value) ? "–" : `${Math.abs(value) < floor / 100 ? 0 : +value.toPrecision(4)}`);
-    const times = [a.time - zero, b.time - zero, b.time - a.time].map((time, i) => `${i === 2 || [a, b][i]!.isExact ? "" : "≈ "}${time.toFixed(3)} s`);
+    const times = [a.time - zero, b.time - zero, b.time - a.time].map((time, i) => `${i === 2 || [a, b][i]!.isExact ? "" : "≈ "}${fixed(time, 3)} s`);
     const between = a.time === b.time ? "" : `1 / (B − A) = ${number(1 / Math.abs(b.time - a.time))} Hz`;
     const shown = this.enlarged >= 0 ? this.plots.slice(this.enlarged, this.enlarged + 1) : this.plots;
     const rows = shown.flatMap((plot) =>
@@ -476,7 +477,7 @@ export class ScopesPanel implements Panel {
     }
     const part = await document.samples(from, to);
     if (typeof part === "string") commands.show("save the samples", false, part);
-    else save(`telenano-${from.toFixed(3)}-${to.toFixed(3)}s.csv`, new Blob([this.csv(from, to, (stream) => part.rings.get(stream))], { type: "text/csv" }));
+    else save(`telenano-${fixed(from, 3)}-${fixed(to, 3)}s.csv`, new Blob([this.csv(from, to, (stream) => part.rings.get(stream))], { type: "text/csv" }));
   }
 
   /** Every sample of a stretch, in SI units: when the times begin, then a block of lines for each stream. */
@@ -491,7 +492,7 @@ export class ScopesPanel implements Panel {
       for (let i = ring.indexAt(from); i < ring.length && ring.time(i) <= to; i++) {
         columns.forEach((column, c) => {
           const value = ring.value(c, i);
-          if (!Number.isNaN(value)) lines.push(`${name},${ring.time(i).toFixed(6)},${column.name},${value},${column.unit}`);
+          if (!Number.isNaN(value)) lines.push(`${name},${fixed(ring.time(i), 6)},${column.name},${value},${column.unit}`);
         });
       }
     }

@@ -47,6 +47,7 @@ export class StatusPanel implements Panel {
     this.shown = text;
     this.root.dataset["state"] = banners[0]![0];
     this.banners.replaceChildren(...banners.map(([kind, words]) => make("span", { class: `banner ${kind}` }, words)));
+    this.banners.title = banners.map(([, words]) => words).join("\n");
   }
 
   /** A stop that would stop nothing looks it, says so in its place, and says what does stop. */

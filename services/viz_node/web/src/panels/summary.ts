@@ -1,24 +1,25 @@
 import type { Cockpit, Panel } from "../cockpit";
 import type { Hold } from "../document";
 import { make } from "../dom";
+import { fixed } from "../numbers";
 
 /** Keys of summary.json in the order in which they are read, with what they are called. */
 const ROWS: readonly (readonly [key: string, name: string, show: (value: never) => string])[] = [
   ["scenario", "Scenario", String],
   ["law", "Law", (law: string[]) => law.join(", ").replaceAll("_", " ")],
   ["verdict", "Verdict", (text: string) => text.replaceAll("_", " ")],
-  ["hold_ratio", "Hold ratio", (value: number) => value.toFixed(3)],
-  ["contact_x_cm", "Reference at the end", (value: number) => `${value.toFixed(3)} cm`],
-  ["release_force_nn", "Force after release", (value: number) => `${fixed(value)} nN`],
-  ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value)} nN`],
-  ["loop_round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
+  ["hold_ratio", "Hold ratio", (value: number) => fixed(value, 3)],
+  ["contact_x_cm", "Reference at the end", (value: number) => `${fixed(value, 3)} cm`],
+  ["release_force_nn", "Force after release", (value: number) => `${fixed(value, 2)} nN`],
+  ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value, 2)} nN`],
+  ["loop_round_trip_ms", "Round trip of the loop", (value: number) => `${fixed(value, 1)} ms`],
   ["link_round_trip_range_ms", "Round trip of the link", (value: [number, number]) => rangeText(value)],
-  ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
+  ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${fixed(age.p50, 2)}, ${fixed(age.p99, 2)} ms`],
   ["recording", "Recording", (recording: RecordingAccount) => accountText(recording)],
   ["interruptions", "Interruptions", (all: { kind: string }[]) => interruptionsText(all)],
   ["overruns", "Deadlines missed", String],
   ["hand_cycles", "Cycles of the hand", String],
-  ["duration_s", "Duration", (value: number) => `${value.toFixed(1)} s`],
+  ["duration_s", "Duration", (value: number) => `${fixed(value, 1)} s`],
   ["version", "Version", String],
 ];
 
@@ -62,14 +63,9 @@ export function warnings({ facts }: Pick<Hold, "facts">): string[] {
   return (facts ?? []).filter(({ kind }) => !["arrived_late", "contact_by_force"].includes(kind)).map(({ text }) => text);
 }
 
-/** A number with two decimals, and without a sign where it is none of them. */
-function fixed(value: number): string {
-  return (+value.toFixed(2) + 0).toFixed(2);
-}
-
 /** Least and greatest of what may have been changed [ms]: one number where it stayed as it was. */
 export function rangeText([least, greatest]: readonly [number, number]): string {
-  return greatest - least < 1 ? `${((least + greatest) / 2).toFixed(1)} ms` : `${least.toFixed(1)} to ${greatest.toFixed(1)} ms`;
+  return greatest - least < 1 ? `${fixed((least + greatest) / 2, 1)} ms` : `${fixed(least, 1)} to ${fixed(greatest, 1)} ms`;
 }
 
 /** The holds that say something, and how many of the others there are of each kind. */
@@ -132,7 +128,7 @@ export class SummaryPanel implements Panel {
 
   /** A hold, which is a way to its place. */
   private rowOf(hold: Hold): HTMLElement {
-    const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
+    const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, fixed(hold.from_s, 2));
     const told = hold.verdict === "released" ? [] : warnings(hold);
     const kind = hold.verdict === "released" ? "" : kindOf(hold.verdict).replace("good", told.length ? "warn" : "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;

@@ -2,8 +2,9 @@ import type { Cockpit, Panel } from "../cockpit";
 import { noMoment, type Span } from "../document";
 import { colour, make } from "../dom";
 import type { Ring } from "../ring";
-import { rounded } from "../sentences";
+import { plain } from "../sentences";
 import { INTERRUPTIONS, kindOf } from "./summary";
+import { fixed } from "../numbers";
 
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10, 50];
 const RATE_STEP = Math.SQRT2;
@@ -85,14 +86,14 @@ export class TimelinePanel implements Panel {
     const now = performance.now();
     const at = document.at(now);
     const { length } = document;
-    this.text.textContent = `${at.toFixed(length < 60 ? 3 : 1)} of ${length.toFixed(1)} s`;
+    this.text.textContent = `${fixed(at, length < 60 ? 3 : 1)} of ${fixed(length, 1)} s`;
     this.play.textContent = store.source.playing ? "Pause" : "Play";
     this.play.setAttribute("aria-pressed", String(store.source.playing === true));
     const rate = store.source.rate ?? 1;
     const nearest = RATES.reduce((best, option) => (Math.abs(Math.log(option / rate)) < Math.abs(Math.log(best / rate)) ? option : best));
     if (globalThis.document.activeElement !== this.rate) this.rate.value = String(nearest);
-    this.track.setAttribute("aria-valuemax", length.toFixed(3));
-    this.track.setAttribute("aria-valuenow", at.toFixed(3));
+    this.track.setAttribute("aria-valuemax", fixed(length, 3));
+    this.track.setAttribute("aria-valuenow", fixed(at, 3));
     const phase = (document.about?.phases ?? []).find((found) => found.from_s <= at && at < found.to_s);
     const hold = phase?.kind === "hold" ? document.holdAt(at) : undefined;
     const interruption = (document.about?.interruptions ?? []).find((found) => found.from_s <= at && at < Math.max(found.to_s, found.from_s + MARK_S));
@@ -102,14 +103,14 @@ export class TimelinePanel implements Panel {
       phase ? PHASES[phase.kind]?.[0] : "",
       hold ? `${hold.verdict.replaceAll("_", " ")} at ${+hold.hand_force_n.toPrecision(3)} N${hold.frequency_hz ? `, ${hold.peak_to_peak_n.toPrecision(2)} N peak to peak at ${hold.frequency_hz.toPrecision(2)} Hz` : ""}` : "",
       isLost ? "messages are missing here" : "",
-      interruption ? `interrupted: ${INTERRUPTIONS[interruption.kind] ?? rounded(interruption.reason)}` : "",
-      moment ? rounded(moment.text) : "",
+      interruption ? `interrupted: ${INTERRUPTIONS[interruption.kind] ?? plain(interruption.reason)}` : "",
+      moment ? plain(moment.text) : "",
       document.progress,
     ].filter(Boolean).join(" · ");
     if (this.event.textContent !== words) this.event.textContent = words;
-    this.track.setAttribute("aria-valuetext", `${at.toFixed(3)} s of ${length.toFixed(1)} s${words ? `, ${words}` : ""}`);
+    this.track.setAttribute("aria-valuetext", `${fixed(at, 3)} s of ${fixed(length, 1)} s${words ? `, ${words}` : ""}`);
     const [a, b] = document.chosen;
-    const stretch = a === undefined && b === undefined ? "" : `A ${a?.toFixed(3) ?? "–"} s, B ${b?.toFixed(3) ?? "–"} s: CSV saves it`;
+    const stretch = a === undefined && b === undefined ? "" : `A ${a === undefined ? "–" : fixed(a, 3)} s, B ${b === undefined ? "–" : fixed(b, 3)} s: CSV saves it`;
     if (this.stretch.textContent !== stretch) this.stretch.textContent = stretch;
   }
 

@@ -10,6 +10,7 @@ import type { ScopeSpec } from "./layout";
 import { axisRange, extentOf, heldAxis, noiseOf, type HeldAxis } from "./range";
 import { gapOf, readAt, samplesOf, type Reading, type Samples } from "./reading";
 import { resampled, spectrumOf } from "./spectrum";
+import { fixed } from "../numbers";
 
 const SPECTRUM_POINTS = 4096;
 /** The column of the tip that is 1 while it follows: how it is placed and withdrawn does not count for an axis. */
@@ -216,7 +217,7 @@ export class Plot {
       text.style.color = `var(--${token})`;
       return text;
     });
-    const where = isSpectrum ? `${+(plot.data[0][at] ?? 0).toPrecision(3)} Hz` : `${reading?.isExact ? "" : "≈ "}${((reading?.time ?? NaN) - zero).toFixed(3)} s`;
+    const where = isSpectrum ? `${+(plot.data[0][at] ?? 0).toPrecision(3)} Hz` : `${reading?.isExact ? "" : "≈ "}${fixed((reading?.time ?? NaN) - zero, 3)} s`;
     this.values.replaceChildren(make("span", {}, where), ...shown);
   }
 
