@@ -41,7 +41,8 @@ class HalfState(msgspec.Struct, array_like=True, kw_only=True):
     lateral_m: where the device is, or is led, across the sample at the scale of the tip [m]; far_lateral: what the
     other half sent last, which is where the hand wants the tip [m] at the slave's half, and the force on the tip [N] at
     the master's; far_place: where the stage is [m], there; hand_stamp: number and time stamp [ns] of the newest sample
-    of the hand; reported_j: energy of the last report. `capture` writes law (None before the first sample), steps and
+    of the hand; reported_j: energy of the last report; newest: number of the newest signal of the other half, and time
+    stamp [ns] of the sample of the hand behind it. `capture` writes law (None before the first sample), steps and
     freshness.
     """
 
@@ -58,6 +59,7 @@ class HalfState(msgspec.Struct, array_like=True, kw_only=True):
     band: DeadbandState
     steps: int
     freshness: FreshnessState
+    newest: tuple[int, int] = (-1, 0)
 
 
 class ControllerHalf(Node):
@@ -68,7 +70,9 @@ class ControllerHalf(Node):
     are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
     reference where the slave reports the base; the slave continues when it receives that the master follows.
 
-    What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal.
+    What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal. The
+    first signal of another half whose process has begun anew is none to follow: the law is interrupted by it, so that
+    what it counts of the other half begins at what that one counts now.
     """
 
     # The one state of the half, of the kind `state_kind`, and the part of it that both halves have.
@@ -231,6 +235,7 @@ class ControllerHalf(Node):
         half = self.half
         if message.law != self.law.name:
             return False
+        is_new_process = self._is_of_new_process(message)
         # F_s is the reaction along +z, F_m the push along -z
         force_n, separation_m, separation_valid, in_contact = to_paper_axis(message.force_n), 0.0, False, False
         # `isinstance` is avoided because the classes of messages answer it in Python, which takes longer than all of
@@ -251,10 +256,18 @@ class ControllerHalf(Node):
             energy_j=message.energy_j if message.energy_j is not None else 0.0,
             separation_m=separation_m,
             separation_valid=separation_valid,
-            in_contact=in_contact,
-            active=message.active,
+            # A tip that touches has not to be armed.
+            in_contact=in_contact or is_new_process,
+            active=message.active and not is_new_process,
         )
         return True
+
+    def _is_of_new_process(self, message: TeleopForward | TeleopBackward) -> bool:
+        """Return whether a process counts its signals anew: a lower number than before, about a newer sample."""
+        number, stamp_ns = self.half.newest
+        if message.hand_t_ns >= stamp_ns:
+            self.half.newest = message.seq, message.hand_t_ns
+        return message.seq < number and message.hand_t_ns > stamp_ns
 
     def latest_signal(self) -> PortSignal:
         """Return the newest signal with the time of silence since."""

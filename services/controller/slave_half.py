@@ -129,13 +129,24 @@ class SlaveController(ControllerHalf):
         super()._switch()
         self.memory.timing = integration.slave_silenced(self.memory.timing)
         if self.half.switching:
-            self.law_state = self._standing()
+            self.law_state = self._begun_together()
 
     def _standing(self) -> Any:
         """Return the state of a half that begins at the last reference of the base."""
         return self.law.slave_start(
             self.params, self.memory.tip._replace(base_position_m=self.memory.reference.position_m)
         )
+
+    def _begun_together(self) -> Any:
+        """Return the state of a half that begins at the last reference of the base as the hand's half begins too.
+
+        It has heard that one before it had done anything, so a law may begin in both with what it finds at the tip. A
+        half that begins alone, after a restart or the loss of its instrument, has not.
+        """
+        beginning = NO_SIGNAL._replace(position_m=self.memory.reference.position_m, silence_s=0.0)
+        return self.law.slave_receive(self.params, self._standing(), beginning, self.memory.tip, self.config.period_s)[
+            0
+        ]
 
     def _interrupted(self) -> Any:
         """Return the state of a half that takes the signals up again.
@@ -289,7 +300,7 @@ class SlaveController(ControllerHalf):
         """Carry out what is due after a state of the instrument, or where none came."""
         if settled.sends:
             if self.half.switching:
-                self.law_state = self._standing()
+                self.law_state = self._begun_together()
             dt_s = settled.periods * self.config.period_s
             state, signal = self.law.slave_send(self.params, self.law_state, self.memory.tip, dt_s)
             if settled.accounts:

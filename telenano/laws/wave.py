@@ -19,7 +19,8 @@ power. So the line continues through such gaps, of up to the silence limit, and 
 A line that is taken up for the first time while the tip presses begins under the force F_0 that it finds: both halves
 take F - F_0 for F, and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law comes into
 force. The energy of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free,
-and after a silence of the link nothing is granted again.
+and after a silence of the link nothing is granted again. A half that comes back alone takes no F_0, because the other
+one has none: the energy that the other one has sent tells it so.
 
 What crosses the link are counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
 E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from what is still due,
@@ -59,6 +60,7 @@ from telenano.extend.laws import (
     tip_signal,
 )
 from telenano.extend.virtual_mass import (
+    NOTHING_HEARD,
     OVERDRAWN_J,
     HandPort,
     Mass,
@@ -231,7 +233,9 @@ def master_receive(
     # Signals that were sent before the tip was felt are no waves, so counting starts here.
     inbox = state.inbox if state.up else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
-    bias = state.bias_n if state.up else (0.0 if state.begun else p.force_scale * signal.force_n)
+    # A tip's half that has sent energy was taken up before: then this one comes back alone, and gets no F_0.
+    again = state.begun or signal.energy_j > 0.0
+    bias = state.bias_n if state.up else (0.0 if again else p.force_scale * signal.force_n)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
     if may.stands:
         mass = let_go(p, mass, hand, signal)
@@ -272,7 +276,8 @@ def master_receive(
 def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     base, force = tip.base_position_m, params.mass.force_scale * tip.force_n
-    return SlaveState(base, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, base, force, 0.0, 0.0, False, False)
+    inbox = emptied(0.0, NOTHING_HEARD)
+    return SlaveState(base, inbox, 0.0, 0.0, 0.0, 0.0, 0.0, base, force, 0.0, 0.0, False, False)
 
 
 @compiled
@@ -289,7 +294,7 @@ def slave_receive(
     if not may.leads:
         state = SlaveState(
             position_m=may.base_m,
-            inbox=emptied(position, signal.energy_j),
+            inbox=emptied(position, signal.energy_j if may.heard else state.inbox.received_j),
             anchor_m=may.base_m,
             sent_m=0.0,
             sent_j=state.sent_j,
@@ -308,7 +313,10 @@ def slave_receive(
     inbox = received(inbox, position, signal.energy_j)
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
-    bias = state.bias_n if state.coupled else (0.0 if state.begun else last_n)
+    # The hand's half begins as well if it was heard before it had sent energy; else this one comes back alone.
+    heard_j = signal.energy_j if state.inbox.received_j == NOTHING_HEARD else state.inbox.received_j
+    again = state.begun or heard_j > 0.0
+    bias = state.bias_n if state.coupled else (0.0 if again else last_n)
     # Consume exactly one period of waves for each sample of the hand; a surplus would let the hand run ahead.
     periods = round(dt / p.period_s)
     total, came_j = 0.0, 0.0

@@ -4,6 +4,7 @@ import pickle
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from services.controller.__main__ import half_of_site
 from services.controller.master_half import MasterController
@@ -134,6 +135,20 @@ def test_silence_past_the_limit_lets_the_hand_go(master: Any) -> None:
     assert modes[:50] == ["position"] * 50
     assert modes[-1] == "off"
     assert node.state == "safe"
+
+
+def test_first_signal_of_a_half_that_has_begun_anew_interrupts_the_law(master: Any) -> None:
+    bench, node = master
+    modes = []
+    # A message that was overtaken has a lower number as well, and is about an older sample.
+    for number, is_old in ((40, False), (41, False), (39, True), (0, False), (1, False)):
+        hand = tick(bench, node)
+        bench.take("haptic/command")
+        fields = answer_fields(0.0, hand.seq, hand.t_ns - 5 * PERIOD_NS * is_old)
+        answer = bench.received("teleop/backward", "controller@slave", **fields)
+        node.on_message(answer._replace(message=structs.replace(answer.message, seq=number)))
+        modes += [command.mode for command in bench.take("haptic/command")]
+    assert modes == ["position", "position", "position", "off", "position"]
 
 
 def test_signal_of_another_law_counts_as_silence(master: Any) -> None:
