@@ -52,14 +52,15 @@ def test_a_base_goes_to_the_hand_no_further_than_its_rest_point_and_from_there_s
     assert output.offset_m == 0.0
 
 
-def test_a_base_that_goes_is_not_placed_before_it_is_there() -> None:
-    state, output = armed(-20e-9, goes=True)
-    seen = [safety.is_placed(output)]
-    state, outputs = run(state, 100, reference_m=-20e-9)
-    seen += [safety.is_placed(output) for output in outputs]
-    assert not seen[0] and seen[-1]
-    # 80 nm at 2 um/s, and not a tick sooner
-    assert seen.index(True) == pytest.approx(80e-9 / 2e-6 / DT, abs=2.0)
+def test_a_base_that_goes_to_a_place_is_not_placed_before_it_is_there() -> None:
+    place_m, speed_m_per_s = -20e-9, 500e-9
+    state, output = armed(0.0, goes=True, place_m=place_m, speed_m_per_s=speed_m_per_s)
+    _, outputs = run(state, 300)
+    seen = [safety.is_placed(each) for each in (output, *outputs)]
+    first = seen.index(True)
+    assert all(seen[first:])
+    assert first == pytest.approx((place_m - AWAY_M) / speed_m_per_s / DT, abs=2.0)
+    assert outputs[-1].base_m == pytest.approx(place_m, rel=1e-6, abs=0.0)
 
 
 @pytest.mark.parametrize("force_n", [1.1e-9, -1.1e-9])
