@@ -29,6 +29,8 @@ CLICK_AT_ONCE = """() => new Promise((done) => {
   };
   look();
 })"""
+# The rig of `make test` begins so as well.
+OF_THE_START = pytest.mark.drawn(0.0, "telenano/afm/", "services/afm_node/", "telenano/launcher/")
 # A command is in force for 50 ms, and the turns of two processes lie between [ns].
 GRACE_NS = 120_000_000
 
@@ -135,9 +137,7 @@ def test_the_real_commands_in_any_order_arm_no_tip_alone(rig: Rig) -> None:
             pytest.param(*case, marks=pytest.mark.endurance)
             for case in [(15e-9, 250), (50e-9, 250), (2e-6, 125), (2e-6, 1000)]
         ),
-        pytest.param(
-            2e-6, 250, marks=pytest.mark.drawn(0.0, "telenano/afm/", "services/afm_node/", "telenano/launcher/")
-        ),
+        pytest.param(2e-6, 250, marks=OF_THE_START),
     ],
 )
 def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
@@ -157,7 +157,11 @@ def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
 
 
 @pytest.mark.parametrize(
-    "scenario", [*(pytest.param(name, marks=pytest.mark.endurance) for name in ("fig10", "touch")), "image"]
+    "scenario",
+    [
+        *(pytest.param(name, marks=pytest.mark.endurance) for name in ("fig10", "touch")),
+        pytest.param("image", marks=OF_THE_START),
+    ],
 )
 def test_every_scenario_begins_with_the_tip_placed_or_its_program_under_way(tmp_path: Path, scenario: str) -> None:
     rig = Rig(tmp_path)

@@ -240,7 +240,11 @@ def taken_by_another_user(folder: Path) -> None:
     [
         pytest.param(taken_by_a_file, False, marks=pytest.mark.endurance),
         pytest.param(taken_by_a_file, True, marks=pytest.mark.endurance),
-        (taken_by_another_user, True),
+        pytest.param(
+            taken_by_another_user,
+            True,
+            marks=pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/", "telenano/console/"),
+        ),
     ],
 )
 def test_devices_that_cannot_have_their_paths_again_are_made_safe(
