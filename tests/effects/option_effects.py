@@ -10,6 +10,7 @@ import json
 import re
 import shlex
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import command_lines
 import given_files
+import pytest
 from compared_sessions import facts_of
 from typer.testing import CliRunner
 
@@ -109,6 +111,7 @@ COMMANDS: Mapping[str, str] = {
 ACTS: Mapping[str, str] = {
     "bag split --size": "bag split {demo} --out {out} --size 400000",
     "simulate --overwrite": COMMANDS["simulate"],
+    "simulate --table": COMMANDS["simulate"] + " --seeds 2",
     "bag diff --topics": "bag diff {raw} {again}",
     "bag diff --exclude": "bag diff {raw} {again}",
     "bag diff --tolerance": "bag diff {raw} {again}",
@@ -456,11 +459,18 @@ class Seen:
 
 
 def run(words: Sequence[str], folder: Path, ready: Callable[[], None] = lambda: None) -> Seen:
-    """Run a command in a folder that has what is made ready there, and nothing else."""
+    """Run a command in a folder that has what is made ready there, and nothing else.
+
+    A sweep repeats the words of its own process. An exception is what no person may see, and so no effect.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     ready()
-    result = CliRunner().invoke(app, list(words))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["telenano", *words])
+        result = CliRunner().invoke(app, list(words))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise AssertionError(f"{shlex.join(words)} ends with a traceback") from result.exception
     output, messages = (
         re.sub(r"[0-9.]+ (s|ms|kB|MB)\b", "", text).splitlines() for text in (result.stdout, result.stderr)
     )

@@ -267,6 +267,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "Window.cycles: return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
         " [change > seen => change >= seen]": "where both are equal their ratio is 1",
     },
+    "telenano/analysis/verdict.py": {
+        "judge: if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))): [noise > ERROR_SHARE *"
+        " max(hand_force_n, float(np.ptp(values))) => noise >= ERROR_SHARE * max(hand_force_n,"
+        " float(np.ptp(values)))]": "only noise of this size to its last bit is taken otherwise: the force of the hand"
+        " is not nought",
+    },
     "telenano/analysis/envelope.py": {
         "has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
         " which three are never left beside one and its neighbours",

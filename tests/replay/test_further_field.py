@@ -21,6 +21,7 @@ def recorded(teller: str) -> dict[str, Any]:
 
 
 @pytest.mark.check("takes 15 s")
+@pytest.mark.drawn(0.0, "telenano/wire/", "telenano/runtime/", "telenano/virtual/", "tests/replay/")
 def test_a_further_field_of_the_machine_changes_no_reference_whatever_the_rate_of_its_link() -> None:
     found = recorded("machine")
     assert found.keys() == REFERENCES.keys()
@@ -29,6 +30,7 @@ def test_a_further_field_of_the_machine_changes_no_reference_whatever_the_rate_o
 
 
 @pytest.mark.check("takes 6 s")
+@pytest.mark.drawn(0.0, "telenano/wire/", "telenano/runtime/", "telenano/virtual/", "tests/replay/")
 def test_the_same_field_said_by_a_node_in_virtual_time_moves_what_a_link_of_a_limited_rate_carries() -> None:
     found = recorded("node")
     assert found

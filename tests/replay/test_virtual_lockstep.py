@@ -227,6 +227,7 @@ def test_the_nodes_and_lockstep_agree(
 
 
 @pytest.mark.check("takes 1.1 s")
+@pytest.mark.drawn(0.25, "telenano/lockstep/", "telenano/laws/", "services/controller/")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", TRIED_LAWS)
@@ -245,6 +246,7 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
 
 
 @pytest.mark.check("takes 1.6 s")
+@pytest.mark.drawn(0.27, "telenano/lockstep/", "telenano/laws/", "services/controller/")
 @pytest.mark.usefixtures("loop")
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", TRIED_LAWS)

@@ -59,7 +59,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(autouse=True)
 def closed_windows(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Close the windows of a test after it: a page goes on drawing, and takes a processor from the tests that follow."""
+    """Close the windows of a test after it: a page goes on drawing, and takes time from the tests that follow."""
     found = request.getfixturevalue("chromium") if "chromium" in request.fixturenames else None
     before = list(found.contexts) if found else []
     yield

@@ -162,6 +162,15 @@ class Rig(LiveRig):
         return float(states[-1].fields()["session_s"]) if states else -1.0
 
 
+def first_of_the_session(recordings: Sequence[Path]) -> tuple[Any, Any]:
+    """Return the newest state of the tip at the first tick of the hand's program, and that tick."""
+    topics = ["haptic/state", "afm/state"]
+    states: list[Any] = [each.decode() for path in recordings for each in Recording(path).messages(topics)]
+    start = next(state for state in states if getattr(state, "session_s", -1.0) >= 0.0)
+    before = (each for each in states if hasattr(each, "placed") and each.t_ns <= start.t_ns)
+    return max(before, key=lambda each: int(each.t_ns)), start
+
+
 def mode(rig: Rig) -> str:
     """Return the mode of the tip."""
     return str(rig.newest("afm/state").mode)

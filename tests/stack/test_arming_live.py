@@ -8,12 +8,11 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 from browser_page import BESIDE_A_BROWSER, View, browser, needs_browser
 from commands import Commands
-from stack_rig import Rig
+from stack_rig import Rig, first_of_the_session
 
 from telenano.recording.reader import Recording
 
@@ -30,6 +29,8 @@ CLICK_AT_ONCE = """() => new Promise((done) => {
   };
   look();
 })"""
+# The rig of `make test` begins so as well.
+OF_THE_START = pytest.mark.drawn(0.0, "telenano/afm/", "services/afm_node/", "telenano/launcher/")
 # A command is in force for 50 ms, and the turns of two processes lie between [ns].
 GRACE_NS = 120_000_000
 
@@ -129,20 +130,6 @@ def test_the_real_commands_in_any_order_arm_no_tip_alone(rig: Rig) -> None:
     assert followed_unarmed(recordings_of(rig)) == []
 
 
-STATES = ("haptic/state", "afm/state")
-
-
-def at(state: Any) -> int:
-    return int(state.t_ns)
-
-
-def first_of_the_session(rig: Rig) -> tuple[Any, Any]:
-    """Return the newest state of the tip at the first tick of the hand's program, and that tick."""
-    states = [each.decode() for path in recordings_of(rig) for each in Recording(path).messages(list(STATES))]
-    start = next(state for state in states if getattr(state, "session_s", -1.0) >= 0.0)
-    return max((each for each in states if hasattr(each, "placed") and each.t_ns <= start.t_ns), key=at), start
-
-
 @pytest.mark.parametrize(
     ("speed_m_per_s", "rate_hz"),
     [
@@ -150,7 +137,7 @@ def first_of_the_session(rig: Rig) -> tuple[Any, Any]:
             pytest.param(*case, marks=pytest.mark.endurance)
             for case in [(15e-9, 250), (50e-9, 250), (2e-6, 125), (2e-6, 1000)]
         ),
-        (2e-6, 250),
+        pytest.param(2e-6, 250, marks=OF_THE_START),
     ],
 )
 def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
@@ -162,7 +149,7 @@ def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
         rig.start("--set", speed, "--duration", "0.3", rate=("--set", f"realtime.rate_hz={rate_hz}"))
         code, _, err = rig.finish()
         assert code == 0, err
-        tip, _ = first_of_the_session(rig)
+        tip, _ = first_of_the_session(recordings_of(rig))
     finally:
         rig.close()
     assert tip.placed is True
@@ -170,7 +157,11 @@ def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
 
 
 @pytest.mark.parametrize(
-    "scenario", [*(pytest.param(name, marks=pytest.mark.endurance) for name in ("fig10", "touch")), "image"]
+    "scenario",
+    [
+        *(pytest.param(name, marks=pytest.mark.endurance) for name in ("fig10", "touch")),
+        pytest.param("image", marks=OF_THE_START),
+    ],
 )
 def test_every_scenario_begins_with_the_tip_placed_or_its_program_under_way(tmp_path: Path, scenario: str) -> None:
     rig = Rig(tmp_path)
@@ -178,7 +169,7 @@ def test_every_scenario_begins_with_the_tip_placed_or_its_program_under_way(tmp_
         rig.start("--duration", "0.3", scenario=scenario)
         code, _, err = rig.finish()
         assert code == 0, err
-        tip, start = first_of_the_session(rig)
+        tip, start = first_of_the_session(recordings_of(rig))
     finally:
         rig.close()
     assert (tip.placed, tip.mode, start.armed) == (True, "follow", True)

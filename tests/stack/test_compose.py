@@ -308,6 +308,7 @@ def test_a_port_that_is_taken_is_reported_by_the_variable_that_sets_it(rig: Comp
 
 
 def test_what_is_not_granted_is_warned_of(rig: Composed) -> None:
+    rig.wait_until(lambda: all(map(rig.healthy, NODES)), "health of every node")
     for service in NODES[:-1]:
         output = rig.logs(service)
         granted = "realtime=True memory_locked=True" in output

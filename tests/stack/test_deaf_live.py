@@ -43,6 +43,7 @@ def told(rig: Rig, name: str, state: str) -> dict[str, float]:
 
 
 @pytest.mark.check("takes 40 s")
+@pytest.mark.drawn(0.0, "telenano/runtime/bus/", "telenano/runtime/loop/")
 def test_a_frame_that_is_too_large_makes_no_node_deaf_to_the_next_command(rig: Rig) -> None:
     rig.start("--duration", "300", "--set", CONSTANT_PUSH, rate=("--set", "realtime.rate_hz=250"))
     rig.wait_until(rig.running, "a running session")

@@ -14,7 +14,11 @@ from stack_rig import Rig
 
 from telenano.testing import disk_of
 
-pytestmark = [pytest.mark.stack, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.stack,
+    pytest.mark.timeout(300),
+    pytest.mark.drawn(0.0, "telenano/console/", "telenano/files/", "services/viz_node/"),
+]
 # A holder of whom nothing was heard for a second would have lost the hand [s].
 FULL_S = 4.0
 

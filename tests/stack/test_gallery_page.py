@@ -29,7 +29,16 @@ def move(page: Page, law: str, delay_ms: float) -> str:
     return str(page.value(SAID))
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        "light",
+        pytest.param(
+            "dark",
+            marks=pytest.mark.drawn(0.0, "services/viz_node/web/", "packages/telenano-lab/telenano_lab/studies/pages/"),
+        ),
+    ],
+)
 def test_the_static_page_shows_when_a_root_crosses_and_fits_every_window(
     chromium: Any, tmp_path: Path, scheme: str
 ) -> None:

@@ -71,6 +71,7 @@ class Session:
         raise AssertionError(f"the hand did not come to the sample: {said}, {self.newest()}\n{self.rig.logs()}")
 
 
+@pytest.mark.drawn(0.0, "packages/telenano-devices/telenano_devices/", "telenano/hand/", "services/haptic_node/")
 @pytest.mark.skipif(**libraries.WITHOUT_CC)
 def test_device_that_is_pulled_leaves_the_hand_without_force_and_the_tip_away(rig: Rig, tmp_path: Path) -> None:
     with LiveDevice("dhd", tmp_path) as device:

@@ -21,7 +21,11 @@ from stack_rig import Rig
 from telenano.console.lease import Lease
 from telenano.console.lease_register import LeaseRegister
 
-pytestmark = [pytest.mark.stack, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.stack,
+    pytest.mark.timeout(600),
+    pytest.mark.drawn(0.0, "telenano/console/", "services/viz_node/", "services/haptic_node/"),
+]
 PAGE = Path(__file__).parent / "pressing_page.py"
 HAND = "haptic_node@master"
 AWAY = ("retracting", "retracted")

@@ -109,6 +109,7 @@ def test_a_session_over_a_relay_is_whole_and_can_be_fetched_again(rig: RelayedSi
     assert json.loads(again.stdout)["messages"] == summary["recording"]["messages"]
 
 
+@pytest.mark.drawn(0.0, "services/relay/", "services/delay_node/", "packages/telenano-wide-area/")
 @pytest.mark.parametrize("rate_hz", [250, pytest.param(1000, marks=pytest.mark.endurance)])
 @pytest.mark.parametrize("rig", [True], indirect=True)
 def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig: RelayedSites, rate_hz: int) -> None:

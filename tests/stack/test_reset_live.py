@@ -7,7 +7,7 @@ from stack_rig import Rig
 
 from telenano.recording.reader import Recording
 
-pytestmark = pytest.mark.check
+pytestmark = [pytest.mark.check, pytest.mark.drawn(0.0, "telenano/afm/", "telenano/hand/", "services/")]
 # A simulated hand that nobody touches, in the field of a tip that is away [m].
 STILL_M = 5e-5
 

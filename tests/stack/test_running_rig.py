@@ -18,7 +18,15 @@ import pytest
 import zmq
 from killed import check_killed, kill_recorders
 from ledger import record
-from stack_rig import FIGURE_S, HELD_UP_MS, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
+from stack_rig import (
+    FIGURE_S,
+    HELD_UP_MS,
+    Rig,
+    assert_drawn_as_in_the_paper,
+    first_of_the_session,
+    judged,
+    pulled_as_in_the_paper,
+)
 
 from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
@@ -86,6 +94,12 @@ def figure(shared_rig: Rig) -> Path:
     done = shared_rig.telenano("bag", "filter", str(whole), "--end", f"{end_s:.3f}", "--out", str(cut))
     assert done.returncode == 0, done.stderr
     return cut
+
+
+def test_the_session_begins_with_the_tip_at_the_papers_distance(figure: Path) -> None:
+    tip, start = first_of_the_session([figure])
+    assert (tip.placed, tip.mode, start.armed) == (True, "follow", True)
+    assert tip.separation_m == pytest.approx(10e-9, rel=0.0, abs=0.1e-9)
 
 
 def test_hold_contact_and_release_are_the_papers(rig: Rig, figure: Path, tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ def test_a_rig_that_is_killed_leaves_its_name_to_the_next(rigs: list[Rig]) -> No
     assert listed(second) == {}
 
 
+@pytest.mark.drawn(0.0, "telenano/console/", "telenano/launcher/", "telenano/runtime/bus/")
 def test_an_emergency_stop_reaches_every_rig(rigs: list[Rig]) -> None:
     has_room()
     for rig in rigs:

@@ -18,6 +18,7 @@ def forward(rig: Rig) -> dict[str, Any]:
 
 # it kills a node of the rig, which no other test may find started again
 @pytest.mark.check
+@pytest.mark.drawn(0.0, "services/delay_node/", "telenano/link/")
 def test_a_stalled_link_is_bounded_set_stopped_through_and_killed(pressing_rig: Rig) -> None:
     rig = pressing_rig
     if mode(rig) != "follow":

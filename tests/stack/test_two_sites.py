@@ -309,6 +309,7 @@ def test_late_start_of_the_slave_is_waited_for(sites: TwoSites) -> None:
     )
 
 
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/")
 def test_who_is_not_known_receives_nothing(rig: TwoSites) -> None:
     import zmq
 
@@ -337,6 +338,7 @@ def test_who_is_not_known_receives_nothing(rig: TwoSites) -> None:
     assert rig.master.has_log("delay_node@master", "refused: ")
 
 
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/")
 def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
     looked = rig.guest_command("topic", "echo", "haptic/state", "--count", "3")
     assert looked.returncode == 0, looked.stderr
@@ -359,6 +361,7 @@ def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
     take_up_again(rig)
 
 
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/launcher/")
 def test_a_key_revoked_while_it_listens_is_shut_out(rig: TwoSites) -> None:
     environment = {**rig.slave.environment, "TELENANO_KEYS_DIR": str(rig.guest.folder), "TELENANO_MACHINE": "guest"}
     command = rig.slave.command("topic", "echo", "haptic/state", "--site-file", str(rig.slave.site_file))

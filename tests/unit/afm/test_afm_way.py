@@ -52,6 +52,17 @@ def test_a_base_goes_to_the_hand_no_further_than_its_rest_point_and_from_there_s
     assert output.offset_m == 0.0
 
 
+def test_a_base_that_goes_to_a_place_is_not_placed_before_it_is_there() -> None:
+    place_m, speed_m_per_s = -20e-9, 500e-9
+    state, output = armed(0.0, goes=True, place_m=place_m, speed_m_per_s=speed_m_per_s)
+    _, outputs = run(state, 300)
+    seen = [safety.is_placed(each) for each in (output, *outputs)]
+    first = seen.index(True)
+    assert all(seen[first:])
+    assert first == pytest.approx((place_m - AWAY_M) / speed_m_per_s / DT, abs=2.0)
+    assert outputs[-1].base_m == pytest.approx(place_m, rel=1e-6, abs=0.0)
+
+
 @pytest.mark.parametrize("force_n", [1.1e-9, -1.1e-9])
 def test_a_way_beyond_the_rest_point_ends_where_the_tip_feels_the_sample(force_n: float) -> None:
     state, _ = armed(12e-9, goes=True)
@@ -60,6 +71,18 @@ def test_a_way_beyond_the_rest_point_ends_where_the_tip_feels_the_sample(force_n
     assert (output.ended, state.goes) == (safety.ENDED_BY_CONTACT, False)
     _, outputs = run(state, 200, reference_m=12e-9)
     assert outputs[-1].base_m == pytest.approx(output.base_m, rel=0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("speed_m_per_s", [0.5 * safety.LET_IN_M_PER_S, 10.0 * safety.LET_IN_M_PER_S])
+def test_the_time_of_a_way_is_that_of_a_base_that_goes_it(speed_m_per_s: float) -> None:
+    """Beyond the rest point it is let in slowly, and at its own speed where that is lower."""
+    place_m = 3e-9
+    state, _ = armed(10e-9, goes=True, place_m=place_m, speed_m_per_s=speed_m_per_s)
+    ticks = round(safety.way_s(PARAMS, AWAY_M, place_m, speed_m_per_s=speed_m_per_s) / DT)
+    state, outputs = run(state, ticks - 10, reference_m=10e-9)
+    assert outputs[-1].base_m < place_m and state.goes
+    _, outputs = run(state, 20, reference_m=10e-9)
+    assert outputs[-1].base_m == pytest.approx(place_m, rel=1e-6, abs=0.0)
 
 
 @pytest.mark.parametrize(("waits_s", "goes"), [(4.9, True), (5.1, False)])

@@ -34,6 +34,7 @@ def tapping(dynamic, gap_m, amplitude_m, periods=1500):
 
 
 @pytest.mark.check("takes 2.1 s")
+@pytest.mark.drawn(0.5, "telenano/afm/")
 @pytest.mark.parametrize("detuning", [0.98, 1.0, 1.003])
 def test_free_amplitude_and_phase_are_those_of_the_resonance_curve(detuning):
     dynamic = CONFIG.to_dynamic(drive_hz=detuning * 150e3)
@@ -108,6 +109,7 @@ def config_of(radius_m, stiffness, resonance_hz, quality, *, meniscus=False, vis
 
 
 @pytest.mark.check("takes 2.0 s")
+@pytest.mark.drawn(0.3, "telenano/afm/")
 @pytest.mark.parametrize(
     ("config", "amplitude_m"),
     [

@@ -55,6 +55,17 @@ def test_verdict(growth: float, size: float, kind: str) -> None:
     assert judge(TIME_S, ringing(growth, size=size), 1.0).kind == kind
 
 
+def test_when_a_motion_has_come_to_rest_is_known_to_a_sample() -> None:
+    found = {}
+    for every in (1, 10):
+        rest_from_s = judge(TIME_S[::every], ringing(-2.0, 2.0)[::every], 1.0).rest_from_s
+        assert rest_from_s is not None
+        found[every] = rest_from_s
+        later_s = judge(TIME_S[::every] + 1.0, ringing(-2.0, 2.0)[::every], 1.0).rest_from_s
+        assert later_s == pytest.approx(rest_from_s + 1.0, rel=0.0, abs=1e-6)
+    assert found[10] == pytest.approx(found[1], rel=0.0, abs=10 * 1e-3)
+
+
 SNAPS = 1.5 * np.exp(-0.5 * ((TIME_S % 2.7 - 1.3) / 0.03) ** 2)
 LATE = np.where(TIME_S > 7.0, 0.01 * np.exp(4.0 * (TIME_S - 7.0)) * np.sin(10.0 * np.pi * TIME_S), 0.0)
 # name: series, what it is, the most noise [N] at which it can be told by 8 s of samples

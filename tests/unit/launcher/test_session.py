@@ -9,6 +9,8 @@ from rich.console import Console
 from telenano.cli.live_view import nodes_table, rig_picture
 from telenano.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
 from telenano.launcher.rig_node import _Ending
+from telenano.runtime.bus.places import Places
+from telenano.wire.errors import EndpointError
 from telenano.wire.messages import NodeHealth, SessionEvent
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
@@ -252,6 +254,43 @@ def test_a_crash_loop_ends_the_rig_with_the_cause() -> None:
     assert others == "other nodes that were started again: recorder@master (1)"
     assert where == "last lines of afm_node@slave, from logs/afm_node@slave.log:"
     assert words == "the log tail of afm_node@slave"
+
+
+class Taken:
+    """A path of the launcher that another process has, or that can be had again."""
+
+    def __init__(self, error: str) -> None:
+        self.error = error
+        self.is_lost = True
+
+    def lost(self) -> str:
+        return "/run/x" if self.is_lost else ""
+
+    def make_again(self) -> None:
+        if self.error:
+            raise EndpointError(self.error)
+        self.is_lost = False
+
+
+@pytest.mark.parametrize("error", ["another user has it", ""])
+def test_a_rig_that_no_command_reaches_any_more_makes_its_devices_safe_and_ends(error: str) -> None:
+    rig = Rig(duration_s=1000.0)
+    rig.all_ready()
+    rig.tick(4)
+    rig.context.places = Places()
+    rig.context.places.add(Taken(error))
+    # The loop of a node looks twice a second; at the second look in a row a path is given up.
+    rig.context.places.look()
+    rig.tick_alive(2)
+    assert not rig.finished
+    rig.context.places.look()
+    rig.tick_alive(2)
+    assert rig.finished == bool(error)
+    if error:
+        assert rig.session.failure.startswith(f"no command reaches this rig any more: {error}; its devices were made")
+        assert not rig.children.stopped
+        rig.session.make_safe()
+        assert rig.children.stopped
 
 
 def test_a_node_that_cannot_start_ends_the_rig_at_once() -> None:

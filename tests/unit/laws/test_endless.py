@@ -27,6 +27,7 @@ def assert_not_tired(run: Endless, undelayed: Endless) -> None:
 
 # what the review found to stand after 183, 71, 17 s, and dead before its third cycle; then stiffer, softer, longer
 @pytest.mark.check("takes 2.1 s")
+@pytest.mark.drawn(0.4, "telenano/laws/")
 @pytest.mark.parametrize(
     ("stiffness", "arm", "round_trip_ms"),
     [

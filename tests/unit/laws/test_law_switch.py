@@ -130,6 +130,7 @@ class Rig:
 
 
 @pytest.mark.check("takes 1.1 s")
+@pytest.mark.drawn(0.3, "telenano/laws/", "services/controller/")
 @pytest.mark.parametrize(("first", "second"), SWITCHES)
 def test_law_changes_without_a_jump_at_either_device(bench_of: Any, first: str, second: str) -> None:
     rig = Rig(bench_of, first, delay=8)
@@ -302,6 +303,7 @@ def test_the_delay_of_the_line_changes_in_a_held_contact_without_a_step(bench_of
 
 
 @pytest.mark.check("holds a contact for seconds with both halves as nodes")
+@pytest.mark.drawn(0.4, "telenano/laws/", "services/controller/")
 @pytest.mark.parametrize(
     ("law", "key", "factor"),
     [

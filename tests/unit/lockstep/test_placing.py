@@ -32,6 +32,7 @@ def test_a_tip_that_cannot_be_placed_is_named_with_place_and_speed() -> None:
 
 
 @pytest.mark.check("runs every law once")
+@pytest.mark.drawn(0.3, "telenano/laws/", "telenano/lockstep/")
 @pytest.mark.usefixtures("plain_loop")
 @pytest.mark.grid(law="virtual_impedance")
 @pytest.mark.parametrize("law", TRIED_LAWS)

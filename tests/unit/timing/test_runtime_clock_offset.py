@@ -113,6 +113,7 @@ def worst_error_s(course: Callable[[float], float], jitter_ms: tuple[float, floa
 
 
 @pytest.mark.check("takes 0.9 s")
+@pytest.mark.drawn(0.4, "telenano/timing/")
 @pytest.mark.parametrize("drift", [5e-4, -5e-4, 2e-5, 0.0])
 @pytest.mark.parametrize("jitter_ms", [(5.0, 0.2), (0.2, 5.0), (0.05, 0.05)])
 def test_offset_is_kept_over_a_drift_and_asymmetric_jitter(drift: float, jitter_ms: tuple[float, float]) -> None:

@@ -14,8 +14,9 @@ def trial(participant: str, index: int, condition: Mapping[str, Any], **measures
     return {
         "record": "trial", "utc": "2026-11-22T10:00:00.000+00:00", "participant": participant, "session": 1, "block": 0,
         "index": index, "attempt": 0, "phase": "main", "task": "touch_and_hold", "seed": index, "status": "done",
-        "disturbance": "", "started_utc": "2026-11-22T10:00:00.000+00:00", "duration_s": 9.5, "recording": "",
-        "condition": dict(condition), "settings": {}, "measures": measures, "answers": [], "verified": {},
+        "final": True, "disturbance": "", "started_utc": "2026-11-22T10:00:00.000+00:00", "duration_s": 9.5,
+        "recording": "", "condition": dict(condition), "settings": {}, "measures": measures, "answers": [],
+        "verified": {},
     }  # fmt: skip
 
 

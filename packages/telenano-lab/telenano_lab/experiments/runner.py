@@ -14,13 +14,15 @@ from typing import Any, NamedTuple
 from telenano.wire import ConfigError
 from telenano_lab.experiments.apparatus.base import Apparatus
 from telenano_lab.experiments.desk import Desk, Place
-from telenano_lab.experiments.journal import Journal, Record
+from telenano_lab.experiments.journal import NAME, Journal, Record
 from telenano_lab.experiments.people import People, Person
 from telenano_lab.experiments.plan import Plan, attempt_seed, seed_of
 from telenano_lab.experiments.psychophysics.methods import Method, replay
 from telenano_lab.experiments.types import Trial, TrialOutcome
 
 _PACKAGES = ("telenano", "numpy", "numba", "scipy")
+# What of a trial in the journal decides whether it is over; the tables need more, and not all of these.
+_OUTCOME = ("index", "attempt", "status", "final")
 
 
 class RunEnd(NamedTuple):
@@ -50,7 +52,11 @@ class Progress(NamedTuple):
 
 
 def progress_of(records: Iterable[Record], participant: str) -> Progress:
-    """Fold the records of a journal into the progress of a participant."""
+    """Fold the records of a journal into the progress of a participant.
+
+    Raises:
+        ConfigError: A record of a trial does not say whether the trial is over; the message names it and the participant.
+    """
     outcomes: dict[int, list[Record]] = {}
     sessions: set[int] = set()
     erased, excluded = False, ""
@@ -59,6 +65,10 @@ def progress_of(records: Iterable[Record], participant: str) -> Progress:
             continue
         kind = record["record"]
         if kind == "trial":
+            if missing := [name for name in _OUTCOME if name not in record]:
+                lacks = " and no ".join(f"`{name}`" for name in missing)
+                text = f"{NAME}: a trial of {participant} at {record.get('utc', 'an unknown time')} has no {lacks}"
+                raise ConfigError(f"{text}: restore it from a backup")
             outcomes.setdefault(record["index"], []).append(record)
         elif kind == "session_over":
             sessions.add(record["session"])

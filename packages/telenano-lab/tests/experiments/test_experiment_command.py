@@ -46,6 +46,22 @@ def test_from_a_file_to_an_erased_participant(file: Path, tmp_path: Path) -> Non
     assert {r["participant"] for r in journal.read(out / "journal.jsonl") if r["record"] == "trial"} == {"P02"}
 
 
+def test_a_journal_whose_trials_do_not_say_whether_they_are_over_is_refused(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    telenano("run", file, "--out", out, "--participant", "P01")
+    path = out / "journal.jsonl"
+    records = journal.read(path)
+    for record in records:
+        record.pop("final", None)
+    path.write_text("".join(json.dumps(record) + "\n" for record in records))
+    begun = next(record["utc"] for record in records if record["record"] == "trial")
+    said = f"journal.jsonl: a trial of P01 at {begun} has no `final`"
+    assert said in " ".join(telenano("status", out, code=2).output.split())
+    before = path.read_bytes()
+    assert said in " ".join(telenano("resume", out, code=2).output.split())
+    assert path.read_bytes() == before
+
+
 def test_what_runs_is_the_copy_in_the_folder(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "study"
     telenano("run", file, "--out", out, "--participant", "P01")
