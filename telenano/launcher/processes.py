@@ -158,7 +158,9 @@ class NodeProcesses:
         return process.pid
 
     def reap(self) -> dict[str, int]:
-        ended = {node: code for node, process in self._running.items() if (code := process.poll()) is not None}
+        # Each process is asked once, so that the nodes of one end at the same look.
+        codes = {process: process.poll() for process in set(self._running.values())}
+        ended = {node: code for node, process in self._running.items() if (code := codes[process]) is not None}
         for node in ended:
             del self._running[node]
         return ended
