@@ -45,7 +45,7 @@ PLACES = {
     "operator": ("faulty_hand", "force = params.force_n * min(t / params.rise_s, 1.0)",
                  "haptic_node.operator={kind: faulty_hand}"),
     "sample": ("faulty_gel", "depth = inputs.base_m - params.rest_distance_m", "afm_node.environment=faulty_gel"),
-    "device": ("faulty_handle", "velocity = (position_m - before) / dt_s",
+    "device": ("faulty_handle", "time.monotonic() - self._sampled_s",
                "haptic_node.driver=faulty_handle"),
 }  # fmt: skip
 
@@ -92,7 +92,9 @@ def test_code_of_a_package_that_fails_leaves_hand_and_tip_safe(rig: Rig, kind: s
     recording = open_recordings(sorted(rig.out.glob("session*.mcap")))
     events = [message.fields() for message in recording.messages(["session/event"])]
     said = [event["text"] for event in events]
-    assert any(text.startswith(f"{failed} ") and "it is started again" in text for text in said), said
+    # What waits takes no processor, and is left alone where it is in a process of its own, as a real device always is.
+    is_ended = fault != "blocks" or (rig.processes == "site" and kind != "device")
+    assert is_ended == any(text.startswith(f"{failed} ") and "it is started again" in text for text in said), said
     if fault in ("raises", "exits"):
         assert any(text.startswith(f"the package telenano_{PLACES[kind][0]} 0.1.0 failed (") for text in said), said
     hand, tip = (modes_of(recording, topic) for topic in ("haptic/state", "afm/state"))
