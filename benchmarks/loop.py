@@ -10,9 +10,9 @@ ask for; and, placed, `zeromq`, with a subscriber that drains everything in the 
 process from the kernel, and the time to the first tick of the hand. A last run of each round with `hop_trace` in its
 nodes measures each part of a hop. All take turns, and the medians of the rounds are compared.
 
-`--processes site` runs the rig with the nodes of each site in one process (`site_process/`), beside the same recorder
-and launcher. `--processes paired` compares both ways, without floors: each round has a rig of either kind, and then one
-more of either in the opposite order (A B B A); the ratio is that of the pairs.
+`--processes site` runs the rig with `realtime.processes: site`, the nodes of each site in one process, beside the same
+recorder and launcher. `--processes paired` compares both ways, with no floors: each round has a rig of either kind, and
+one more of either in the opposite order (A B B A); the ratio is that of the pairs.
 """
 
 import argparse
@@ -46,10 +46,8 @@ FLOORS = {
     "zeromq": ("ZeroMQ, placed", lambda ticks: measure_zeromq(ticks, placed=True)),
 }
 TRACED_NODE = Path(__file__).parent / "traced_node"
-# The command that runs a rig, by the distribution of its nodes over processes.
-COMMANDS = {"node": ("-m", "telenano"), "site": (str(Path(__file__).parent / "site_process" / "rig.py"),)}
-# If this variable is set, the time of each turn is written to the log, by node and cause.
-TRACE_VARIABLE = "TELENANO_SITE_TRACE"
+# How the nodes of a rig are put into processes, the values of `realtime.processes`.
+PROCESSES = ("node", "site")
 FIGURES = ("p50", "p99", "max")
 # These topics are published once each millisecond.
 PACED = ("haptic/state", "afm/state")
@@ -86,11 +84,9 @@ def measure_rig(
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
-        command = [sys.executable, *COMMANDS[processes], "up", *words, "--json"]
+        command = [sys.executable, "-m", "telenano", "up", *words, "--json", "--set", f"realtime.processes={processes}"]
         command += ["--duration", str(duration_s), "--out", str(out)]
-        if trace and processes == "site":
-            environment[TRACE_VARIABLE] = "1"
-        elif trace:
+        if trace:
             before = environment.get("PYTHONPATH", "")
             environment["PYTHONPATH"] = os.pathsep.join([str(TRACED_NODE), *([before] if before else [])])
         begin_ns = time.time_ns()
@@ -178,7 +174,6 @@ def _name_of(folder: Path) -> str:
     """Return the name of a process of a rig; OSError or IndexError if the process has ended."""
     words = (folder / "cmdline").read_text().split("\0")
     name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
-    name = name or next(("site" for word in words if word.endswith("site_process/process.py")), "")
     site = words[words.index("--site") + 1] if "--site" in words else "master"
     return f"{name or 'launcher'}@{site}"
 
@@ -246,14 +241,14 @@ def measure(rounds: int, duration_s: float, processes: str = "node") -> dict[str
 
 def compare(rounds: int, duration_s: float) -> dict[str, Any]:
     """Return the results of both ways, and the ratios of their pairs, site to node, A B B A in each round."""
-    runs: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
-    traced: dict[str, list[RigRun]] = {name: [] for name in COMMANDS}
+    runs: dict[str, list[RigRun]] = {name: [] for name in PROCESSES}
+    traced: dict[str, list[RigRun]] = {name: [] for name in PROCESSES}
     loads = []
     for _ in range(rounds):
-        for name in (*COMMANDS, *reversed(COMMANDS)):
+        for name in (*PROCESSES, *reversed(PROCESSES)):
             loads.append(os.getloadavg()[0])
             runs[name].append(measure_rig(duration_s, trace=False, processes=name))
-        for name in COMMANDS:
+        for name in PROCESSES:
             traced[name].append(measure_rig(duration_s, trace=True, processes=name))
     totals = {name: [sum(run.processor_percent.values()) for run in found] for name, found in runs.items()}
     pairs = list(zip(runs["site"], runs["node"], strict=True))
@@ -312,7 +307,7 @@ def main() -> None:
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     about = "whether each node of the rig has a process, or each site, or both ways in turns"
-    parser.add_argument("--processes", choices=(*COMMANDS, "paired"), default="node", help=about)
+    parser.add_argument("--processes", choices=(*PROCESSES, "paired"), default="node", help=about)
     given = parser.parse_args()
     if given.smoke:
         given.rounds, given.duration = 1, 1.5

@@ -16,6 +16,7 @@ from typing import Any
 
 from telenano.recording.reader import Recording
 from telenano.signals import children
+from telenano.wire.nodes import counts_for_process
 
 BASELINE = (1, 1000.0)
 # The nodes that are in the loop, or carry its messages.
@@ -35,7 +36,8 @@ def figures(summary: dict[str, Any], folder: Path) -> dict[str, Any]:
     shares: dict[str, list[float]] = {}
     for message in Recording(folder / "session.mcap").messages(["node/health"]):
         fields = message.fields()
-        if message.src.partition("@")[0] in LOOP and fields["state"] == "running":
+        counts = counts_for_process(message.src, fields.get("shares_with"))
+        if message.src.partition("@")[0] in LOOP and fields["state"] == "running" and counts:
             shares.setdefault(message.src, []).append(fields["cpu_percent"])
     age, rates = summary["loop_age_ms"], summary["rate_hz"]
     return {

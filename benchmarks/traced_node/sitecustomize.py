@@ -9,7 +9,12 @@ from pathlib import Path
 
 _TRACED = ("services.haptic_node", "services.controller", "services.delay_node", "services.afm_node")
 
-if (node := next((name for name in _TRACED if name in sys.orig_argv), "")) and "--site" in sys.orig_argv:
+if "services.site" in sys.orig_argv:
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    import site_trace
+
+    atexit.register(site_trace.install())
+elif (node := next((name for name in _TRACED if name in sys.orig_argv), "")) and "--site" in sys.orig_argv:
     sys.path.insert(0, str(Path(__file__).parents[1]))
     import hop_trace
 

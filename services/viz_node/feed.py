@@ -161,6 +161,8 @@ class Feed:
         facts["lost"] = total(row["lost"] for row in inputs)
         facts["rejected"] = total(n for reason, n in seen.fields["rejected"].items() if reason != "superseded")
         facts["beat"] = seen.t_ns
+        if (mates := seen.fields.get("shares_with")) is not None:
+            facts["shares_with"] = list(mates)
         if (limit_n := seen.fields.get(_LIMIT_KEY)) is not None:
             facts[_LIMIT_KEY] = limit_n
         self._set_node(seen.src, facts)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from telenano.timing.loop_age import Part
+from telenano.wire.nodes import counts_for_process
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 # The text is made anew after this time.
@@ -32,6 +33,11 @@ NODE_METRICS = (
 )
 
 
+# What a process takes is a sample of one of its nodes, so that a sum counts it once.
+_OF_PROCESS = ("cpu_percent", "memory_bytes")
+_MATES = "shares_with"
+
+
 def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Sequence[Part] = ()) -> str:
     """Return one sample a node and figure.
 
@@ -42,7 +48,11 @@ def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Seque
     """
     lines: list[str] = []
     for metric in NODE_METRICS:
-        values = [(src, facts[metric.key]) for src, facts in nodes.items() if metric.key in facts]
+        values = [
+            (src, facts[metric.key])
+            for src, facts in nodes.items()
+            if metric.key in facts and (metric.key not in _OF_PROCESS or counts_for_process(src, facts.get(_MATES)))
+        ]
         lines += _family(metric.name, metric.kind, metric.about, ((f'node="{_escaped(src)}"', v) for src, v in values))
     ages = ((f'node="{_escaped(src)}"', (now_ns - facts["beat"]) * 1e-9) for src, facts in nodes.items())
     lines += _family("telenano_report_age_seconds", "gauge", "Time since the newest report of the node.", ages)

@@ -7,6 +7,7 @@ from rich.console import Group, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
+from telenano.wire.nodes import counts_for_process
 from telenano.wire.printable import one_line
 
 # A value other than zero in these columns is a loss and is drawn red.
@@ -23,6 +24,10 @@ def counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
 
 
+# Stands for what is told of the process already, with another node of it.
+_SHARED = "shared"
+
+
 def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
     """Draw the health of a node, given by `node_facts`, as a cell for each heading."""
     state = "replay" if facts["replay"] else facts["state"]
@@ -31,6 +36,9 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
 
     late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
     minutes, seconds = divmod(round(facts["uptime_s"]), 60)
+    # What a process takes stands with one of its nodes.
+    counts = counts_for_process(facts["node"], facts["shares_with"])
+    style = "" if counts else "dim"
     granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
     return {
         "state": Text(state, _STATE_STYLES.get(state, "red")),
@@ -41,8 +49,8 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
         "input age ms": Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
         "lost": _alarming(facts["lost"], str(facts["lost"])),
         "refused": _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"])),
-        "CPU %": Text(f"{facts['cpu_percent']:.0f}"),
-        "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
+        "CPU %": Text(f"{facts['cpu_percent']:.0f}" if counts else _SHARED, style),
+        "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}" if counts else _SHARED, style),
         "granted": Text(", ".join(granted) or "nothing"),
     }
 

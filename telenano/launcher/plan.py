@@ -16,6 +16,7 @@ from telenano.launcher.scenario_keys import with_meant
 from telenano.recording.session_folder import RECORDING_NAME
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.transports import fetching
+from telenano.runtime.loop.realtime import on_one_processor
 from telenano.runtime.wiring.main import node_kind
 from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
 from telenano.sections.afm_section import AfmConfig
@@ -41,6 +42,7 @@ from telenano.wire.errors import ConfigError, RigError, known_names
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.nodes import (
     FAR_RECORDER,
+    JOINED,
     LAUNCHER,
     LINK,
     OPTIONAL_NODES,
@@ -224,6 +226,24 @@ class Plan:
         return self.loaded.section("recorder", RecorderConfig)
 
     @property
+    def joined(self) -> dict[str, tuple[str, ...]]:
+        """The processes in which several of the nodes run, by name, each with its nodes in the order of building.
+
+        A real device keeps a process of its own: where what runs beside it hangs, it holds and withdraws by itself.
+        """
+        if self.scenario.realtime.processes == "node":
+            return {}
+        found = {
+            process: tuple(node for node in nodes if node in self.nodes and self._may_be_joined(node))
+            for process, nodes in JOINED.items()
+        }
+        return {process: nodes for process, nodes in found.items() if len(nodes) > 1}
+
+    def _may_be_joined(self, node: str) -> bool:
+        kind = node_kind(name_of(node))
+        return bool(getattr(self.loaded.section(kind.name, kind.config), "simulated", True))
+
+    @property
     def launcher(self) -> str:
         return f"launcher@{self.site or 'master'}"
 
@@ -329,6 +349,11 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         page=request.page and request.site != "slave",
         given=scenario_path,
     )
+    for nodes in plan.joined.values():
+        try:
+            on_one_processor(plan.scenario.realtime_in_force(), nodes, nodes[-1])
+        except ConfigError as error:
+            raise ConfigError(f"{loaded.origin}: {error}") from error
     if plan.fetches and fetching() is None:
         package = KNOWN_PACKAGES["command bag fetch"]
         text = f"to fetch is in the package {package}: {how_to_add_package(package)}; `stream` needs none"

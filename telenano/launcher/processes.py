@@ -100,6 +100,7 @@ class NodeProcesses:
         inherited: Mapping[str, Inheritance] | None = None,
         held: Sequence[int] = (),
         before_start: Callable[[], None] = lambda: None,
+        joined: Mapping[str, str] | None = None,
     ) -> None:
         """Prepare empty logs for the nodes in `commands`, the command line of each by its key.
 
@@ -112,8 +113,10 @@ class NodeProcesses:
             inherited: What some of the nodes are given as well.
             held: The descriptors that each of them keeps open.
             before_start: Called before each start.
+            joined: The process of each node that shares one; their command lines are the same, and so is their log.
         """
         self._commands = commands
+        self._joined = joined or {}
         self._stop_order = stop_order
         self._log_directory = log_directory
         self._environment = child_environment(os.environ, epoch_offset_ns)
@@ -124,13 +127,19 @@ class NodeProcesses:
         self._logs: dict[str, _Log] = {}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         log_directory.mkdir(parents=True, exist_ok=True)
-        for node in commands:
-            self.log_path(node).write_bytes(b"")
+        for path in {self.log_path(node) for node in commands}:
+            path.write_bytes(b"")
 
     def log_path(self, node: str) -> Path:
-        return self._log_directory / f"{node}.log"
+        return self._log_directory / f"{self._process_of(node)}.log"
 
     def start(self, node: str) -> int:
+        for other in self._mates_of(node):
+            process = self._running.get(other)
+            if process is not None and process.poll() is None:
+                # The first of the nodes of a process has started it.
+                self._running[node] = process
+                return process.pid
         inherited = self._inherited.get(node, Inheritance())
         self._before_start()
         log = self._opened_log(node)
@@ -149,7 +158,9 @@ class NodeProcesses:
         return process.pid
 
     def reap(self) -> dict[str, int]:
-        ended = {node: code for node, process in self._running.items() if (code := process.poll()) is not None}
+        # Each process is asked once, so that the nodes of one end at the same look.
+        codes = {process: process.poll() for process in set(self._running.values())}
+        ended = {node: code for node, process in self._running.items() if (code := codes[process]) is not None}
         for node in ended:
             del self._running[node]
         return ended
@@ -159,7 +170,7 @@ class NodeProcesses:
             self._running[node].kill()
 
     def log_tail(self, node: str) -> str:
-        if (log := self._logs.get(node)) is None:
+        if (log := self._logs.get(self._process_of(node))) is None:
             return ""
         if log.fault:
             return log.fault
@@ -176,8 +187,12 @@ class NodeProcesses:
         """
         nodes = [node for node in dict.fromkeys([*self._stop_order, *self._running]) if node in self._running]
         senders = [node for node in nodes if name_of(node) != "recorder"]
+        asked: set[str] = set()
         for node in senders:
-            self._terminate(node)
+            # A process of several nodes is stopped once, with the first of them.
+            if self._process_of(node) not in asked:
+                asked.add(self._process_of(node))
+                self._terminate(node)
             self._wait((node,), GRACE_S, observer, until_ended=True)
         self._wait(senders, LINGER_GRACE_S, observer)
         for node in nodes:
@@ -185,12 +200,21 @@ class NodeProcesses:
                 self._terminate(node)
                 self._wait((node,), RECORDER_GRACE_S, observer)
 
+    def _process_of(self, node: str) -> str:
+        return self._joined.get(node, node)
+
+    def _mates_of(self, node: str) -> list[str]:
+        """Return the other nodes that run in the process of a node."""
+        name = self._process_of(node)
+        return [other for other, process in self._joined.items() if process == name and other != node]
+
     def _opened_log(self, node: str) -> "_Log":
         """Open the log of a node for another life of it, in a folder that is made again where somebody removed it.
 
         A log that cannot be written is no reason to leave a node dead: it runs without one.
         """
-        path, before = self.log_path(node), self._logs.pop(node, None)
+        name = self._process_of(node)
+        path, before = self.log_path(node), self._logs.pop(name, None)
         if before is not None:
             os.close(before.descriptor)
         try:
@@ -198,12 +222,13 @@ class NodeProcesses:
             log = _Log(os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666))
         except OSError as error:
             log = _Log(os.open(os.devnull, os.O_RDWR), f"its log {path} cannot be written: {error.strerror}")
-        self._logs[node] = log
+        self._logs[name] = log
         return log
 
     def _terminate(self, node: str) -> None:
-        self._on_stopping(node)
-        self._running[node].send_signal(signal.SIGTERM)
+        self._on_stopping(" and ".join([node, *(other for other in self._mates_of(node) if other in self._running)]))
+        if node in self._running:
+            self._running[node].send_signal(signal.SIGTERM)
 
     def _wait(self, nodes: Sequence[str], grace_s: float, observer: StopObserver, *, until_ended: bool = False) -> None:
         """Wait until processes have ended, and kill them after the grace [s].
@@ -262,6 +287,12 @@ def node_command(node: str, site_file: Path, scenario_file: Path, held: int | No
     given = [] if held is None else ["--held", str(held)]
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
     return [sys.executable, "-m", module_of(name), *files, "--site", site, "--with-parent", *given]
+
+
+def joint_command(process: str, nodes: Sequence[str], site_file: Path, scenario_file: Path, held: int) -> list[str]:
+    """Return the command line that runs several nodes in one process, such as site@master."""
+    names = [word for node in nodes for word in ("--node", node)]
+    return [*node_command(process, site_file, scenario_file, held), *names]
 
 
 def _readable(line: str) -> str:

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from telenano.runtime.loop import hang_guard
+from telenano.runtime.loop import hang_guard, turn_limit
 from telenano.runtime.wiring.main import EXIT_BAD_START
 from telenano.timing.clock import Clock
 
@@ -103,6 +103,9 @@ def describe_exit(exit_code: int) -> str:
         return f"ended with exit code {exit_code}"
     if hasattr(signal, "SIGPROF") and exit_code == -signal.SIGPROF:
         return f"hung: it computed for {hang_guard.LIMIT_S:g} s without a report, and the kernel ended it"
+    if turn_limit.SIGNAL is not None and exit_code == -turn_limit.SIGNAL:
+        limit_ms = 1e3 * turn_limit.LIMIT_S
+        return f"hung: a turn took more than {limit_ms:.0f} ms, which ends a process of several nodes"
     try:
         return f"was killed by {signal.Signals(-exit_code).name}"
     except ValueError:

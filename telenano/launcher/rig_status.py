@@ -183,6 +183,7 @@ def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dic
         "lost": total(row.lost for row in health.inputs),
         "refused": health.rejected,
         "deaf_s": health.deaf_s or {},
+        "shares_with": list(health.shares_with or ()),
     }
 
 

@@ -17,7 +17,7 @@ from telenano.launcher.external_recording import ExternalRecording, readable_her
 from telenano.launcher.felt_adviser import FeltAdviser
 from telenano.launcher.files_for_nodes import HeldForNodes
 from telenano.launcher.plan import Plan
-from telenano.launcher.processes import Inheritance, NodeProcesses, node_command
+from telenano.launcher.processes import Inheritance, NodeProcesses, joint_command, node_command
 from telenano.launcher.rig_node import RigNode
 from telenano.launcher.rigs import RigName
 from telenano.launcher.session import SessionNode
@@ -153,6 +153,9 @@ def run_rig(
         files = plan.site_file, plan.scenario_file
         table = files_held.table
         commands = {node: node_command(node, *files, table) for node in nodes}
+        joined = plan.joined
+        for process, mates in joined.items():
+            commands |= dict.fromkeys(mates, joint_command(process, mates, *files, table))
         clock = participant.clock
         epoch_ns = clock.epoch_offset_ns
         session = given_identity(os.environ.get(RIG_VARIABLE, ""), clock.now_ns(), conducts=plan.site != "slave")
@@ -167,6 +170,7 @@ def run_rig(
             inherited,
             (*held, *files_held.descriptors),
             files_held.refresh,
+            {node: process for process, mates in joined.items() for node in mates},
         )
         stack.callback(plan.remake_folder)
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))

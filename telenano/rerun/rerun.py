@@ -260,8 +260,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         wake_descriptor=-1,
         rerun_bus=bus,
     )
-    node, _ = kind.build(wiring, config)
-    return node
+    return kind.open(wiring, loaded)[0]
 
 
 class _NoLog(StructuredLog):

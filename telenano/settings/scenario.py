@@ -33,6 +33,11 @@ class RealtimeConfig(Settings):
         default=1000.0,
         description="Rate of hand, instrument, law and devices [Hz]; what a machine reaches is in docs/performance.md",
     )
+    processes: Literal["node", "site"] = Field(
+        default="node",
+        description="node: each node has a process of its own; site: hand, its half and the link share one, and the "
+        "AFM and its half another one, which makes the loop younger; a real device keeps its own",
+    )
     huge_pages: bool = Field(
         default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
     )

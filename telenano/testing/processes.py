@@ -87,7 +87,9 @@ class LiveRig:
         """Return the process id of a node of this rig, such as controller@slave; None where it does not run."""
         name, _, site = node.partition("@")
         for process_id, words in _processes():
-            if f"services.{name}" in words and site in words and str(self.out / "scenario.yaml") in words:
+            # Nodes that share a process are named in its command line.
+            is_meant = (f"services.{name}" in words and site in words) or ("services.site" in words and node in words)
+            if is_meant and str(self.out / "scenario.yaml") in words:
                 return process_id
         return None
 
@@ -118,6 +120,9 @@ class LiveRig:
     def log_has(self, node: str, text: str, times: int = 1) -> bool:
         """Return whether the log of a node has a text, or has it a number of times."""
         path = self.out / "logs" / f"{node}.log"
+        if not path.exists():
+            # Nodes that share a process share its log.
+            path = path.with_name(f"site@{node.partition('@')[2]}.log")
         return path.exists() and path.read_text().count(text) >= times
 
     def running(self) -> bool:

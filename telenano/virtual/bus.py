@@ -7,75 +7,20 @@ from itertools import chain, islice
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
-from telenano.runtime.bus.bus import ConnectionEvent, MessageReader, Taken
+from telenano.runtime.bus.bus import ConnectionEvent
+from telenano.runtime.bus.handed_reader import Arriving, HandedReader
 from telenano.runtime.bus.publisher import version_of
-from telenano.timing.clock import NEVER_NS, Clock
+from telenano.timing.clock import NEVER_NS
 from telenano.virtual.world import World
 from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
 from telenano.wire.nodes import LINK, RECORDER, name_of
 from telenano.wire.received import Received
-from telenano.wire.sequence import Arrival
 
 # A reader takes this number of messages at once.
 _BATCH = 256
 # A recorder takes what comes within this time together [ns]; each message keeps its own time of reception.
 _RECORDER_PERIOD_NS = 5_000_000
-_NEXT = Arrival.NEXT
-_DUPLICATE = Arrival.DUPLICATE
-_LATE = Arrival.LATE
-
-# when it arrives [ns], its number, topic and bytes, and what they say; None of bytes that are no message
-Arriving = tuple[int, int, str, bytes, Message | None]
-
-
-class VirtualReader(MessageReader):
-    """A reader that is handed messages, whose bytes need no second decoding."""
-
-    def __init__(self, clock: Clock, topics: Iterable[str], *, newest_only: bool = False) -> None:
-        super().__init__(clock, topics, newest_only=newest_only)
-        self.prefixes: tuple[str, ...] = ()
-        self._known: dict[bytes, Message | None] = {}
-
-    @property
-    def socket(self) -> "VirtualReader":
-        """What topics are subscribed to at."""
-        return self
-
-    def subscribe(self, prefix: bytes) -> None:
-        """Also read the topics that begin so."""
-        self.prefixes = (*self.prefixes, prefix.decode())
-
-    def wants(self, topic: str) -> bool:
-        """Return whether a topic is subscribed to."""
-        return topic in self.topics or any(map(topic.startswith, self.prefixes))
-
-    def arrived(self, waiting: Sequence[Arriving], received_ns: int) -> list[Received]:
-        """Return the messages that have arrived together, judged as those of a socket are."""
-        if len(waiting) == 1:
-            # most often there is one
-            _, _, topic, payload, message = waiting[0]
-            received = self._track(topic, payload, message, received_ns)
-            return [] if received is None else [received]
-        self._known = {payload: message for _, _, _, payload, message in waiting}
-        frames: list[Taken] = [((topic.encode(), payload), received_ns) for _, _, topic, payload, _ in waiting]
-        return self.take(frames)
-
-    def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        return self._track(frames[0].decode(), frames[1], self._known.get(frames[1]), received_ns)
-
-    def _track(self, topic: str, payload: bytes, message: Message | None, received_ns: int) -> Received | None:
-        if message is None:
-            # It is refused and counted by the same words as on a socket.
-            return super().decode_and_track((topic.encode(), payload), received_ns)
-        tracker = self.trackers.get((topic, message.src)) or self.tracker(topic, message.src)
-        arrival = tracker.accept(message.seq, message.t_ns)
-        if arrival is not _NEXT and (
-            (arrival is _LATE and TOPICS[topic].delivery == "latest")
-            or (arrival is _DUPLICATE and topic != "session/control")
-        ):
-            return None
-        return Received(topic, message, payload, received_ns, arrival)
 
 
 class VirtualBus:
@@ -91,7 +36,7 @@ class VirtualBus:
         self.inbox: list[Arriving] = []
         is_newest_only = name_of(key) != LINK if newest_only is None else newest_only
         self._clock = rig.clock_of(key)
-        self.reader = VirtualReader(self._clock, topics or TOPICS, newest_only=is_newest_only)
+        self.reader = HandedReader(self._clock, topics or TOPICS, newest_only=is_newest_only)
         self._rig = rig
         self._numbers: dict[str, int] = {}
         # By topic, the version of its messages and what draws how long one takes to be sent [ns].

@@ -26,7 +26,7 @@ class VirtualMachine:
     def processor_time_s(self) -> float:
         return 0.0
 
-    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, int | float]:
+    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, Any]:
         return HEALTH
 
 

@@ -172,9 +172,7 @@ class Engine:
         return self._built(key, context)[0]
 
     def _built(self, key: str, given: NodeContext | None) -> tuple[Node, Any]:
-        kind = node_kind(name_of(key))
-        config = self.config_of(key, self.loaded.section(kind.name, kind.config))
-        return kind.build(self.wiring(key, given), config)
+        return node_kind(name_of(key)).open(self.wiring(key, given), self.loaded, self.config_of)
 
     def config_of(self, key: str, config: Any) -> Any:
         """Return the section of a node as the node gets it."""

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from telenano.runtime.bus.bus import Bus, Subscriber
+from telenano.runtime.bus.handed_reader import HandedReader
 from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.participant import SITES, NoNetwork
-from telenano.virtual.bus import RecordingBus, VirtualBus, VirtualReader
+from telenano.virtual.bus import RecordingBus, VirtualBus
 from telenano.virtual.world import World
 from telenano.wire.nodes import site_of
 
@@ -37,7 +38,7 @@ class VirtualWiring(Wiring):
     ) -> list[Subscriber]:
         """Return a reader for all that is connected to; what it reads comes by the bus."""
         topics = {topic for topics in connections.values() for topic in topics}
-        return [cast(Subscriber, VirtualReader(self.clock, topics, newest_only=newest_only))]
+        return [cast(Subscriber, HandedReader(self.clock, topics, newest_only=newest_only))]
 
     def observe(
         self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES, *, shared: bool = False
@@ -51,7 +52,7 @@ class VirtualWiring(Wiring):
         return VirtualBus(self.rig, self.key, topics, newest_only=newest_only)
 
     def bus_of(self, publisher: Any, subscribers: Sequence[Any]) -> Any:
-        publisher.reader = VirtualReader(self.clock, {topic for one in subscribers for topic in one.topics})
+        publisher.reader = HandedReader(self.clock, {topic for one in subscribers for topic in one.topics})
         return publisher
 
     def recording_bus(self, make: Callable[..., Any], publisher: Any, listeners: Any, intake: Any) -> Any:
@@ -70,7 +71,7 @@ class VirtualWiring(Wiring):
         return self.given or super().context(bus)
 
 
-class _Observer(VirtualReader):
+class _Observer(HandedReader):
     """What a recorder receives from one publisher: also topics of packages that this process learns of later."""
 
     def __init__(

@@ -631,3 +631,10 @@ class NodeHealth(Message):
             "absent if there are none"
         ),
     ] = None
+    shares_with: Annotated[
+        Annotated[tuple[Name, ...], Meta(max_length=MAX_KEYS)] | None,
+        about(
+            "Other nodes that run in the same process, whose reports have its pid, cpu_percent and memory_bytes as "
+            "well: a sum counts them once; absent where the node has a process of its own"
+        ),
+    ] = None

@@ -1,5 +1,6 @@
 """The table of nodes: the processes on the bus, their sites, and their parts in a rig."""
 
+from collections.abc import Collection
 from typing import Literal, NamedTuple
 
 from telenano.wire.patterns import matches
@@ -10,17 +11,24 @@ Site = Literal["master", "slave"]
 class NodeRow(NamedTuple):
     """One row of the table: a node, with its key `name@site`.
 
-    `part` is one of: `rig`, a process that the launcher starts and stops; `beside`, a process that the launcher also
-    keeps running, but for which no session waits or ends; `carrier`, a process started if a rig needs it, which carries
-    messages of others and publishes none under its own name; `endpoint`, a further endpoint of another row's process;
-    `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects
-    to the nodes, so it needs no endpoint. Rows are in the order in which a rig is started; `stop` is the position in
-    the stop order. A session waits for `required` nodes; the others are optional. `no_rerun` is the reason why a node
-    cannot be run again from recorded inputs; empty for nodes that keep a journal of their inputs.
+    <<<<<<< HEAD
+        `part` is one of: `rig`, a process that the launcher starts and stops; `beside`, a process that the launcher also
+        keeps running, but for which no session waits or ends; `carrier`, a process started if a rig needs it, which carries
+        messages of others and publishes none under its own name; `endpoint`, a further endpoint of another row's process;
+    =======
+        `part`: `rig`, a process of its own that the launcher starts and stops; `beside`, one that it keeps running as well,
+        and that a session neither waits for nor ends with; `carrier`, one that it keeps running where a rig needs it, which
+        carries messages of others and publishes none under its own name; `joint`, one in which several nodes of a site run
+        where a scenario asks for it, each under its own name; `endpoint`, a further endpoint of a process of the rig;
+    >>>>>>> h9-site
+        `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects
+        to the nodes, so it needs no endpoint. Rows are in the order in which a rig is started; `stop` is the position in
+        the stop order. A session waits for `required` nodes; the others are optional. `no_rerun` is the reason why a node
+        cannot be run again from recorded inputs; empty for nodes that keep a journal of their inputs.
     """
 
     key: str
-    part: Literal["rig", "beside", "carrier", "endpoint", "launcher", "visitor"]
+    part: Literal["rig", "beside", "carrier", "joint", "endpoint", "launcher", "visitor"]
     stop: int = 0
     required: bool = True
     no_rerun: str = ""
@@ -29,6 +37,7 @@ class NodeRow(NamedTuple):
 _RECORDS = "the recording is what it makes of its inputs: `telenano bag verify` says whether it is whole"
 _BY_HAND = "its commands are those that a person typed"
 _CARRIES = "it carries messages of others, and has no inputs of its own"
+_JOINS = "it is the process of several nodes, each of which is run again by its own name"
 _SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
 # Recorders start first and stop last, so that they record the start and stop of the others. Devices stop first, to be
@@ -46,6 +55,8 @@ NODES = (
     NodeRow("fan_out@master", "carrier", required=False, no_rerun=_CARRIES),
     NodeRow("relay@master", "carrier", required=False, no_rerun=_CARRIES),
     NodeRow("relay@slave", "carrier", required=False, no_rerun=_CARRIES),
+    NodeRow("site@master", "joint", required=False, no_rerun=_JOINS),
+    NodeRow("site@slave", "joint", required=False, no_rerun=_JOINS),
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
@@ -85,6 +96,13 @@ LINK = "delay_node"
 KEEPERS = (*DEVICES, f"{LINK}@master")
 # The node at the slave's site in which the link ends if messages cross as datagrams.
 FAR_END = "controller@slave"
+
+# The nodes that share a process where the scenario gives `realtime.processes: site`, in the order in which they are
+# built. The device, or else the half, is the last of a site: where the process is placed follows from it.
+JOINED = {
+    "site@master": (f"{LINK}@master", "controller@master", HAND),
+    "site@slave": ("controller@slave", TIP),
+}
 
 _RIG = tuple(row for row in NODES if row.part == "rig")
 _PROCESSES = tuple(row for row in NODES if row.part in ("rig", "beside"))
@@ -158,6 +176,16 @@ def is_visitor(node: str) -> bool:
 def endpoints_of(node: str) -> tuple[str, ...]:
     """Return the endpoints of the process of a node, its own first."""
     return (node, *(row.key for row in NODES if row.part == "endpoint" and name_of(row.key) == name_of(node)))
+
+
+def counts_for_process(node: str, shares_with: Collection[str] | None) -> bool:
+    """Return whether a sum over nodes counts the process of a node by this one, and not by one that it shares it with.
+
+    Args:
+        node: The node.
+        shares_with: The others in its process, as node/health has them.
+    """
+    return all(node < other for other in shares_with or ())
 
 
 def no_rerun_reason(node: str) -> str:

@@ -144,7 +144,7 @@ def _fault_of(row: Topic) -> str:
         return f"{row.name}: its model must be a class that inherits from telenano.wire.Message"
     if row.model.__name__ in {topic.model.__name__ for topic in TOPICS.values()}:
         return f"{row.name}: {row.model.__name__} is the name of another message, which recordings know schemas by"
-    nodes = {name for node in NODES if node.part != "carrier" for name in (node.key, name_of(node.key))}
+    nodes = {name for node in NODES if node.part not in ("carrier", "joint") for name in (node.key, name_of(node.key))}
     wrong = [each for each in row.publishers if not _is_of_table(each, nodes)]
     if wrong or not row.publishers:
         return f"{row.name}: publishers: {', '.join(wrong) or 'none'}: must be among {', '.join(sorted(nodes))}"

@@ -471,6 +471,7 @@ WITHOUT: Mapping[str, str] = {
     "realtime.priority": "asks the system of a process for real time",
     "realtime.memory_lock": "asks the system of a process for real time",
     "realtime.cpus": "asks the system of a process for a processor",
+    "realtime.processes": "puts nodes into processes, of which a session in lockstep or in virtual time has none",
     "realtime.huge_pages": "asks the system of a process for large pages",
     "haptic_node.serial.**": "a real handle; tests/unit/devices/test_serial_handle.py",
     "haptic_node.limits.max_force_n": "only a real device has a force mode; tests/unit/hand/test_haptic_safety.py",

@@ -44,9 +44,15 @@ def our_turn() -> Iterator[None]:
     COMMANDS.close()
 
 
+@pytest.fixture(scope="module")
+def processes(request: pytest.FixtureRequest) -> str:
+    """How the nodes of a rig are put into processes; tests about safety have it for `node` and for `site`."""
+    return str(getattr(request, "param", "node"))
+
+
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    with closing(Rig(tmp_path)) as rig:
+def rig(tmp_path: Path, processes: str) -> Iterator[Rig]:
+    with closing(Rig(tmp_path, processes)) as rig:
         yield rig
 
 

@@ -22,6 +22,10 @@ FAULTS = {
     "kill -9 of delay_node@master": "hand let go, tip holds, then withdraws; restarted",
     "kill -9 of afm_node@slave": "hand let go; restarted withdrawn, waits to be armed",
     "kill -9 of haptic_node@master": "tip holds, then withdraws; restarted with the motor off",
+    "kill -9 of controller@slave, afm_node@slave, one process": "hand let go; restarted together, the "
+    "tip withdrawn, and waits to be armed",
+    "kill -9 of delay_node@master, controller@master, haptic_node@master, one process": "tip holds, then withdraws; "
+    "restarted together with the motor off",
     "kill -9 of recorder@master": "at most a flush interval is lost, the rig goes on; a second file follows",
     **{
         f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms": "as above"
@@ -51,6 +55,9 @@ FAULTS = {
     "a second rig is started after the folder of the first was removed": "it sees the first and is rig 2; the end of "
     "the first removes nothing of it",
     "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",
+    "a law of a package never returns in a process of several": "the process is ended within 60 ms of the turn; "
+    "restarted together",
+    "a node that dies again and again in a process of several": "the rig is stopped with a summary of the deaths",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
     "the page that has the hand is killed": "the hand is lost within 1 s of the server's time, and the tip withdrawn",
     "the page that has the hand stands still": "lost within 1 s of the server's time, the tip withdrawn; what it sends "
@@ -60,6 +67,8 @@ FAULTS = {
     "the server of the page is killed while a page has the hand": "hand let go; the new server withdraws the tip",
     "the hand stands still and is killed while a page has it": "the lease is the page's all the while, and an "
     "emergency stop asks for none",
+    "a node that spins in a process of several": "all of its process are killed and restarted together; one that is "
+    "stopped keeps its process",
     "a node that spins": "killed and restarted as one that died; one that is stopped keeps its process",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",
     "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",

@@ -18,6 +18,7 @@ from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
 from telenano.testing.processes import PATIENCE_S, LiveRig
 from telenano.wire.messages import AfmState
+from telenano.wire.nodes import JOINED
 
 __all__ = ["PATIENCE_S"]
 # a hand that takes up the sample and stays pressed onto it
@@ -109,9 +110,17 @@ class Rig(LiveRig):
     before_start = staticmethod(machine.usual_priority)
     working_folder = ROOT
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, processes: str = "node") -> None:
+        """Prepare a rig with a process a node, or a site."""
         super().__init__(folder)
+        self.usual = ("--set", f"realtime.processes={processes}")
+        self.processes = processes
         self._recorded = Recorded()
+
+    def mates_of(self, node: str) -> tuple[str, ...]:
+        """Return the nodes that run in the process of a node, itself among them."""
+        joined = JOINED.values() if self.processes == "site" else ()
+        return next((nodes for nodes in joined if node in nodes), (node,))
 
     def start(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] | None = None) -> None:
         # the dwell of an image asks for the rate of its scenario

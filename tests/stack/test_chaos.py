@@ -1,97 +1,54 @@
 """kill -9 of each node in turn: the devices make themselves safe, the rig comes back, the recording shows it."""
 
 import time
-from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from ledger import record
+from recovered import RESTARTED, SOON_NS, STATE_OF, Kill, after_restart, coupled, recover
 from stack_rig import CONSTANT_PUSH, Rig
 
-from telenano.recording.messages import RecordedMessage
 from telenano.recording.reader import Recording
 
-RESTARTED = "was started again"
-# generous against the 50 ms and 250 ms of the design: this machine may be busy, the order of things may not change
-SOON_NS = 1_000_000_000
 LATER_NS = 4_000_000_000
+KILLS = {
+    "node": (
+        "controller@master",
+        "controller@slave",
+        "delay_node@master",
+        "afm_node@slave",
+        "haptic_node@master",
+        "recorder@master",
+    ),
+    # one of each process
+    "site": ("controller@slave", "haptic_node@master"),
+}
+BOTH = pytest.mark.parametrize("processes", list(KILLS), indirect=True, scope="module")
 
 
-class Kill(NamedTuple):
-    node: str
-    at_ns: int
-
-
-STATE_OF = {"afm_node@slave": "afm/state", "haptic_node@master": "haptic/state"}
-
-
-def after_restart(messages: Sequence[RecordedMessage]) -> RecordedMessage | None:
-    """Give the first message of a publisher that has begun to number anew."""
-    return next((after for before, after in pairwise(messages) if after.seq < before.seq), None)
-
-
-def recover(rig: Rig, kill: Kill) -> None:
-    """Wait for the supervisor, then take the rig up again as an operator would who sees what the recorder receives."""
-    node = kill.node
-    rig.wait_until(lambda: rig.log_has("launcher@master", f"{node} {RESTARTED}"), f"the restart of {node}")
-    if topic := STATE_OF.get(node):
-        before_ns = kill.at_ns - SOON_NS // 2
-        rig.wait_until(
-            lambda: after_restart(rig.recording().messages(topic, before_ns)) is not None, f"the state of {node}"
-        )
-
-    def armed() -> bool:
-        return rig.telenano("session", "arm", "--target", "afm_node").returncode == 0
-
-    rig.wait_until(armed, "an AFM that can be armed again")
-    if node == "haptic_node@master":
-        assert rig.telenano("session", "start", "--target", "haptic_node").returncode == 0
-    # the hand follows again once its commands are there
-    rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "haptic_node").returncode == 0, "an armed hand")
-
-
-def coupled(rig: Rig) -> bool:
-    """Return whether both devices are in their modes for the last second that is recorded, so that a kill ends them.
-
-    A tip that was armed while it held, and withdrew as its hold ended, is armed again as an operator would.
-    """
-    newest = rig.recording().messages("afm/state", time.time_ns() - SOON_NS)
-    if newest and newest[-1].decode().mode == "retracted":
-        rig.telenano("session", "arm", "--target", "afm_node")
-    for topic, mode in (("haptic/state", "position"), ("afm/state", "follow")):
-        found = rig.recording().messages(topic, time.time_ns() - 3 * SOON_NS)
-        if not found or found[-1].publish_ns - found[0].publish_ns < SOON_NS:
-            return False
-        last = [message for message in found if message.publish_ns >= found[-1].publish_ns - SOON_NS]
-        if {message.decode().mode for message in last} != {mode}:
-            return False
-    return True
+def of_kills(*cases: tuple[str, tuple[str, ...]]) -> pytest.MarkDecorator:
+    """Have a test for these nodes, of each way in which the nodes of a rig are put into processes."""
+    rows = [(way, node) for way, nodes in cases for node in nodes]
+    return pytest.mark.parametrize(("processes", "node"), rows, indirect=["processes"], scope="module")
 
 
 @pytest.fixture(scope="module")
-def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    rig = Rig(tmp_path_factory.mktemp("chaos"))
+def wreck(tmp_path_factory: pytest.TempPathFactory, processes: str) -> Any:
+    rig = Rig(tmp_path_factory.mktemp("chaos"), processes)
     kills = []
     try:
         rig.start("--duration", "600", "--set", CONSTANT_PUSH)
         rig.wait_until(rig.running, "a running session")
-        for node in (
-            "controller@master",
-            "controller@slave",
-            "delay_node@master",
-            "afm_node@slave",
-            "haptic_node@master",
-            "recorder@master",
-        ):
+        for node in KILLS[processes]:
             rig.wait_until(lambda: coupled(rig), f"hand and tip to be coupled before {node} is killed")
             rig.kill(node)
             kills.append(Kill(node, time.time_ns()))
             recover(rig, kills[-1])
+        files = ["session.mcap", *(["session_1.mcap"] if "recorder@master" in KILLS[processes] else [])]
         rig.wait_until(
-            lambda: (rig.out / "session_1.mcap").exists() and len(rig.recording().messages("haptic/state")) > 1000,
-            "a second of what the next recorder recorded",
+            lambda: (rig.out / files[-1]).exists() and len(rig.recording().messages("haptic/state")) > 1000,
+            "a second of what the newest recorder recorded",
         )
         exhausted = kill_again_and_again(rig, "delay_node@master")
         code, _, err = rig.finish()
@@ -126,10 +83,14 @@ def modes(path: Path, topic: str, kill: Kill, span_ns: int) -> list[str]:
 
 
 def kill_of(wreck: Any, node: str) -> Kill:
-    return next(kill for kill in wreck[1] if kill.node == node)
+    rig, kills = wreck[:2]
+    return next(kill for kill in kills if node in rig.mates_of(kill.node))
 
 
-@pytest.mark.parametrize("node", ["controller@master", "controller@slave", "delay_node@master", "haptic_node@master"])
+@of_kills(
+    ("node", ("controller@master", "controller@slave", "delay_node@master", "haptic_node@master")),
+    ("site", ("haptic_node@master",)),
+)
 def test_afm_without_commands_holds_then_retracts_and_stays(wreck: Any, node: str) -> None:
     path = wreck[0].out / "session.mcap"
     kill = kill_of(wreck, node)
@@ -145,13 +106,17 @@ def test_afm_without_commands_holds_then_retracts_and_stays(wreck: Any, node: st
         assert state.base_position_m[2] == pytest.approx(100e-9, rel=1e-6, abs=0.0)
 
 
-@pytest.mark.parametrize("node", ["controller@master", "controller@slave", "delay_node@master", "afm_node@slave"])
+@of_kills(
+    ("node", ("controller@master", "controller@slave", "delay_node@master", "afm_node@slave")),
+    ("site", ("controller@slave",)),
+)
 def test_hand_goes_to_zero_force(wreck: Any, node: str) -> None:
     path = wreck[0].out / "session.mcap"
     seen = modes(path, "haptic/state", kill_of(wreck, node), SOON_NS)
     assert seen[:2] == ["position", "off"], seen
 
 
+@BOTH
 @pytest.mark.parametrize(("node", "safe"), [("afm_node@slave", "retracted"), ("haptic_node@master", "off")])
 def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe: str) -> None:
     kill = kill_of(wreck, node)
@@ -161,17 +126,19 @@ def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe:
     assert first.fields()["mode"] == safe
 
 
+@BOTH
 def test_recording_has_every_death_and_restart(wreck: Any) -> None:
-    path = wreck[0].out / "session.mcap"
+    rig, kills = wreck[:2]
+    path = rig.out / "session.mcap"
     texts = [m.decode().text for m in Recording(path).messages(["session/event"]) if m.src == "launcher@master"]
-    for kill in wreck[1][:-1]:
+    for node in (mate for kill in kills if kill.node != "recorder@master" for mate in rig.mates_of(kill.node)):
         assert any(
-            text.startswith(f"{kill.node} ended")
-            or text.startswith(f"{kill.node} was ended")
-            or (kill.node in text and "SIGKILL" in text)
+            text.startswith(f"{node} ended")
+            or text.startswith(f"{node} was ended")
+            or (node in text and "SIGKILL" in text)
             for text in texts
-        ), (kill.node, texts)
-        assert any(kill.node in text and RESTARTED in text for text in texts), (kill.node, texts)
+        ), (node, texts)
+        assert any(node in text and RESTARTED in text for text in texts), (node, texts)
 
 
 def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
@@ -194,17 +161,20 @@ def after_ms(path: Path, topic: str, kill: Kill, mode: str) -> float | None:
     return None
 
 
+@BOTH
 def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
-    path = wreck[0].out / "session.mcap"
-    for kill in wreck[1]:
+    rig, kills = wreck[:2]
+    path = rig.out / "session.mcap"
+    for kill in kills:
         texts = []
+        own = {STATE_OF.get(node) for node in rig.mates_of(kill.node)}
         for topic, mode, words in (
             ("haptic/state", "off", "hand off"),
             ("afm/state", "hold", "tip held"),
             ("afm/state", "retracted", "withdrawn"),
         ):
             # the device that was killed itself sends nothing until it is back
-            if kill.node.partition("_")[0] == topic.partition("/")[0] or kill.node == "recorder@master":
+            if topic in own or kill.node == "recorder@master":
                 continue
             at_ms = after_ms(path, topic, kill, mode)
             assert at_ms is not None, (kill.node, topic, mode)
@@ -212,9 +182,11 @@ def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
         if kill.node == "recorder@master":
             lost_ms = (kill.at_ns - max(m.publish_ns for m in Recording(path).messages(["haptic/state"]))) * 1e-6
             texts.append(f"{max(lost_ms, 0.0):.0f} ms lost, the rest in session_1.mcap")
-        record(f"kill -9 of {kill.node}", "; ".join([*texts, "restarted"]))
+        way = ", one process" if rig.processes == "site" else ""
+        record(f"kill -9 of {', '.join(rig.mates_of(kill.node))}{way}", "; ".join([*texts, "restarted"]))
 
 
+@BOTH
 def test_a_node_that_dies_again_and_again_ends_the_rig(wreck: Any) -> None:
     rig, _, killed, code, err = wreck
     assert code == 1
@@ -224,4 +196,5 @@ def test_a_node_that_dies_again_and_again_ends_the_rig(wreck: Any) -> None:
     reported = next(line for line in err.splitlines() if "5 times" in line).removeprefix("telenano: ")
     assert "delay_node@master" in reported
     assert rig.process_of("haptic_node@master") is None
-    record("a node that dies again and again", f"exit code 1: {reported}")
+    way = " in a process of several" if rig.processes == "site" else ""
+    record(f"a node that dies again and again{way}", f"exit code 1: {reported}")

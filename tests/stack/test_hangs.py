@@ -22,10 +22,14 @@ def rig(rig: Rig) -> Rig:
     return rig
 
 
+BOTH = pytest.mark.parametrize("processes", ["node", "site"], indirect=True)
+
+
 def processes(rig: Rig) -> dict[str, int | None]:
     return {node: rig.process_of(node) for node in START_ORDER}
 
 
+@BOTH
 def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alone(rig: Rig) -> None:
     rig.start("--duration", "600")
     rig.wait_until(rig.running, "a running session")
@@ -45,20 +49,26 @@ def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alon
     took_s = time.monotonic() - begun
     rig.wait_until(lambda: rig.process_of(SPUN) not in (None, spun), "the new process")
     after = processes(rig)
-    assert {node: pid for node, pid in after.items() if node != SPUN} == {
-        node: pid for node, pid in before.items() if node != SPUN
+    mates = rig.mates_of(SPUN)
+    assert {node: pid for node, pid in after.items() if node not in mates} == {
+        node: pid for node, pid in before.items() if node not in mates
     }
-    # whoever is the first: the kernel, at the node's own limit of processor time, or the launcher
-    ended = (f"{SPUN} hung: it computed", "it hangs and is killed")
+    assert len({after[node] for node in mates}) == 1
+    for node in mates:
+        rig.wait_until(lambda node=node: rig.log_has("launcher@master", f"{node} was started again"), f"{node} again")
+    # whoever is the first: the kernel, at a limit of the process's own, or the launcher
+    ended = (f"{SPUN} hung: it computed", f"{SPUN} hung: a turn took", "it hangs and is killed")
     assert any(rig.log_has("launcher@master", text) for text in ended)
     code, _, err = rig.stop()
     # what the killed process had in hand is lost, and the recording says so
     assert code in (0, 1, 3), err
     assert "Traceback" not in err
-    record("a node that spins", f"killed and started again {took_s:.1f} s after it began to spin")
+    way = " in a process of several" if rig.processes == "site" else ""
+    record(f"a node that spins{way}", f"killed and started again {took_s:.1f} s after it began to spin")
 
 
 @pytest.mark.endurance
+@BOTH
 @pytest.mark.parametrize("duration_s", [3.0, 10.0])
 def test_every_node_that_is_stopped_keeps_its_process(rig: Rig, duration_s: float) -> None:
     rig.start("--duration", "600")

@@ -375,21 +375,28 @@ class ZmqBus:
         # At most one reader holds messages back until their time: the end of the link's datagrams.
         self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
-        self._network = network if network is not None and network.descriptors else None
         self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
-        # a rig on one machine has no network to look after
-        self._network_descriptors = frozenset(self._network.descriptors if self._network is not None else ())
-        self._descriptors += self._network_descriptors
-        self._events_pending = self._network is not None
         self.publish = publisher.publish
         self.sequence_numbers = publisher.sequence_numbers
         self._counters: list[Refusals] = [*self.subscribers]
-        if self._network is not None:
-            self._counters.append(self._network)
         self._counted = [0] * len(self._counters)
         self._last_error = ""
         # The readers that the last wait found readable; it is empty where every socket has to be asked.
         self._readable: Sequence[int] = ()
+        self._network: NetworkEvents | None = None
+        self._network_descriptors: frozenset[int] = frozenset()
+        self._events_pending = False
+        self.look_after(network)
+
+    def look_after(self, network: NetworkEvents | None) -> None:
+        """Have this bus look after the network of its process, whose sockets are all open by now."""
+        # a rig on one machine has no network to look after
+        if network is None or not network.descriptors:
+            return
+        self._network, self._network_descriptors = network, frozenset(network.descriptors)
+        self._descriptors += self._network_descriptors
+        self._events_pending = True
+        self.count(network)
 
     def receive(self) -> Iterable[Received]:
         """Return what has arrived on every connection, without waiting."""

@@ -5,9 +5,9 @@ A session in virtual time passes another machine, so that its messages depend on
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from telenano.recording.disk import OWN_DISK, Disk
 
@@ -29,7 +29,7 @@ class Machine(Protocol):
     def processor_time_s(self) -> float:
         """Return the processor time that this process has taken [s]."""
 
-    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, int | float]:
+    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, Any]:
         """Return the fields of node/health that tell of the machine and of this process.
 
         A field of health that differs between machines or runs belongs here, and to no other place: the machine of a
@@ -53,12 +53,27 @@ class OwnMachine:
     def processor_time_s(self) -> float:
         return time.process_time()
 
-    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, int | float]:
+    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, Any]:
         return {
             "pid": os.getpid(),
             "cpu_percent": 100.0 * max(0.0, processor_s) / elapsed_s,
             "memory_bytes": resident_bytes(),
         }
+
+
+class SharedMachine(OwnMachine):
+    """The machine as one of several nodes of a process sees it: what that process takes is what all of them tell.
+
+    Args:
+        others: The other nodes of the process.
+    """
+
+    def __init__(self, others: Sequence[str]) -> None:
+        super().__init__()
+        self._others = tuple(others)
+
+    def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, Any]:
+        return {**super().health(processor_s, elapsed_s), "shares_with": self._others}
 
 
 def resident_bytes() -> int:

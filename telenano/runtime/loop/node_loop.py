@@ -112,7 +112,7 @@ class NodeLoop:
 
     @property
     def health_due_ns(self) -> int:
-        """Monotonic time [ns] of the next report, or of the next deferred task."""
+        """Monotonic time [ns] of the next report, or of the next deferred task that this loop runs itself."""
         return min(self._health_ns, self._deferred.due_ns)
 
     #  wait               until a message, the deadline of the node, a report or a deferred task is due
@@ -254,9 +254,10 @@ class NodeLoop:
         """Run the tasks that are due."""
         while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
             if (task := self._deferred.take(now_ns, self.node.deadline_ns())) is not None:
-                self._run_task(task)
+                self.run_task(task)
 
-    def _run_task(self, task: Deferred) -> None:
+    def run_task(self, task: Deferred) -> None:
+        """Run a deferred task of this node, as a turn of its own where it is one."""
         begin_ns = self._clock.monotonic_ns()
         if task.is_turn:
             self._take_turn(begin_ns, task.run, DEFERRED)

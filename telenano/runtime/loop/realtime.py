@@ -104,6 +104,21 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     return masters if at_master else slaves
 
 
+def on_one_processor(config: RealtimeConfig, nodes: Sequence[str], first: str) -> RealtimeConfig:
+    """Return what a process of several nodes asks for in the place of one of them, `first`.
+
+    Raises:
+        ConfigError: Two of the nodes are to stay on different processors.
+    """
+    if not isinstance(config.cpus, dict):
+        return config
+    wanted = {node: cpu for node in nodes if (cpu := processor_of(node, config, ())) is not None}
+    if len(set(wanted.values())) > 1:
+        text = ", ".join(f"{node} on {cpu}" for node, cpu in wanted.items())
+        raise ConfigError(f"realtime.cpus: {text}: with realtime.processes site they are one process, on one processor")
+    return config.model_copy(update={"cpus": dict.fromkeys([first] if wanted else [], next(iter(wanted.values()), 0))})
+
+
 def has_fifo() -> bool:
     """Return whether this thread has SCHED_FIFO."""
     return is_linux() and os.sched_getscheduler(0) == os.SCHED_FIFO

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import Any, Generic, NoReturn, Self, TypeVar
 
 from pydantic import BaseModel
 
@@ -48,6 +48,9 @@ class Wiring(Participant):
     scenario_file: Path
 
 
+W = TypeVar("W", bound=Wiring)
+
+
 @dataclass(frozen=True)
 class NodeKind(Generic[C]):
     """A kind of node: its name in the table of nodes, its section of the scenario and how it is built.
@@ -65,6 +68,24 @@ class NodeKind(Generic[C]):
     @property
     def sites(self) -> tuple[str, ...]:
         return sites_of(self.name)
+
+    def open(
+        self, wiring: Wiring, loaded: LoadedScenario, adapt: Callable[[str, C], C] = lambda key, config: config
+    ) -> tuple[Node, NodeBus]:
+        """Build a node of this kind with its bus, from its section of a scenario.
+
+        With sockets, in memory and from a recording it is opened alike; the wiring is what differs.
+
+        Args:
+            wiring: What the builder of the node is given.
+            loaded: The scenario.
+            adapt: Returns the section that the node with this key gets, from the one that stands there.
+
+        Raises:
+            ConfigError: Its section of the scenario cannot be used.
+            EndpointError: An endpoint of it cannot be bound.
+        """
+        return self.build(wiring, adapt(wiring.key, loaded.section(self.name, self.config)))
 
 
 def node_kind(name: str) -> NodeKind[Any]:
@@ -93,6 +114,7 @@ class NodeArguments(argparse.Namespace):
     rig: str | None
     with_parent: bool
     held: int | None
+    node: list[str]
 
 
 class _Parser(argparse.ArgumentParser):
@@ -101,8 +123,10 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_BAD_START, f"{self.prog}: {message} (`{self.prog} --help` explains)\n")
 
 
-def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | None) -> NodeArguments:
-    """Read the command line of a node."""
+def parse_arguments(
+    name: str, sites: Sequence[str], arguments: Sequence[str] | None, *, joins: bool = False
+) -> NodeArguments:
+    """Read the command line of a node, or of a process that `joins` several."""
     parser = _Parser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
     about = "address book of the rig: a known name or a YAML file; default: local, all on this machine"
     parser.add_argument("--site-file", type=Path, default=DEFAULT_SITE_FILE, metavar="NAME|FILE", help=about)
@@ -113,6 +137,8 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     about = f"rig of several on this machine; default: {RIG_VARIABLE}, else the first one, {FIRST_RIG}"
     parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
+    if joins:
+        parser.add_argument("--node", action="append", required=True, metavar="NODE", help="run this node (repeatable)")
     # What a launcher holds for its nodes is a descriptor, which nobody types.
     parser.add_argument("--held", type=int, help=argparse.SUPPRESS)
     read = parser.parse_args(arguments, namespace=NodeArguments())
@@ -128,16 +154,45 @@ def beside_the_loop() -> None:
     ahead_of_others()
 
 
-def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is stopped; return the exit code, 2 when it could not start."""
-    arguments_read = parse_arguments(kind.name, kind.sites, arguments)
+@dataclass(frozen=True)
+class StartingFiles:
+    """What the nodes of a process are configured by: address book and scenario, and the files that they are from."""
+
+    site_file: Path
+    scenario_file: Path
+    book: AddressBook
+    loaded: LoadedScenario
+
+    @classmethod
+    def read(cls, arguments: NodeArguments) -> Self:
+        """Read what a command line names, and obey what else it says of the process.
+
+        Raises:
+            ConfigError: A file or a key of it cannot be used.
+        """
+        if arguments.with_parent:
+            die_with_parent(signal.SIGTERM)
+        if arguments.rig is not None:
+            os.environ[RIG_VARIABLE] = check_rig_name(arguments.rig)
+        site_file = site_file_named(arguments.site_file) or DEFAULT_SITE_FILE
+        scenario_file = find_scenario(str(arguments.scenario))
+        book = AddressBook.load(site_file)
+        return cls(site_file, scenario_file, book, LoadedScenario.load(scenario_file, arguments.set))
+
+    def wiring(self, participant: Participant, make: Callable[..., W], **further: Any) -> W:
+        """Return the wiring of a node, of a class `make` with these further fields."""
+        values = {**vars(participant), "period_s": self.loaded.scenario.period_s, **further}
+        return make(**values, site_file=self.site_file, scenario_file=self.scenario_file)
+
+
+def exit_code_of(run: Callable[[], None], log: StructuredLog) -> int:
+    """Run the nodes of a process until they are stopped; return its exit code, 2 when it could not start."""
     # What was imported stays, so that no later collection has to look through it.
     gc.freeze()
     gc.enable()
     configure_logging()
-    log = StructuredLog(f"{kind.name}@{arguments_read.site}")
     try:
-        _run(kind, arguments_read, log)
+        run()
     except TelenanoError as error:
         log.error(str(error))
         return EXIT_BAD_START
@@ -153,32 +208,30 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
+    """Run a node until it is stopped; return the exit code, 2 when it could not start."""
+    arguments_read = parse_arguments(kind.name, kind.sites, arguments)
+    log = StructuredLog(f"{kind.name}@{arguments_read.site}")
+    return exit_code_of(lambda: _run(kind, arguments_read, log), log)
+
+
 def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> None:
-    if arguments.with_parent:
-        die_with_parent(signal.SIGTERM)
-    if arguments.rig is not None:
-        os.environ[RIG_VARIABLE] = check_rig_name(arguments.rig)
-    site_file = site_file_named(arguments.site_file) or DEFAULT_SITE_FILE
-    scenario_file = find_scenario(str(arguments.scenario))
-    book = AddressBook.load(site_file)
-    loaded = LoadedScenario.load(scenario_file, arguments.set)
-    config = loaded.section(kind.name, kind.config)
-    wanted = (
-        loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
-    )
+    files = StartingFiles.read(arguments)
+    scenario = files.loaded.scenario
+    # A section that cannot be used is told before anything of the process is changed.
+    files.loaded.section(kind.name, kind.config)
+    wanted = scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
     if not kind.realtime:
         behind_others()
     # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
     key = f"{kind.name}@{arguments.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
-    with Participant.open(key, book, signals.descriptor) as participant:
-        values = {**vars(participant), "period_s": loaded.scenario.period_s}
-        wiring = Wiring(**values, site_file=site_file, scenario_file=scenario_file)
-        node, bus = kind.build(wiring, config)
+    with Participant.open(key, files.book, signals.descriptor) as participant:
+        node, bus = kind.open(files.wiring(participant, Wiring), files.loaded)
         # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
         with ordinary_scheduling():
-            huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
+            huge_pages = use_huge_pages() if scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
         signals.run(node, bus, status, freeze=not kind.observer, guarded=kind.realtime)
     log.info("stopped")

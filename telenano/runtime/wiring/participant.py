@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, ClassVar
 
 import zmq
 
@@ -56,6 +56,8 @@ class Participant:
     `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is that of the loop.
     """
 
+    # What sends the messages of a node.
+    publisher_class: ClassVar[type[ZmqPublisher]] = ZmqPublisher
     key: str
     book: AddressBook
     clock: Clock
@@ -80,7 +82,8 @@ class Participant:
         Raises:
             EndpointError: The endpoints cannot be bound; the message has the reason.
         """
-        publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+        opened = self.network.publisher(key, kind, self.publisher_class)
+        publisher = self.resources.enter_context(contextlib.closing(opened))
         log = RateLimitedLog(self.log, self.clock)
         publisher.on_limited = lambda text: log.warning("range", text)
         if ends:
@@ -160,7 +163,7 @@ class Participant:
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""
         bus = ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
-        bus.is_brief = self.book.spans_machines and site_of(self.key) == "slave"
+        bus.is_brief = is_brief(self.book, self.key)
         return bus
 
     def recording_bus(self, make: Callable[..., Any], publisher: Publisher, listeners: Any, intake: Any) -> Any:
@@ -272,6 +275,11 @@ class Participant:
         return cls.open(OBSERVER, book, wake_descriptor, publisher=False)
 
 
+def is_brief(book: AddressBook, key: str) -> bool:
+    """Return whether the health of a node crosses to another machine, and has to be short."""
+    return book.spans_machines and site_of(key) == "slave"
+
+
 def _machines_here(book: AddressBook) -> list[str] | None:
     """Return the machines whose keys this process has; None for all, where there are no keys."""
     if not book.requires_keys:
@@ -288,16 +296,16 @@ def _machine_of(book: AddressBook, key: str) -> str:
 
 
 class StopSignals:
-    """SIGTERM and SIGINT from now on: they interrupt the node, also when they come before there is one."""
+    """SIGTERM and SIGINT from now on: they interrupt the nodes, also when they come before there are any."""
 
     def __init__(self) -> None:
-        self._node: Node | None = None
+        self._nodes: tuple[Node, ...] = ()
         self._received = False
         self.descriptor = install_stop_signals(self._receive)
 
-    def interrupt(self, node: Node) -> None:
-        """Interrupt a node at every signal, and now if there was one already."""
-        self._node = node
+    def interrupt(self, *nodes: Node) -> None:
+        """Interrupt the nodes of this process at every signal, and now if there was one already."""
+        self._nodes = nodes
         if self._received:
             self._receive()
 
@@ -346,10 +354,11 @@ class StopSignals:
 
     def _receive(self) -> None:
         self._received = True
-        if self._node is None:
+        if not self._nodes:
             return
-        self._node.interrupt()
-        if not self._node.context.stop_requested:
+        for node in self._nodes:
+            node.interrupt()
+        if not any(node.context.stop_requested for node in self._nodes):
             self._continue_waiting()
 
     def _continue_waiting(self) -> None:

@@ -7,7 +7,7 @@ in a thread that comes behind the loop, and the kernel limits how much that is.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import zmq
 
@@ -52,6 +52,9 @@ _SECOND_THREAD = 2
 _SECOND_THREAD_NAME = "ZMQbg/IO/1"
 # It is below the half second after which a loop calls at the latest, so that each such call checks.
 _CHECK_NS = 400_000_000
+
+
+P = TypeVar("P", bound=ZmqPublisher)
 
 
 class BusContext(zmq.Context["zmq.Socket[bytes]"]):
@@ -202,8 +205,8 @@ class Transport:
         """The newest rejection in words."""
         return self._rejections.last_error
 
-    def publisher(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
-        """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
+    def publisher(self, key: str, kind: int = zmq.PUB, make: type[P] = ZmqPublisher) -> P:  # type: ignore[assignment]
+        """Bind the endpoints of a node by a socket of a class; EndpointError gives the reason if that fails."""
         try:
             local, network = self.book.local_endpoint(key), self.book.bind_endpoint(key)
         except KeyError as error:
@@ -212,7 +215,7 @@ class Transport:
         self._needed_files.add_publisher(readers_of(self.book, key))
         self._needed_files.check(self.owner)
         if network is None:
-            publisher = ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
+            publisher = make(self.context, self.clock, key, local or "", kind=kind)
             self.places.add(publisher)
             return publisher
 
@@ -227,10 +230,10 @@ class Transport:
 
         try:
             if local is None:
-                publisher = ZmqPublisher(self.context, self.clock, key, network, kind=kind, prepare=prepare)
+                publisher = make(self.context, self.clock, key, network, kind=kind, prepare=prepare)
             else:
                 # A bound endpoint keeps the options that the socket had at that moment, so ipc stays plain.
-                publisher = ZmqPublisher(self.context, self.clock, key, local, kind=kind)
+                publisher = make(self.context, self.clock, key, local, kind=kind)
                 prepare(publisher.socket)
                 publisher.also_bind(network)
         except EndpointError:

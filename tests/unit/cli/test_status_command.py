@@ -244,6 +244,7 @@ def test_the_facts_of_a_node() -> None:
         "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
         "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002,
         "received": 20, "lost": 4, "refused": {"topic": 2}, "deaf_s": {},
+        "shares_with": [],
     }  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def test_launcher_and_player_have_a_folder_without_a_process_of_their_own() -> N
 
 
 def test_every_process_that_a_rig_starts_has_a_row_and_can_be_run() -> None:
-    started = {name_of(row.key) for row in NODES if row.part in ("rig", "beside", "carrier")}
+    started = {name_of(row.key) for row in NODES if row.part in ("rig", "beside", "carrier", "joint")}
     for name in started:
         assert importlib.util.find_spec(f"{module_of(name)}.__main__") is not None, name
     with_main = {path.parent.name for path in ROOT.glob("services/*/__main__.py")}
@@ -189,7 +189,7 @@ def test_the_local_site_has_every_node_that_is_not_optional() -> None:
 
 
 def test_two_sites_have_every_node_of_the_rig() -> None:
-    rig = {row.key for row in NODES if row.part not in ("carrier", "visitor")}
+    rig = {row.key for row in NODES if row.part not in ("carrier", "joint", "visitor")}
     assert rig <= set(AddressBook.load(TWO_SITES_FILE).nodes)
 
 

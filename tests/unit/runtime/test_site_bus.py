@@ -1,36 +1,23 @@
 """What a process of a site hands over in memory is what its sockets bring, and the wire has all of it as ever."""
 
-import importlib.util
 import random
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
 import zmq
 
 from telenano.runtime.bus.bus import Subscriber
+from telenano.runtime.site.site_bus import Exchange, NearReader, SitePublisher
 from telenano.timing.clock import SystemClock
 from telenano.wire import encode
 from telenano.wire.received import Received
 
-PLACE = Path(__file__).resolve().parents[3] / "benchmarks" / "site_process" / "process.py"
 HALF, TIP = "controller@slave", "afm_node@slave"
 TOPICS = ("clock/pong", "session/event", "link/delay")
-
-
-@pytest.fixture(scope="module")
-def process() -> Any:
-    spec = importlib.util.spec_from_file_location("site_process", PLACE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["site_process"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -56,16 +43,16 @@ def _facts(received: list[Received]) -> list[tuple[Any, ...]]:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("forwards", [False, True])
-def test_memory_brings_what_the_socket_brings(process: Any, context: Any, seed: int, *, forwards: bool) -> None:
+def test_memory_brings_what_the_socket_brings(context: Any, seed: int, *, forwards: bool) -> None:
     draws, clock, endpoint = random.Random(seed), SystemClock(), f"ipc://{tempfile.mkdtemp()}/a"
-    site = process.Site((TIP, HALF), clock)
-    memory = process.MemoryReader(clock, TOPICS, newest_only=False)
-    site.connect(HALF, memory, {TIP: TOPICS})
+    exchange = Exchange({TIP, HALF})
+    memory = NearReader(clock, TOPICS, newest_only=False)
+    exchange.connect(HALF, memory, {TIP: TOPICS})
     with (
-        closing(process.SitePublisher(context, clock, TIP, endpoint)) as publisher,
+        closing(SitePublisher(context, clock, TIP, endpoint)) as publisher,
         closing(Subscriber(context, clock, {endpoint: TOPICS})) as reader,
     ):
-        publisher.site = site
+        publisher.hand_over = exchange.hand_over
         near: list[Received] = []
         far: list[Received] = []
         deadline_s = time.monotonic() + 5.0

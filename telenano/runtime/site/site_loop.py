@@ -1,0 +1,202 @@
+"""The loop of a process of several nodes: one wait for the sockets and deadlines of all, one order of their turns."""
+
+import contextlib
+import os
+import select
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import NamedTuple
+
+from telenano.runtime.bus.bus import Reader
+from telenano.runtime.loop.hang_guard import HangGuard
+from telenano.runtime.loop.node import Node
+from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.turn_limit import TurnLimit
+from telenano.runtime.site.shared_tasks import SharedTasks
+from telenano.runtime.site.site_bus import Exchange, SiteBus
+from telenano.timing.clock import NEVER_NS, Clock
+from telenano.wire.nodes import DEVICES, HAND, STOP_ORDER
+from telenano.wire.received import Received
+
+# After one of these messages the tick is at the other site, or over, for the longest time; the second row is for a
+# process without the hand.
+_IDLE_AFTER = {
+    (HAND, "haptic/command"),
+    ("controller@slave", "afm/state"),
+}
+_IDLE_WITHOUT_HAND = ("controller@master", "teleop/backward")
+# After this number of turns that only memory has brought, the sockets are looked at again.
+_MOST_TURNS = 64
+# A signal writes one byte, and this number is more than will wait.
+_MOST_SIGNALS = 64
+
+
+class Member(NamedTuple):
+    """A node of the process, with its bus and its loop."""
+
+    key: str
+    node: Node
+    bus: SiteBus
+    loop: NodeLoop
+
+    def due_ns(self) -> int:
+        """Return when it takes a turn without a message, on the monotonic clock [ns]."""
+        return min(self.node.deadline_ns(), self.loop.health_due_ns, self.bus.due_ns)
+
+
+class SiteLoop:
+    """The turns of the nodes of a process.
+
+    Args:
+        keys: The nodes.
+        clock: The clock of the process.
+        exchange: What they hand over in memory.
+        tell: Writes an error to the log of the process.
+    """
+
+    def __init__(self, keys: Collection[str], clock: Clock, exchange: Exchange, tell: Callable[[str], None]) -> None:
+        self.exchange = exchange
+        self.tasks = SharedTasks(clock)
+        self.members: dict[str, Member] = {}
+        self._idle_after = _IDLE_AFTER if HAND in keys else {*_IDLE_AFTER, _IDLE_WITHOUT_HAND}
+        self._monotonic_ns = clock.monotonic_ns
+        self._limit = TurnLimit(lambda: self._at, tell)
+        # The node whose turn is in hand, and whether the idle gap begins with what was received in this turn.
+        self._at = ""
+        self._was_last = self._is_signalled = False
+        self._order: list[Member] = []
+        self._descriptors: list[int] = []
+        self._owner: dict[int, Member] = {}
+        self._sockets: list[tuple[Reader, SiteBus]] = []
+        self._readable: Sequence[int] = ()
+        self._wake = -1
+
+    def open(self, members: Iterable[Member], wake_descriptor: int) -> None:
+        """Take up the nodes, whose buses are open."""
+        self.members = {member.key: member for member in members}
+        # A tick of the hand comes before what sockets have brought meanwhile.
+        self._order = sorted(self.members.values(), key=lambda member: member.key not in DEVICES)
+        self._owner = {number: member for member in self._order for number in member.bus.descriptors}
+        self._sockets = [(socket, member.bus) for member in self._order for socket in member.bus.sockets]
+        self._descriptors, self._wake = [*self._owner, wake_descriptor], wake_descriptor
+        for member in self._order:
+            member.bus.has_arrived_anywhere = self.has_arrived
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The nodes of the process."""
+        return tuple(member.node for member in self._order)
+
+    def note_received(self, key: str, received: Sequence[Received]) -> None:
+        """Note what a node has received: whether the idle gap begins, and what it may send on as it came."""
+        self._was_last |= (key, received[-1].topic) in self._idle_after
+        self.exchange.note_received(key, received)
+
+    def note_signal(self) -> None:
+        """Have every node take its next turn at once, within the handler of a signal."""
+        self._is_signalled = True
+
+    def has_arrived(self) -> bool:
+        """Return whether something may have arrived since the last wait, in memory or at a socket."""
+        self._readable, _, _ = select.select(self._descriptors, (), (), 0)
+        return bool(self.exchange.pending or self._readable)
+
+    def run(self, guard: HangGuard) -> None:
+        """Run until the stop of a node is requested, then leave every node safe whatever happened."""
+        members = self.members.values()
+        with guard:
+            try:
+                while not any(member.node.context.stop_requested for member in members):
+                    self.turn()
+            # code of a package may end the program
+            except (Exception, SystemExit) as error:
+                self.members[self._at or next(iter(self.members))].loop.report_failure(error)
+                raise
+            finally:
+                # Of each the end is its own: what one of them fails at keeps no other one from being made safe.
+                with contextlib.ExitStack() as ends:
+                    for key in reversed([key for key in STOP_ORDER if key in self.members]):
+                        ends.callback(self.members[key].loop.end)
+
+    def turn(self) -> None:
+        """Wait for what is next, and have every node that it concerns take its turn, and those that follow from it."""
+        readable = self._wait()
+        self._limit.begin()
+        try:
+            self._take_turns(readable)
+            if self.tasks.due_ns < NEVER_NS:
+                self._run_deferred()
+        finally:
+            self._limit.end()
+
+    def _take_turns(self, readable: Sequence[int]) -> None:
+        woken_ns, pending = self._monotonic_ns(), self.exchange.pending
+        all_wake, self._is_signalled = self._is_signalled, False
+        for number in readable:
+            if number in self._owner:
+                self._owner[number].bus.wake(number)
+            else:
+                # A signal may stand for an emergency stop.
+                all_wake = True
+                with contextlib.suppress(BlockingIOError):
+                    os.read(number, _MOST_SIGNALS)
+        for socket, bus in self._sockets:
+            if not socket.drained:
+                bus.wake(socket.descriptor)
+        self._was_last = is_event = False
+        for member in self._order:
+            if all_wake or member.bus.asked or member.due_ns() <= woken_ns:
+                is_event = True
+                self.take(member)
+        for _ in range(_MOST_TURNS):
+            if not pending:
+                break
+            self.take(self.members[pending.popleft()])
+        if is_event:
+            self.tasks.note_event(woken_ns, self._monotonic_ns(), is_last=self._was_last)
+
+    def take(self, member: Member) -> None:
+        """Have a node take a turn."""
+        self._at = member.key
+        member.loop.turn()
+
+    def _next_ns(self) -> int:
+        """Return when the next node takes a turn without a message, on the monotonic clock [ns]."""
+        return min(member.due_ns() for member in self._order)
+
+    def _wait(self) -> Sequence[int]:
+        if self._readable:
+            readable, self._readable = self._readable, ()
+            return readable
+        remaining_ns, has_more = 0, self._is_signalled or bool(self.exchange.pending)
+        if not has_more and all([socket.drained for socket, _ in self._sockets]):
+            remaining_ns = max(0, min(self._next_ns(), self.tasks.due_ns) - self._monotonic_ns())
+        readable, _, _ = select.select(self._descriptors, (), (), remaining_ns * 1e-9)
+        return readable
+
+    def _run_deferred(self) -> None:
+        """Run the tasks that are due, until a message comes."""
+        while not self.exchange.pending and (now_ns := self._monotonic_ns()) >= self.tasks.due_ns:
+            if (task := self.tasks.take(now_ns, self._next_ns())) is not None:
+                self._at = self.tasks.owners[task.run]
+                self.members[self._at].loop.run_task(task)
+                # Each is a turn of its own, also for the limit.
+                self._limit.begin()
+
+
+class SharedGuard(HangGuard):
+    """The limit of processor time of a process of several nodes: it begins again when every node has reported.
+
+    The report of one says nothing of the others, and none of them ends the guard: it is the process's, which ends with
+    all of its nodes.
+    """
+
+    def __init__(self, keys: Collection[str]) -> None:
+        self._keys = tuple(keys)
+        self._waiting = set(keys)
+
+    def note(self, key: str) -> None:
+        """Note the report of a node."""
+        self._waiting.discard(key)
+        if not self._waiting:
+            self._waiting.update(self._keys)
+            self.renew()
