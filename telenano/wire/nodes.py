@@ -11,20 +11,14 @@ Site = Literal["master", "slave"]
 class NodeRow(NamedTuple):
     """One row of the table: a node, with its key `name@site`.
 
-    <<<<<<< HEAD
-        `part` is one of: `rig`, a process that the launcher starts and stops; `beside`, a process that the launcher also
-        keeps running, but for which no session waits or ends; `carrier`, a process started if a rig needs it, which carries
-        messages of others and publishes none under its own name; `endpoint`, a further endpoint of another row's process;
-    =======
-        `part`: `rig`, a process of its own that the launcher starts and stops; `beside`, one that it keeps running as well,
-        and that a session neither waits for nor ends with; `carrier`, one that it keeps running where a rig needs it, which
-        carries messages of others and publishes none under its own name; `joint`, one in which several nodes of a site run
-        where a scenario asks for it, each under its own name; `endpoint`, a further endpoint of a process of the rig;
-    >>>>>>> h9-site
-        `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects
-        to the nodes, so it needs no endpoint. Rows are in the order in which a rig is started; `stop` is the position in
-        the stop order. A session waits for `required` nodes; the others are optional. `no_rerun` is the reason why a node
-        cannot be run again from recorded inputs; empty for nodes that keep a journal of their inputs.
+    `part` is one of: `rig`, a process that the launcher starts and stops; `beside`, a process that the launcher also
+    keeps running, but for which no session waits or ends; `carrier`, a process started if a rig needs it, which carries
+    messages of others and publishes none under its own name; `joint`, a process of several nodes of a site, if a
+    scenario asks for it, each of which publishes under its own name; `endpoint`, a further endpoint of another row's
+    process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop
+    connects to the nodes, so it needs no endpoint. Rows are in the order in which a rig is started; `stop` is the
+    position in the stop order. A session waits for `required` nodes; the others are optional. `no_rerun` is the reason
+    why a node cannot be run again from recorded inputs; empty for nodes that keep a journal of their inputs.
     """
 
     key: str

@@ -55,7 +55,7 @@ def progress_of(records: Iterable[Record], participant: str) -> Progress:
     """Fold the records of a journal into the progress of a participant.
 
     Raises:
-        ConfigError: A record of a trial does not say whether the trial is over; the message names it and the participant.
+        ConfigError: A record does not say whether its trial is over; the message names the trial and the participant.
     """
     outcomes: dict[int, list[Record]] = {}
     sessions: set[int] = set()
