@@ -325,7 +325,6 @@ def test_a_tip_that_its_guard_withdrew_is_said_to_be_so_and_nothing_moves_for_it
         until(lambda page=page: "above its limit" in page.banners(), "the reason")
         assert "running" not in page.banners()
         assert "force_limit" not in page.page.inner_text("body")
-        page.until("document.querySelector('#arm') !== null", "the button that arms")
         assert page.value(_ROWS) == before
         page.page.context.close()
 
