@@ -265,10 +265,10 @@ _BOXES = """Object.fromEntries([...document.querySelectorAll("[id]")].flatMap((e
 }))"""
 
 
-# Where the rows of the page begin, and how high those above them are.
+# Where the rows of the page begin, and how high they are; below its first row the page of a tablet scrolls.
 _ROWS = """["#status", "#next", "#answers", "main", "#hand-force", "#gap"].map((name) => {
   const { y, height } = document.querySelector(name).getBoundingClientRect();
-  return [name, y, height];
+  return [name, y, name === "main" ? 0 : height];
 })"""
 
 
