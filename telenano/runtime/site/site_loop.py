@@ -17,12 +17,9 @@ from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire.nodes import DEVICES, HAND, STOP_ORDER
 from telenano.wire.received import Received
 
-# After one of these messages the tick is at the other site, or over, for the longest time; the second row is for a
+# After one of these messages the tick is at the other site, or over, for the longest time; the one by itself is for a
 # process without the hand.
-_IDLE_AFTER = {
-    (HAND, "haptic/command"),
-    ("controller@slave", "afm/state"),
-}
+_IDLE_AFTER = {(HAND, "haptic/command"), ("controller@slave", "afm/state")}
 _IDLE_WITHOUT_HAND = ("controller@master", "teleop/backward")
 # After this number of turns that only memory has brought, the sockets are looked at again.
 _MOST_TURNS = 64
