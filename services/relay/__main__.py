@@ -15,7 +15,7 @@ from telenano.wire.nodes import RELAY
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the transport of the site file until it ends; return the exit code, `EXIT_BAD_START` if it failed."""
+    """Run the transport of the site file until it ends; return the exit code, 2 if it could not start."""
     arguments_read = parse_arguments(RELAY, SITES, arguments)
     log = StructuredLog(f"{RELAY}@{arguments_read.site}")
     if arguments_read.with_parent:

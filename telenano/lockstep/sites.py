@@ -230,7 +230,10 @@ def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int)
 def master_with_answer(
     halves: Halves, m: Master, signal: PortSignal, hand_ns: int, there_ns: int, now_ns: int
 ) -> Master:
-    """Return the master half after a signal that answers the sample of hand_ns, which reached the slave at there_ns."""
+    """Return the master half after a signal that answers the sample of hand_ns, which reached the slave at there_ns.
+
+    All times are in ns.
+    """
     heard = Master(
         timing=integration.master_heard(m.timing, now_ns, hand_ns),
         law=m.law,

@@ -42,7 +42,7 @@ KNOWN = {
 
 
 class Tried(NamedTuple):
-    """Result of a schedule: broken invariants, situations reached, simulated and processor time, whether reported."""
+    """Result of a schedule: broken invariants, situations reached, simulated and processor time [s], if reported."""
 
     schedule: Schedule
     breaks: tuple[Break, ...]

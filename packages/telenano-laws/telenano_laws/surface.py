@@ -12,7 +12,7 @@ constant meniscus force is part of F_a.
 
 Outside (y < 0) the adhesion fades linearly over a range l, F = -F_a (1 + y / l): a local rendering of the jump in the
 limit l -> 0 would chatter. F is a function of y, so the surface has a potential V(y) and is passive while its
-parameters are constant; a change of parameters adds the difference of the potentials after and before.
+parameters are constant; a change of parameters adds V after minus V before, by `force_and_potential`.
 
 The fit is by least squares over the newest force in each of a few bins of the position. It uses the whole range that
 the tip visited lately, and not only its present position, so it neither forgets nor drifts while the tip is at rest.
