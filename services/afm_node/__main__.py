@@ -1,9 +1,9 @@
-"""Run the AFM node with the instrument that its configuration names."""
+"""Program of the AFM node, with the instrument that its configuration names."""
 
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # The imports create no garbage, and searching for it would take an eighth of their time.
     gc.disable()
 
 import sys
@@ -18,8 +18,8 @@ from telenano.sections.afm_section import AfmConfig
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
-    """Build the node with its instrument."""
-    # Loading and compiling the dynamic model takes seconds, in which the law beside it has to keep its period.
+    """Return the node with its instrument, which it opens."""
+    # Loading and compiling the dynamic model takes seconds, during which the controllers must keep their period.
     with ordinary_scheduling() if config.model == "dynamic" else nullcontext():
         return AfmNode(context, config, driver_of(config, context.period_s))
 

@@ -1,4 +1,4 @@
-"""The AFM process: acts on each command as it comes, on its own clock when none does, and guards the tip."""
+"""The AFM node: steps on each command, or on its own clock if none comes, and guards the tip."""
 
 import contextlib
 import math
@@ -37,7 +37,7 @@ from telenano.wire.received import Received
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 _PROGRAM_PERIOD_NS = 100_000_000
-# Without a command the instrument holds; at the end of a session it retracts, whatever afm/command asks for.
+# Without a command the instrument holds; at the end of a session it retracts, whatever afm/command says.
 _NO_COMMAND = AfmCommand(
     seq=0, t_ns=0, src="controller@slave", v=1, hand_seq=0, hand_t_ns=0, mode="hold", base_position_m=(0.0, 0.0, 0.0)
 )
@@ -48,11 +48,11 @@ _ARMED = {
     safety.MODE_FOLLOW: "armed: the tip follows fresh commands of an armed hand",
     safety.MODE_RETRACTED: "armed: the tip stays withdrawn until a fresh command of an armed hand comes",
 }
-# How fast the base goes back to a place where the `arm` does not state another speed [m/s]: in 2 s from 100 nm.
+# Speed with which the base returns to a place if the `arm` states none: 100 nm in 2 s [m/s].
 _RETURN_M_PER_S = 50e-9
-# A way back that is shorter is none [m].
+# Least distance of a return [m].
 _LEAST_WAY_M = 1e-10
-# What an `arm` may say, in which case the tip goes towards the sample.
+# Parameters of an `arm` that sends the tip towards the sample.
 WORDS = ("place", "place_m", "speed_m_per_s")
 _ALARMING = (
     safety.REASON_ESTOP,
@@ -66,7 +66,7 @@ _ALARMING = (
 
 
 class Way(NamedTuple):
-    """Where an `arm` lets the base go: whether at all, how far [m], how fast [m/s]; infinite as in `SafetyInputs`."""
+    """Motion of the base after an `arm`: whether it moves, its target [m] and speed [m/s]; inf as in `SafetyInputs`."""
 
     goes: bool = False
     place_m: float = math.inf
@@ -77,7 +77,7 @@ _STAYS, _TO_HAND = Way(), Way(goes=True)
 
 
 class AfmNodeState(NamedTuple):
-    """The state of the node: its own, and that of its parts."""
+    """The state of the node and of its parts, for a re-run."""
 
     memory: AfmMemory
     freshness: FreshnessState
@@ -86,24 +86,24 @@ class AfmNodeState(NamedTuple):
 
 
 class AfmNode(DeviceNode):
-    """The instrument: afm/command in, afm/state out, one state a command, and one a period without any.
+    """The instrument: afm/command in, afm/state out, one state per command, and one per period without commands.
 
-    Every command goes through the guard (`safety_step`) first; what the guard let through and the
-    device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
-    the hand's sample which it descends from, less what the link has delayed on purpose. A process that stalled counts
-    that time as silence, whatever waits for it. While a program runs (`programs`), it moves the tip behind the same
-    guard, and commands only pace the steps.
+    Every command passes the guard (`safety.safety_step`) first, and the node publishes the guarded command and the
+    device's actual motion and force. The guard judges the age of the command, by its own time stamp, and the age of the
+    hand's sample that it descends from, without the delay that the link adds on purpose. After a stall, the process
+    counts that time as silence, whatever messages wait. A running program (`programs`) moves the tip behind the same
+    guard, and commands only set the pace of the steps.
 
-    A command is in force only if the hand was armed in the sample that it descends from; any other is answered, and
-    counts as none. So the order in which hand and tip are armed, and who arms them, make no difference.
+    A command is in force only if the hand was armed in the sample that it descends from; any other one is answered, but
+    counts as none. So it makes no difference in which order hand and tip are armed, or by whom.
     """
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
-    # A command to a pattern ends the operator's force profile, after which the tip may stay where it is.
+    # Obeyed only if sent to this node by name: a `stop` to a pattern ends the force profile, and the tip may stay.
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
-    # After this the tick is in the slave's half and the link, which may share its processor.
+    # After afm/command, the tick continues in the slave half and the link, which may share the processor.
     idle_after = "afm/command"
     state_kind = AfmNodeState
 
@@ -111,7 +111,7 @@ class AfmNode(DeviceNode):
         super().__init__(context, allow_replay=config.allow_replay)
         self._period_ns = round(self.period_s * 1e9)
         self._command_wait_ns = command_wait_ns(self._period_ns)
-        # A step as long as the period is no pause.
+        # A step of a period must not count as a pause, even if the period is long.
         self._longest_step_s = max(_LONGEST_STEP_S, 2.0 * self.period_s)
         self._config, self._driver = config, driver
         self._limits = config.to_params().safety
@@ -120,14 +120,14 @@ class AfmNode(DeviceNode):
         self._reach = reach_of(config, driver)
         self._other_spring = False
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
-        # The way back of this step, as afm/state has it.
+        # Fields of afm/state on the possible return in this step.
         self._way_back: dict[str, float] = {}
         self.state = "safe"
         driver.open()
-        # The latency of a real instrument is known once it is open, and its programs depend on it.
+        # The latency of a real instrument is known only after it is opened, and its programs depend on it.
         self._programs = runner_of(config, driver, self._reach, self.period_s)
         self._instrument = GuardedInstrument(self._limits, driver, parts_of(self, config, driver))
-        # compile before the first command comes; dt and inputs change nothing in the retracted state
+        # Compile before the first command; in the retracted state a step changes nothing.
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._memory.guard, asked, self.period_s)
         driver.exchange(self._memory.guard.base_m)
@@ -200,7 +200,7 @@ class AfmNode(DeviceNode):
         return super().on_control(control)
 
     def _way(self, parameters: Mapping[str, Scalar]) -> Way:
-        """Return where an `arm` with these parameters lets the base go; RefusedError says what is wrong with them."""
+        """Return the motion that an `arm` with these parameters requests; raise RefusedError if they are invalid."""
         limits = self._limits
         if unknown := sorted(set(parameters) - set(WORDS)):
             raise RefusedError(f"not armed: unknown key {', '.join(unknown)}; arm takes {', '.join(WORDS)}")
@@ -225,16 +225,16 @@ class AfmNode(DeviceNode):
         return min(_RETURN_M_PER_S, self._limits.base_speed_m_per_s)
 
     def _arm(self, way: Way) -> str:
-        """Arm the tip and begin what the scenario begins then: both, or neither where one of the two is refused.
+        """Arm the tip, and start the program with which the scenario begins: both, or neither if one is refused.
 
-        Without a way the tip stays where it is, and nothing begins.
+        An `arm` without motion leaves the tip at its place, and starts no program. Return the result as a sentence.
         """
         if self._programs.name:
             raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
         begin, text = self._config.begin if way.goes else None, ""
         if begin is not None and self._memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             try:
-                # The guard judges below whether it lets the tip go, and no program steps before that.
+                # The guard decides below whether the tip is armed, and no program steps before that.
                 text = self._request(begin, safety.MODE_RETRACTED)
             except RefusedError as error:
                 raise RefusedError(f"not armed: {error}") from error
@@ -258,7 +258,7 @@ class AfmNode(DeviceNode):
         raise RefusedError(f"not armed: the AFM is in mode {mode}: {reason}")
 
     def _withdraw(self) -> str:
-        """Retract the tip as at the end of a session: it was not stopped, and stays retracted until armed."""
+        """Retract the tip until armed, as at the end of a session; if a program is running, abort that instead."""
         if self._programs.name:
             return self._programs.abort()
         mode = self._step(self.clock.monotonic_ns(), 0.0, _WITHDRAWAL).mode
@@ -267,7 +267,10 @@ class AfmNode(DeviceNode):
         return "the tip retracts and stays until armed"
 
     def _set(self, control: SessionControl) -> str:
-        """Begin or change a program, or move the tip over the sample: all of a command, or nothing where it refuses."""
+        """Start or change a program, move the tip over the sample, or change the simulation.
+
+        A command is carried out as a whole or, after a RefusedError, not at all. Return the result in sentences.
+        """
         changes = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
         request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
         simulated = changed_simulation(self._driver, changes)
@@ -278,7 +281,7 @@ class AfmNode(DeviceNode):
         if request.program is not None:
             sentences.append(self._request(request, self._memory.guard.mode))
             self._memory.told_ns = 0
-        # Nothing refuses from here on.
+        # Nothing can be refused from here on.
         self._memory.pointer = pointer
         self._other_spring |= STIFFNESS in changes
         for _, change in simulated:
@@ -286,26 +289,26 @@ class AfmNode(DeviceNode):
         return "; ".join(sentences)
 
     def _request(self, request: InstrumentRequest, mode: int) -> str:
-        # Pause and abort are for the program that runs, whatever it is.
+        # Pause and abort concern the running program, and name none.
         program = "" if request.program in CHANGES else request.program or ""
         if text := refusal(self._config.driver, program):
             raise RefusedError(f"program: {text}")
         return self._programs.request(request, mode, self._memory.place, device_lost=self.is_lost)
 
     def _report_reach(self) -> None:
-        """Report how the sample lies, and that a hand cannot touch it where the base does not reach it."""
+        """Report the position of the sample, and warn if the base cannot reach it, so that a hand cannot touch it."""
         if text := sample_text(self._config, self._driver, self._reach):
             self.event("mode", "info", text)
         if self._reach is not None and (fault := self._reach.hand_fault(self._memory.pointer)):
             self.event("fault", "warning", f"a hand cannot touch the sample here: {fault}")
 
     def make_safe(self) -> None:
-        """Retract the tip, and say so if the device does not confirm it."""
+        """Retract the tip, report an error if the device does not confirm that, and close the device."""
         why = "it was not confirmed"
         try:
             confirmed = self._driver.retract()
         except Exception as error:  # noqa: BLE001
-            # The driver of a package may raise anything, and nothing may keep the event and the end of the connection.
+            # The driver of a package may raise anything, and the event and the end of the connection must follow.
             confirmed, why = False, cause(error)
         if not confirmed:
             text = f"no retraction of the tip ({why}): only the instrument's own watchdog can retract it now"
@@ -314,12 +317,12 @@ class AfmNode(DeviceNode):
             self._driver.close()
 
     def _judge_stall(self, now_ns: int) -> None:
-        """Let the guard judge the time that this process stood still as silence, before it looks at what waited."""
+        """After a stall of this process, let the guard judge that time as silence, before waiting messages count."""
         if stalled_s := self.begin_turn(now_ns):
             self._step(now_ns, max(self._command_age_s(), stalled_s))
 
     def _is_disarmed(self, command: AfmCommand) -> bool:
-        """Return whether the hand was disarmed while the tip is held: no later arming of the hand lets it go on."""
+        """Return whether the hand was disarmed while the tip holds; arming it later must not move the tip."""
         memory = self._memory
         if not memory.words or memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             return False
@@ -328,7 +331,7 @@ class AfmNode(DeviceNode):
     def _command_age_s(self) -> float:
         memory = self._memory
         if memory.disarmed and memory.command is not None and memory.command.hand_armed is True:
-            # A hand that was stopped and is armed again has no tip to feel.
+            # A hand that was stopped and armed again is not coupled to the tip.
             return math.inf
         return self.freshness.command_age_s(memory.followed, memory.followed_received_ns, self.clock.now_ns())
 
@@ -341,7 +344,7 @@ class AfmNode(DeviceNode):
         arm: Way | None = None,
         estop: bool = False,
     ) -> safety.SafetyOutputs:
-        """Take a step at now_ns [ns] for a command of this age [s], by default the one in force."""
+        """Step at now_ns [ns] with a command of this age [s], by default the one in force; publish the state."""
         memory, is_lost = self._memory, self.is_lost
         elapsed_s = min(max(now_ns - memory.stepped_ns, 1) * 1e-9, self._longest_step_s)
         memory.stepped_ns = now_ns
@@ -357,7 +360,7 @@ class AfmNode(DeviceNode):
         base_m, action = to_paper_axis(command.base_position_m), _ACTION_CODES[command.mode]
         place, (x_m, y_m, _) = memory.pointer, command.base_position_m
         if command.lateral_m:
-            # A hand that moves the tip across has the stage, and where it leaves the tip, the tip stays.
+            # A hand that moves the tip across controls the stage, and the tip stays where the hand leaves it.
             place = memory.pointer = Place(*command.lateral_m)
         elif x_m or y_m:
             place = Place(place.x_m + x_m, place.y_m + y_m)
@@ -372,11 +375,11 @@ class AfmNode(DeviceNode):
         return step.allowed
 
     def device_health(self) -> Mapping[str, float | str]:
-        """Return what node/health has of the device, and the limit that the guard really has."""
+        """Return the fields of node/health on the device, and the actual force limit of the guard [N]."""
         return {**super().device_health(), "force_limit_n": self._limits.force_limit_n}
 
     def _add_offset(self, step: Step, reference_m: float) -> None:
-        """Add to afm/state how far the hand is set off, and the way back that an `arm` would let the base go."""
+        """Add to afm/state the offset between hand and base, and the return that an `arm` would permit."""
         memory, allowed = self._memory, step.allowed
         step.added_fields["offset_m"] = allowed.offset_m
         place_m = min(reference_m, safety.nearest_m(memory.guard.surface_m))
@@ -387,7 +390,7 @@ class AfmNode(DeviceNode):
             step.added_fields.update(self._way_back)
 
     def _publish_state(self, step: Step) -> None:
-        """Publish what was done and measured, and what the parts of the instrument have besides."""
+        """Publish the state after a step, and report changes of mode and place."""
         command = self._memory.command or _NO_COMMAND
         numbers = {"command_seq": command.seq, "hand_seq": command.hand_seq, "hand_t_ns": command.hand_t_ns}
         self._memory.placed = step.follows if self._programs.name else safety.is_placed(step.allowed)
@@ -400,7 +403,7 @@ class AfmNode(DeviceNode):
         self.steps += 1
 
     def _report_program(self) -> None:
-        """Publish how far the program is, and its end."""
+        """Publish the progress of the program ten times a second, and its end."""
         programs, memory = self._programs, self._memory
         if text := programs.take_notice():
             self.event("mode", "warning", text)
@@ -438,7 +441,7 @@ class AfmNode(DeviceNode):
         return {"mode": mode, "reason": reason, "base_position_m": allowed.base_m}
 
     def _way_text(self, allowed: safety.SafetyOutputs) -> tuple[str, dict[str, Any]]:
-        """Return where the base goes, how fast and for how long, in words, and the facts of it."""
+        """Return a sentence on target, speed and duration of the base's motion, and the facts for the event."""
         guard = self._memory.guard
         followed = self._memory.followed or _NO_COMMAND
         if not guard.goes and allowed.offset_m:
@@ -465,14 +468,14 @@ class AfmNode(DeviceNode):
         return f"; its base stays at {1e9 * allowed.base_m:.4g} nm, and a hand moves it from there"
 
     def _report_ended(self, allowed: safety.SafetyOutputs) -> None:
-        """Report that the base does not go on to its place, and that an arming which waits for it has ended."""
+        """Report that the base stops before its target; an arming that waits for the target is then over."""
         why = safety.ENDINGS[allowed.ended]
         text = f"the way of the base ended, because {why}: it stays at {1e9 * allowed.base_m:.4g} nm"
         self.event("mode", "info", text, ended=why, **self._mode_facts(allowed))
         self._memory.places = False
 
     def _report_place(self, base_m: float) -> None:
-        """Report once after each arming that the tip is placed, or that the arming is void."""
+        """Report once after each arming that the tip is placed; stop waiting if the tip is no longer armed."""
         memory = self._memory
         mode, reason = memory.guard.mode, memory.guard.reason
         if memory.places and memory.placed:

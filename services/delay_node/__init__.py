@@ -1,1 +1,1 @@
-"""The link between the sites and its impairments."""
+"""The node of the link between the sites, with its impairments."""

@@ -1,9 +1,9 @@
-"""Run the link: one process with a publisher at each site."""
+"""Program of the link: one process with a publisher at each site."""
 
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # The imports create no garbage, and searching for it would take an eighth of their time.
     gc.disable()
 
 import sys
@@ -17,13 +17,17 @@ from telenano.wire.errors import ConfigError
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
-    """Bind a publisher at each site and subscribe to the nodes of both."""
+    """Bind a publisher at each site, subscribe to the nodes of both, and return node and bus.
+
+    Raises:
+        ConfigError: The settings of the link cannot be used.
+    """
     if changes := changes_text(settings):
         wiring.log.warning(changes)
-    # The publishers come first, because they may fail.
+    # Bind the publishers first, because that may fail.
     to_master, to_slave = (wiring.bind(f"delay_node@{site}") for site in ("master", "slave"))
-    # Of a burst the first message goes out while the next one is looked at. A link without a priority of its own would
-    # give the processor to anybody.
+    # Yield after each message, so that the first message of a burst goes out while the next one is processed. A link
+    # without real-time priority does not, because any other process could then get the processor.
     to_master.yields = to_slave.yields = has_fifo()
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():

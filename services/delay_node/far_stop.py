@@ -1,7 +1,7 @@
 """The emergency stop that the link keeps for the instrument until the instrument has obeyed it (ADR 0059).
 
-While a stop is kept it is sent again and again, and neither a sample of the hand nor a command that begins a motion
-passes the link. So it does not matter whether the network has lost the stop, when it is back, and what arrives first.
+While a stop is kept, the link sends it repeatedly, and blocks samples of the hand and commands that start a motion. So
+it does not matter whether the network lost the stop, when it recovers, and which message arrives first.
 """
 
 from pathlib import Path
@@ -17,17 +17,18 @@ from telenano.wire.codec import accept
 from telenano.wire.messages import Message, SessionControl, SessionEvent
 from telenano.wire.nodes import TIP, is_meant
 
-# A copy has a time of its own, because a reader drops what looks like a repetition, and the number after that of the
-# newest message of this sender that the link has sent on, so that a reader misses none.
+# Sender of the copies. A copy has a new time, because a reader drops repetitions, and the number after that of the
+# newest message of this sender that the link has sent on, so that a reader sees no gap.
 _SENDER = "estop@master"
-# An instrument that has not answered this number of copies cannot be reached.
+# An instrument that has not answered this number of copies counts as unreachable.
 _UNREACHED = 5
 
 
 class FarStopState(msgspec.Struct, array_like=True):
-    """The stop that is kept, as it was sent, empty for none; its copies, when the next is due [ns]; last id obeyed.
+    """The state of the kept stop.
 
-    number: that of the newest message of the sender of copies, -1 before it.
+    payload: the stop as it was sent, empty if none is kept; copies: number of copies sent; due_ns: time of the next one
+    [ns]; obeyed: id of the last stop obeyed; number: that of the newest message of the copies' sender, -1 before it.
     """
 
     payload: bytes = b""
@@ -38,22 +39,22 @@ class FarStopState(msgspec.Struct, array_like=True):
 
 
 class FarStop:
-    """The newest emergency stop for the instrument that has passed the link and is not obeyed yet."""
+    """Keeps the newest emergency stop for the instrument that has passed the link and is not obeyed yet."""
 
     def __init__(self, path: Path | None, state: FarStopState) -> None:
-        """Begin with a state and work on it; `path` is the file in which a stop outlasts this process, None for none.
+        """Start with a state, which is changed in place; in the file `path`, if any, a stop outlasts this process.
 
         Raises:
-            ValueError: What the state keeps is no stop.
+            ValueError: The payload in the state is invalid.
         """
         self._path = path
         self.restore(state)
 
     def restore(self, state: FarStopState) -> None:
-        """Continue from a state and work on it.
+        """Continue from a state, which is changed in place.
 
         Raises:
-            ValueError: What it keeps is no stop.
+            ValueError: The payload in the state is invalid.
         """
         stop = accept("session/control", state.payload) if state.payload else None
         self._state = state
@@ -61,31 +62,31 @@ class FarStop:
 
     @property
     def identifier(self) -> str:
-        """The id of the stop that is kept, empty for none."""
+        """The id of the kept stop; empty if there is none."""
         return "" if self._stop is None else self._stop.id
 
     def knows(self, identifier: str) -> bool:
-        """Return whether a stop of this id is kept, or was obeyed: then nothing has to be kept in the file."""
+        """Return whether a stop of this id is kept, or was the last one obeyed; in that case, remove its file."""
         if identifier == self._state.obeyed and self._stop is None and self._path is not None:
             kept_stop.forget(self._path)
         return identifier in (self.identifier, self._state.obeyed)
 
     @property
     def due_ns(self) -> int:
-        """When the next copy is due, on the monotonic clock [ns]."""
+        """Time at which the next copy is due, on the monotonic clock [ns]."""
         return self._state.due_ns
 
     @property
     def is_unreached(self) -> bool:
-        """Whether the instrument has not answered for so long that it cannot be reached."""
+        """Whether the instrument has left so many copies unanswered that it counts as unreachable."""
         return self._state.copies >= _UNREACHED
 
     def record(self, control: SessionControl, payload: bytes, now_ns: int) -> str:
-        """Keep a stop that means the instrument; return why it does not outlast this process, empty where it does.
+        """Keep a stop that targets the instrument; return the reason why it could not be stored in the file, or "".
 
         Args:
             control: The stop.
-            payload: The same as it was sent.
+            payload: The encoded message of the stop.
             now_ns: The monotonic time [ns].
         """
         if control.src == _SENDER:
@@ -93,7 +94,7 @@ class FarStop:
         if not is_meant(TIP, control.target) or control.id == self._state.obeyed:
             return ""
         if control.id == self.identifier:
-            # its sender still repeats it
+            # Its sender still repeats it, so a copy can wait.
             self._state.due_ns = now_ns + RESEND_NS
             return ""
         self._stop = control
@@ -101,7 +102,7 @@ class FarStop:
         return "" if self._path is None else kept_stop.keep(self._path, payload)
 
     def note_event(self, event: SessionEvent) -> bool:
-        """Return whether an event is the first word of the instrument that it has obeyed the stop that is kept."""
+        """Return whether an event acknowledges the kept stop; if so, forget the stop."""
         is_answer = self._stop is not None and event.src == TIP and event.kind == "ack" and event.id == self._stop.id
         if is_answer:
             state, self._stop = self._state, None
@@ -111,7 +112,7 @@ class FarStop:
         return is_answer
 
     def holds_back(self, message: Message) -> bool:
-        """Return whether a message has to wait until the stop is obeyed: a sample of the hand, or a wish to move."""
+        """Return whether the kept stop blocks a message: a sample of the hand, or a command that starts a motion."""
         if self._stop is None:
             return False
         if type(message) is SessionControl:
@@ -119,11 +120,11 @@ class FarStop:
         return True
 
     def copy(self, now_ns: int, t_ns: int) -> bytes | None:
-        """Return the copy of the stop that is due now; None where none is.
+        """Return the encoded copy of the stop that is due now, or None.
 
         Args:
             now_ns: The monotonic time [ns].
-            t_ns: The same time on the clock of the stamps [ns].
+            t_ns: The same time on the clock of the time stamps [ns].
         """
         if self._stop is None or now_ns < self._state.due_ns:
             return None

@@ -1,4 +1,4 @@
-"""The link of a rig: the only path between the sites, with the impairments in force on each direction."""
+"""The node of the link: the only path between the sites of a rig, with the set impairments in each direction."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -26,19 +26,20 @@ from telenano.wire.nodes import LINK, TIP
 from telenano.wire.received import Received
 from telenano.wire.topics import output_name
 
-# What the link drops while the instrument has not obeyed an emergency stop; its fate names this cause.
+# Topics that the link blocks while the instrument has not obeyed an emergency stop.
 _HELD_BACK = ("teleop/forward", "session/control")
 _STOP = "stop"
 
 
 class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
-    """The state of the node, which it works on.
+    """The state of the node, which the node changes in place, except `engine`.
 
-    The delays that readers know; what lies between the sites; the exchanges of time stamps by second; when the newest
-    answer was sent and received [ns], 0 before it; the command that began the session; when the next report is due
-    [ns], and how many messages it has to tell of; the emergency stop that the instrument has not obeyed yet; when the
-    other site is asked for its time. The engine alone is written when the state is captured, because its models hold
-    what follows from the settings as well.
+    engine: written only when the state is captured, because its models also hold values derived from the settings;
+    forward_delay, backward_delay: the delays as published; between: transit time and clocks between the sites; clock:
+    the exchanges of time stamps by second; answer: times of sending and reception of the newest answer [ns], 0 before
+    it; session_id: the command that began the session; status_ns, unreported: time of the next report [ns], and the
+    number of messages that it will count; stop: the emergency stop that the instrument has not obeyed yet; questions:
+    the times of the questions for the other site's time.
     """
 
     engine: LinkState
@@ -76,23 +77,23 @@ class DelayNode(ImpairedLink):
         spans_machines: bool = False,
         send_train: Callable[[], bool] | None = None,
     ) -> None:
-        """Start with the settings; the files that they name are sought in `folder`.
+        """Start with the settings.
 
         Args:
             context: The context of the node.
             settings: The settings of the link.
-            to_slave: The end at the slave's site.
-            to_master: The end at the master's site.
-            folder: The folder in which the files of the settings are sought.
-            spans_machines: Whether the sites have clocks of their own and a network between them.
-            send_train: Sends a train of datagrams between the machines and returns whether it could; None without any.
+            to_slave: The endpoint at the slave's site.
+            to_master: The endpoint at the master's site.
+            folder: The folder of the files that the settings name.
+            spans_machines: Whether the sites have separate clocks, and a network between them.
+            send_train: Sends a train of datagrams between the machines and returns whether that was possible, or None.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context, settings, to_slave, to_master, folder)
         self._forwarded = {way.endpoint: 0 for way in self.directions}
-        # The newest message that was sent on, by topic.
+        # Fate of the newest message sent on, by endpoint and topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self.directions}
         self.memory = DelayNodeState(
             engine=self.engine.capture(),
@@ -104,8 +105,8 @@ class DelayNode(ImpairedLink):
         )
         self._spans_machines, self._send_train = spans_machines, send_train
         self._stop = FarStop(context.kept_stop, self.memory.stop)
-        # The report has the delays as well, which late readers need and which the clocks change, and asks for the next
-        # exchange of time stamps.
+        # Each report also publishes the delays, because late readers need them and the clocks change them, and starts
+        # the next exchange of time stamps.
         self.report_tasks += self._declare_forward, partial(self._declare, self.backward), self._ask
 
     def deadline_ns(self) -> int:
@@ -136,12 +137,12 @@ class DelayNode(ImpairedLink):
             )
             return
         if type(message) is SessionControl and message.command == "start" and message.id != self.memory.session_id:
-            # The hand's force profile begins with the first of the repetitions, at this side of the link.
+            # The session begins at the first copy of the repeated command, at this side of the link.
             self.memory.session_id = message.id
             self.engine.begin_session(received.received_ns)
         for way in self.directions:
             if direction in (way.name, "both"):
-                # An emergency stop is no part of the experiment, and a line that stands still would hold it.
+                # An emergency stop is no part of the experiment, and must not wait for a stalled line.
                 due = way.engine.submit(
                     received.received_ns, received.topic, received.payload, message.seq, message.src, at_once=is_stop
                 )
@@ -167,7 +168,7 @@ class DelayNode(ImpairedLink):
         self._stop.restore(state.stop)
 
     def further_outputs(self) -> dict[str, int]:
-        """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
+        """Return the number of forwarded messages by endpoint, and the sequence numbers at the slave's endpoint."""
         numbers = self.forward.outlet.sequence_numbers()
         return {**{output_name(topic, f"{LINK}@slave"): seq for topic, seq in numbers.items()}, **self._forwarded}
 
@@ -180,7 +181,7 @@ class DelayNode(ImpairedLink):
         return "a train of datagrams was sent each way: link/network has what the line carried"
 
     def publish_end(self, bus: NodeBus) -> None:
-        """Publish at both sites what was sent there, and up to which number messages were sent on."""
+        """Publish at both sites the end of this endpoint, with the numbers up to which messages were sent on."""
         for way, publisher in ((self.backward, bus), (self.forward, self.forward.outlet)):
             newest = self._newest[way.endpoint].values()
             publish_end(publisher, way.endpoint, {(fate.topic, fate.src): fate.seq + 1 for fate in newest})
@@ -199,7 +200,7 @@ class DelayNode(ImpairedLink):
         self._forwarded[way.endpoint] += len(releases)
 
     def _is_void(self, release: Release) -> bool:
-        """Return whether a stop that came later voids what the link has delayed: a command that begins a motion."""
+        """Return whether a later stop cancels a delayed message, which is so for a command that starts a motion."""
         if release.topic != "session/control":
             return False
         try:
@@ -209,15 +210,15 @@ class DelayNode(ImpairedLink):
 
     @property
     def kept_stop_for(self) -> str:
-        """The node that a stop in the file of this process is for."""
+        """The node that is the target of a stop in the file of this process."""
         return TIP
 
     def has_taken_over(self, identifier: str) -> bool:
-        """Return whether a stop of this id is kept already, or was obeyed."""
+        """Return whether a stop of this id is kept already, or was the last one obeyed."""
         return self._stop.knows(identifier)
 
     def _send_stop(self, now_ns: int) -> None:
-        """Send the stop that is kept once more, if it is time, and report once that the instrument does not answer."""
+        """Send a copy of the kept stop if it is due, and report once that the instrument does not answer."""
         was_unreached = self._stop.is_unreached
         if (payload := self._stop.copy(now_ns, self.clock.now_ns())) is None:
             return
@@ -228,7 +229,7 @@ class DelayNode(ImpairedLink):
             self.event("link", "warning", text)
 
     def _note_answer(self, event: SessionEvent) -> None:
-        """Forget the stop that is kept once the instrument has obeyed it."""
+        """Forget the kept stop if this event says that the instrument has obeyed it."""
         was_unreached = self._stop.is_unreached
         if self._stop.note_event(event) and was_unreached:
             self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
@@ -237,7 +238,7 @@ class DelayNode(ImpairedLink):
         return self.memory.forward_delay if way is self.forward else self.memory.backward_delay
 
     def _declare(self, way: DirectionPath) -> None:
-        """Publish the delay of a direction where it counts: that of the way back does at the master only."""
+        """Publish the delay of a direction at the master's site, and the forward delay at the slave's site too."""
         fields = {"direction": way.name, **self._declared(way).current._asdict()}
         if way is self.forward:
             way.outlet.publish("link/delay", **fields, **self.memory.between.at_slave())
@@ -251,7 +252,7 @@ class DelayNode(ImpairedLink):
         self._declare(self.forward)
 
     def _tell_change(self) -> None:
-        """Tell of a line that has become longer or shorter for good, which a loop feels as delay."""
+        """Report a permanent change of the line's round trip, which the loop feels as delay."""
         if (changed := self.offset.present.take_change(self.clock.now_ns())) is None:
             return
         before_ms, after_ms, low_ms, high_ms = (1e-6 * value for value in changed[1:])
@@ -264,7 +265,7 @@ class DelayNode(ImpairedLink):
         )
 
     def _tell_clock(self) -> None:
-        """Tell that the clock of the other site was set, which ages and stamps are corrected for from then on."""
+        """Report that the clock of the other site was set; ages and time stamps are corrected for that from now on."""
         if (changed := self.offset.take_change()) is None:
             return
         before, now = (f"{one.offset_s:.6g} s ± {1e3 * one.uncertainty_s:.3g} ms" for one in changed)
@@ -275,7 +276,7 @@ class DelayNode(ImpairedLink):
         )
 
     def _ask(self) -> None:
-        """Ask the other site for its time."""
+        """Start an exchange of time stamps with the other site."""
         self.memory.questions.ask(self.clock.monotonic_ns())
         self.forward.outlet.publish("clock/ping")
 
@@ -285,7 +286,7 @@ class DelayNode(ImpairedLink):
         in_doubt = self.offset.present.is_in_doubt
         self.memory.questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
         if is_longer and self._spans_machines:
-            # Until its readers know, a hand is switched off by the age of what is as fresh as the line allows.
+            # Tell the readers at once: until then their guards reject samples that the longer line makes older.
             self._declare_forward()
             self._declare(self.backward)
 

@@ -1,1 +1,1 @@
-"""One reader of each node of a rig on one machine, instead of one for each observer."""
+"""The fan-out: one reader of each node of a rig on a machine, instead of one for each observer."""

@@ -1,11 +1,11 @@
-"""One reader of each node in the place of many: observers connect here, and a node sends each message once.
+"""The fan-out of a rig: observers connect to this process, so that a node sends each message only once.
 
-It imports no model, because a rig starts it with each session. A subscription of an observer is passed on to the node,
-so what is not read is not sent here either.
+It imports no models, because a rig starts it with each session. Subscriptions of observers are forwarded to the node,
+so the node does not send topics that nobody reads.
 
-libzmq gives a connection up for good where its peer breaks the protocol, so that a node might be heard by everybody but
-the observers. What is handed on of a node is therefore listened to here as well: where its beacon does not come by that
-way, and comes by a new connection to the node, the node is served anew, with all sockets of its own.
+libzmq permanently gives up a connection whose peer breaks the protocol, so the fan-out could lose a node that all other
+readers still hear. Therefore this process also listens to its own output: if the beacon of a node is missing there, but
+comes through a new connection to the node, all sockets for that node are replaced.
 """
 
 import contextlib
@@ -22,32 +22,35 @@ import zmq
 from telenano.runtime.bus.ipc_listener import IpcListener
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 
-# as many as a publisher keeps for a reader that stands still
+# Messages kept for a reader that stands still, as many as a publisher keeps.
 _HIGH_WATER_MARK = 22_000
-# A lost node is connected to again after this time, which grows to _RECONNECT_MOST_MS.
+# First interval between attempts to reconnect to a lost node; it grows to _RECONNECT_MOST_MS.
 _RECONNECT_MS = 100
 _RECONNECT_MOST_MS = 1000
-# A display may be late, touch may not.
+# Displays may be late, but the haptic loop may not, so this process has low priority.
 _NICENESS = 5
-# The sockets are looked at this often [s].
+# Interval between checks of the sockets [s].
 _LOOK_S = 0.25
-# Every node sends this twice a second.
+# Topic that every node publishes twice a second.
 _BEACON = b"node/health"
-# A node of which nothing was handed on at this number of looks in a row is listened to by a further connection.
+# Number of successive checks without output from a node after which it is probed by a new connection.
 _SILENT_LOOKS = 4
-# It is closed after this number of looks without anything, as it may itself have been given up.
+# Number of checks without a message after which the probe is closed, because libzmq may have given it up too.
 _LISTENS_LOOKS = 5
-# A node that was served anew and is still not heard is served anew again after so many looks at the earliest.
+# Least number of checks between two replacements of the sockets of a node.
 _PAUSE_LOOKS = 20
-# This is enough to know that something comes; what the socket does not hold is dropped.
+# Messages that a listening socket holds, enough to see that some come; the others are dropped.
 _PROBED = 20
 
 
 def serve(context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str) -> IpcListener:
-    """Hand on what the node with an endpoint publishes, in a thread that runs no Python; it ends with the context.
+    """Forward the messages of the node at an endpoint, in a thread that runs no Python and ends with the context.
 
     Returns:
-        The socket file at which observers connect.
+        The listener at whose socket file observers connect.
+
+    Raises:
+        OSError, zmq.ZMQError: The socket cannot be bound.
     """
     node, observers = context.socket(zmq.XSUB), context.socket(zmq.XPUB)
     node.set(zmq.RCVHWM, _HIGH_WATER_MARK)
@@ -74,19 +77,19 @@ def _hand_on(node: "zmq.Socket[bytes]", observers: "zmq.Socket[bytes]") -> None:
         except zmq.ContextTerminated:
             return
         except zmq.ZMQError as error:
-            # The context that ends closes them, perhaps before the thread is told of it.
+            # An ending context closes the sockets, perhaps before the thread gets ContextTerminated.
             if error.errno != errno.ENOTSOCK:
                 raise
 
 
 class ServedNode:
-    """One node as it is served: the sockets of its own, and what is heard of it."""
+    """The sockets that serve one node, and the checks that its messages are forwarded."""
 
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str) -> None:
-        """Serve a node; OSError or ZMQError where the socket cannot be bound.
+        """Start to serve a node; raise OSError or ZMQError if the socket cannot be bound.
 
         Args:
-            context: That of the sockets by which the node is listened to.
+            context: The context of the sockets that check the node and the output.
             endpoint: The local endpoint of the node.
         """
         self._listening, self._endpoint = context, endpoint
@@ -101,15 +104,15 @@ class ServedNode:
         self._behind = self._listen(fan_out_endpoint(endpoint))
 
     def look(self) -> None:
-        """Serve the node anew where its socket is gone, or where it sends and nothing is handed on."""
-        # The folder is made again by the nodes, which look at whose it is.
+        """Replace the sockets if the socket file is gone, or if the node sends but nothing is forwarded."""
+        # Nodes create the folder again, and check its owner; without a private folder nothing can be bound.
         is_gone = self.listener.lost() and _is_private(self.listener.path.parent)
         if is_gone or self._is_deaf():
             with contextlib.suppress(OSError, zmq.ZMQError):
                 self._serve_anew()
 
     def close(self) -> None:
-        """Leave no socket behind."""
+        """Remove the socket file and close all sockets."""
         self.listener.remove()
         self._close_probe()
         self._behind.close(0)
@@ -122,7 +125,7 @@ class ServedNode:
         except (OSError, zmq.ZMQError):
             own.term()
             raise
-        # Those who are connected by the old sockets come to the new ones as these are closed.
+        # Observers on the old sockets reconnect to the new ones when the old ones close.
         self._own.term()
         self._own, self.listener = own, listener
         self._behind.close(0)
@@ -130,7 +133,7 @@ class ServedNode:
         self._silent_looks = 0
 
     def _is_deaf(self) -> bool:
-        """Return whether the node sends, which a further connection shows, and nothing of it is handed on."""
+        """Return whether nothing is forwarded although the node sends, as a probe by a new connection shows."""
         self._wait = max(0, self._wait - 1)
         if _drained(self._behind):
             self._silent_looks = 0
@@ -140,7 +143,7 @@ class ServedNode:
         if self._silent_looks < _SILENT_LOOKS or self._wait:
             return False
         if self._probe is None:
-            # To connect where nobody listens would not tell anything.
+            # A connection to an unbound endpoint would show nothing.
             self._probe = self._listen(self._endpoint) if is_bound(self._endpoint) else None
             self._listens = 0
             return False
@@ -167,7 +170,7 @@ class ServedNode:
 
 
 def _drained(socket: "zmq.Socket[bytes]") -> bool:
-    """Return whether something has come, which is thrown away."""
+    """Discard all waiting messages; return whether there were any."""
     came = False
     with contextlib.suppress(zmq.Again):
         while True:
@@ -177,7 +180,7 @@ def _drained(socket: "zmq.Socket[bytes]") -> bool:
 
 
 def main(endpoints: Sequence[str]) -> None:
-    """Serve the nodes of a rig until its launcher closes the standard input, or ends, and leave no socket behind."""
+    """Serve the nodes of a rig until its launcher closes the standard input or ends; then remove all sockets."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     with zmq.Context() as context:

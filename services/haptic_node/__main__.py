@@ -1,9 +1,9 @@
-"""Run the haptic node with the device that its configuration names."""
+"""Program of the haptic node, with the device that its configuration names."""
 
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # The imports create no garbage, and searching for it would take an eighth of their time.
     gc.disable()
 
 import sys
@@ -17,12 +17,12 @@ from telenano.sections.hand_section import DRIVERS, HapticConfig
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
-    """Build the node with its device."""
+    """Return the node with its device, which it opens."""
     return HapticNode(context, config, device_of(config, context.period_s))
 
 
 def device_of(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
-    """Return the driver that a configuration names, not yet open."""
+    """Return the driver that a configuration names, not yet opened."""
     if config.in_lockstep:
         return config.to_simulated_device()
     if (driver := DRIVERS.find(config.driver)) is not None:

@@ -1,4 +1,4 @@
-"""The haptic process: paces the rig, samples the operator's device and guards it."""
+"""The haptic node: sets the pace of the rig, samples the operator's device, and guards it."""
 
 from typing import ClassVar, NamedTuple
 
@@ -40,16 +40,16 @@ _MODE_CODES = {name: code for code, name in MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
-# A sample of a real device that is younger than this number of periods needs no remark.
+# A sample of a real device counts as late if it is older than this number of periods.
 _FRESH_PERIODS = 2
-# With a change of law the force of an impedance device is zero for this time, and control begins again where the hand
-# is.
+# Time for which the force of an impedance device is zero after a change of law; control then restarts at the hand's
+# position [s].
 _LET_GO_S = 0.1
 _LAW_CHANGES = "the law changes: no force meanwhile, and control begins again where the hand is"
 
 
 class HapticNodeState(NamedTuple):
-    """The state of the node: its own, and that of its parts."""
+    """The state of the node and of its parts, for a re-run."""
 
     memory: HapticMemory
     freshness: FreshnessState
@@ -58,19 +58,19 @@ class HapticNodeState(NamedTuple):
 
 
 class HapticNode(DeviceNode):
-    """The operator's device on an absolute grid, by default of 1 kHz: haptic/command in, haptic/state out.
+    """The operator's device on an absolute time grid, by default of 1 kHz: haptic/command in, haptic/state out.
 
-    Every command goes through the guard (`safety.step`) first; what the guard let through and the
-    device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
-    the sample of this device which it answers, less what the link has delayed on purpose, both ways. A process that
-    stalled takes the force from the motor until the next command.
+    Every command passes the guard (`safety.step`) first, and the node publishes the guarded command and the device's
+    actual motion and force. The guard judges the age of the command, by its own time stamp, and the age of this
+    device's sample that it answers, without the delays that the link adds on purpose in both directions. After a stall
+    of the process the motor has no force until the next command.
     """
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # After this the tick is in the master's half, and soon at the slave's side.
+    # After haptic/state, the tick continues in the master half, and soon at the slave's site.
     idle_after = ""
     state_kind = HapticNodeState
 
@@ -103,7 +103,7 @@ class HapticNode(DeviceNode):
             self.process_haptic_report(device.report)
         if caution := DRIVERS.caution(config.driver):
             self.event("node", "warning", caution)
-        # The steps are compiled before the grid starts, not in its first tick.
+        # Compile the steps before the grid starts, and not in its first tick.
         self._guarded()
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(self.period_s * 1e9))
 
@@ -142,9 +142,9 @@ class HapticNode(DeviceNode):
             self._on_law_change(received.message)
 
     def on_deadline(self, now_ns: int) -> None:
-        """Guard the command, drive and sample the device, publish what it did."""
+        """Guard the command, drive and sample the device, and publish its state."""
         if self.begin_turn(now_ns):
-            # The command in force is dropped, and the force of the operator with it.
+            # After a stall, drop the command in force, and the force of the operator.
             self._memory.command, self._memory.operator_force_n = None, 0.0
             self._memory.operator_across_n = (0.0, 0.0)
         periods = self._grid.advance(now_ns)
@@ -196,18 +196,18 @@ class HapticNode(DeviceNode):
         return super().on_control(control)
 
     def make_safe(self) -> None:
-        """Take the force from the motor."""
+        """Close the device, which takes the force from the motor."""
         self.device.close()
 
     def _session_s(self, periods: int) -> float:
-        """Return the time of the operator's force profile this number of periods later [s], < 0 while none runs."""
+        """Advance the operator's force profile by a number of periods; return its time [s], < 0 while none runs."""
         if self._memory.session_ticks is None:
             return _NOT_RUNNING_S
         self._memory.session_ticks += periods
         return self._memory.session_ticks * self.period_s
 
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
-        """Take the force of a person without a device; say once where the scenario has another operator."""
+        """Store the force of a person without a device; warn once if the scenario has another operator."""
         if isinstance(self._config.operator, InteractiveConfig):
             self._memory.operator_force_n, self._memory.operator_force_ns = to_paper_axis(message.force_n), received_ns
             self._memory.operator_across_n = message.force_n[:2]
@@ -217,7 +217,7 @@ class HapticNode(DeviceNode):
             self.event("fault", "warning", text, source=message.src)
 
     def _set_operator(self, control: SessionControl) -> str:
-        """Put another simulated hand on the device, while the operator's force profile does not run."""
+        """Replace the simulated hand; raise RefusedError for a real device, or while a force profile runs."""
         if not isinstance(self.device, SimulatedHaptic):
             raise RefusedError("operator: only a simulated device has a simulated hand, and this one is real")
         if self._memory.session_ticks is not None:
@@ -228,7 +228,7 @@ class HapticNode(DeviceNode):
         return f"the operator is {self._config.operator.kind} from the next session start"
 
     def _on_law_change(self, control: SessionControl) -> None:
-        """Let go of the hand when the law changes: the new one is to find no force in the coupling."""
+        """Release the hand when the law changes, so that the new law starts without force in the coupling."""
         if control.command == "set" and "law" in control.parameters and is_meant("controller@master", control.target):
             self._memory.let_go_ticks = round(_LET_GO_S / self.period_s)
 
@@ -253,7 +253,7 @@ class HapticNode(DeviceNode):
         )
         memory.let_go_ticks = max(0, memory.let_go_ticks - 1)
         memory.estop_requested = memory.arm_requested = False
-        # The step covers one period of motion, however long the process stalled, so that the hand feels no jump.
+        # The step covers one period of motion after a stall of any length, so that the hand feels no jump.
         memory.guard, applied = safety.step(self._limits, memory.guard, asked, self.period_s)
         return applied
 
@@ -269,7 +269,7 @@ class HapticNode(DeviceNode):
             reference_m=to_site_frame(applied.position_reference_m),
             mode=MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
-            # a device that is refused, such as one with a lost encoder, is no hand to follow either
+            # The tip must not follow a device whose readings are refused, such as one with a lost encoder.
             armed=applied.armed and tick.added_fields.get("device") != "lost",
             limited=applied.reason in _LIMITS or _device_limited(reading),
             session_s=tick.session_s,
@@ -281,7 +281,7 @@ class HapticNode(DeviceNode):
         )
 
     def process_haptic_report(self, report: HapticReport) -> None:
-        """Process the report of a real device, whose own emergency stop latches here."""
+        """Process the report of a real device; its own emergency stop latches in this node."""
         self._memory.estop_requested |= report.estop_pressed
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
@@ -289,7 +289,7 @@ class HapticNode(DeviceNode):
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:
         self.state = "running" if applied.mode != MODE_OFF else "safe"
-        # a limit may come and go at every tick; it is published as `limited`, not as an event
+        # A limit may start and end at every tick, so it is published as `limited`, not as an event.
         reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
         text = self._waits_for if reason == safety.REASON_DEVICE_WAITS else safety.REASONS[reason]
         if (applied.mode, text) == self._reported:
@@ -304,7 +304,7 @@ class HapticNode(DeviceNode):
         )
 
     def _reason_to_wait(self) -> str:
-        """Return why an impedance device is not to be driven now, empty if it may be."""
+        """Return the reason why an impedance device must not be driven now; empty if it may be."""
         if self._memory.let_go_ticks:
             return _LAW_CHANGES
         return "" if self._memory.gate in (Gate.ACTIVE, Gate.READY) else Gate(self._memory.gate).text

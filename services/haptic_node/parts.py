@@ -1,4 +1,4 @@
-"""What a tick of the haptic node remembers, and the parts that stand around guard and device."""
+"""The memory of the haptic node, the data of a tick, and the parts that act before and after guard and device."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,20 +26,21 @@ from telenano.sections.operator_section import InteractiveConfig
 from telenano.timing.freshness import age_s
 from telenano.wire.messages import HapticCommand
 
-# Place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.
+# Position [m], velocity [m/s], own force and displayed force [N] of the hand across the sample, (x, y) each.
 Across = tuple[Pair, Pair, Pair, Pair]
 _ZERO: Pair = (0.0, 0.0)
 _NO_SIDE = SpatialCommand()
 
 
 class HapticMemory(msgspec.Struct, array_like=True):
-    """What the node remembers from tick to tick.
+    """Values that the node keeps from tick to tick.
 
-    The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
-    [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
-    holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `Gate`; ticks for which it is let go of, after a change of law; the force of
-    that operator across [N], and the simulated hand there.
+    guard, position_m: state of the guard, and position of the arm at the last tick [m]; command, command_received_ns:
+    the command in force, and its time of reception [ns]; operator_force_n, operator_force_ns: force of an operator
+    without a device [N], and its time of reception [ns]; pushed_n: force that the simulated hand holds [N];
+    estop_requested, arm_requested: requests since the last tick; session_ticks: ticks since the session began, None
+    before; gate: the `Gate` of an impedance device; let_go_ticks: ticks left without force after a change of law;
+    operator_across_n: force of that operator across the sample [N]; across: the simulated hand there.
     """
 
     guard: safety.SafetyState
@@ -60,11 +61,11 @@ class HapticMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Tick:
-    """One tick: the command, what the guard lets through, and what the device then measured.
+    """One tick: the command, the guarded command, and the reading of the device after it.
 
-    armed: a person has armed since the tick before. elapsed_s, session_s: time since then, and of the force profile
-    [s]. shown_n, pushed_n: force of the controller and of an operator without a device across [N]. said: keys of
-    haptic/state that the parts add.
+    armed: whether a person has armed since the previous tick. elapsed_s, session_s: time since that tick, and time of
+    the force profile [s]. shown_n, pushed_n: forces across the sample, of the controller and of an operator without a
+    device [N]. added_fields: keys of haptic/state that the parts add.
     """
 
     command: HapticCommand
@@ -87,7 +88,7 @@ TickPart = StepPart[Tick, HapticMemory]
 
 
 class RealHandle(TickPart):
-    """Takes up what a real device reports."""
+    """Publishes and processes the reports of a real device."""
 
     def __init__(self, device: HapticDevice, process_report: Callable[[HapticReport], None]) -> None:
         self._device, self._process_report = device, process_report
@@ -101,14 +102,14 @@ class RealHandle(TickPart):
 
 
 class PushedHand(TickPart):
-    """Lets a simulated hand hold the newest force of an operator without a device, or none where it is too old."""
+    """Applies the newest force of an operator without a device to a simulated hand, or 0 if it is too old."""
 
     def __init__(self, device: HapticDevice, deadline_s: float, now_ns: Callable[[], int]) -> None:
         self._deadline_s, self._now_ns = deadline_s, now_ns
         self._hands = [device] if isinstance(device, SimulatedHaptic) else []
 
     def prepare(self, tick: Tick, memory: HapticMemory) -> None:
-        # The age counts from the reception, because the page and the rig may have been started with different clocks.
+        # The age counts from the reception, because page and rig may run on different clocks.
         is_fresh = age_s(self._now_ns(), memory.operator_force_ns) <= self._deadline_s
         force_n, tick.pushed_n = (memory.operator_force_n, memory.operator_across_n) if is_fresh else (0.0, _ZERO)
         for hand in self._hands:
@@ -119,7 +120,7 @@ class PushedHand(TickPart):
 
 
 class SpatialDevice(TickPart):
-    """Tells a device of impedance type or of three axes what concerns it alone, and processes its reports."""
+    """Adds the commands and readings that only devices of impedance type or with three axes have."""
 
     def __init__(self, able: Capabilities) -> None:
         self._has_orientation, self._has_buttons = able.has_orientation, bool(able.buttons)
@@ -138,12 +139,12 @@ class SpatialDevice(TickPart):
         if self._has_buttons:
             tick.added_fields["buttons"] = spatial.buttons
         if Gate(memory.gate).is_fault:
-            # What cannot be believed until a person arms is no hand, simulated or not.
+            # A reading that is invalid until a person arms is no hand to follow, simulated or not.
             tick.added_fields["device"] = "lost"
 
 
 class LateralHand(TickPart):
-    """Advances the simulated hand across the sample; the controller pulls at it while the guard lets it."""
+    """Advances the simulated hand across the sample; the force of the controller acts on it while the guard permits."""
 
     def __init__(self, params: LateralHandParams) -> None:
         self._params = params
@@ -156,7 +157,7 @@ class LateralHand(TickPart):
 
 
 def parts_of(node: Any, config: HapticConfig, device: HapticDevice) -> list[TickPart]:
-    """Return the parts of the node, whose device is open, in the order in which they act."""
+    """Return the parts of a node with an open device, in the order in which they act."""
     parts: list[TickPart] = []
     able, operator = device.capabilities, config.operator
     if isinstance(operator, InteractiveConfig):

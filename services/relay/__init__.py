@@ -1,1 +1,1 @@
-"""The end of a relay at a site: it dials, and carries what crosses between the sites."""
+"""The relay process of a site: connects to the relay, and carries the messages between the sites."""

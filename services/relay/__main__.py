@@ -1,4 +1,4 @@
-"""The process beside the nodes of a site that reaches the other one through a relay: the transport runs in it."""
+"""The process of a site that reaches the other site through a relay; it runs the transport of the link."""
 
 import signal
 import sys
@@ -15,7 +15,7 @@ from telenano.wire.nodes import RELAY
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the transport of the site file until it ends; return the exit code, 2 when it could not start."""
+    """Run the transport of the site file until it ends; return the exit code, 2 if it could not start."""
     arguments_read = parse_arguments(RELAY, SITES, arguments)
     log = StructuredLog(f"{RELAY}@{arguments_read.site}")
     if arguments_read.with_parent:

@@ -1,1 +1,1 @@
-"""The process that serves the operator's page."""
+"""The process that serves the operator's page of a rig or a recording."""

@@ -1,4 +1,4 @@
-"""Run the server of the page."""
+"""Program of the node that serves the operator's page."""
 
 import sys
 from functools import partial
@@ -11,7 +11,11 @@ from telenano.wire.errors import ConfigError
 
 
 def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, NodeBus]:
-    """Serve at the address that the launcher has bound, or bind one and tell it to the owner of this process."""
+    """Return the node and its bus, at the address that the launcher has bound, or at an own one, which is announced.
+
+    Raises:
+        ConfigError: A dependency of the page is missing, or the settings cannot be used.
+    """
     if reason := missing_for_view():
         raise ConfigError(f"the view cannot be served: {reason}")
     from services.viz_node.node import page_of_rig
@@ -20,7 +24,7 @@ def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, NodeBus]:
     bound = wiring.resources.enter_context(sockets or config.bind())
     node, bus = page_of_rig(wiring, wiring.site_file, bound, access, tls)
     if sockets is None:
-        # after the last thing that could fail: whoever reads this may open it
+        # Last, after everything that could fail, because a reader may open the address at once.
         addresses = addresses_of(bound, access, tls, config.name)
         wiring.resources.enter_context(announced(addresses, partial(print, flush=True)))
     return node, bus

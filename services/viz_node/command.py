@@ -1,4 +1,4 @@
-"""`telenano view`: the operator's page, of a running rig or of a recording."""
+"""`telenano view`: serve the operator's page of a running rig or of a recording."""
 
 import contextlib
 import os
@@ -39,11 +39,11 @@ from telenano.timing.clock import SystemClock
 from telenano.wire.errors import ConfigError, TelenanoError, described
 from telenano.wire.nodes import PAGE
 
-_MINUTES = 90.0  # An address of a person is valid for this time by default [min].
+_MINUTES = 90.0  # Default validity of a person's address [min].
 
 
 class PageService(NamedTuple):
-    """Who may open a page, where it is served, and what ends it."""
+    """Access rights, encryption and listener of a page, and the signals that end it."""
 
     access: Access
     tls: Tls | None
@@ -116,7 +116,7 @@ def view(
         files = [DEMO_RECORDING] if demo else [file for path in files or () for file in recordings_of(path)]
         recordings = open_recordings(files, same_session=same_session) if files else None
         if recordings is None:
-            # An error says why this machine cannot join the rig before an address is shown.
+            # Connect once, so that a machine which cannot join the rig gets an error before an address is shown.
             LiveSource(AddressBook.load(site_file), "").close()
         idle = recordings is None and runs_no_node(AddressBook.load(site_file))
         signals = StopSignals()
@@ -134,14 +134,14 @@ def view(
                     if recordings is None
                     else partial(_serve_recording, recordings, files, page, same_session)
                 )
-    # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
+    # SIGTERM gives its usual exit code, as after any other command; Ctrl-C is the normal end.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
         raise SystemExit(128 + signal.SIGTERM)
 
 
 def _print_address_for(name: str, role: str, minutes: float) -> None:
-    """Give a person an address at each page of this rig that answers."""
-    # an address is told by several names, and that of a participant is of another page
+    """Print an address for a person at each page of this rig that is served here; raise ConfigError if none is."""
+    # A page is listed under several names, and the address of a participant opens another page (.html).
     lines = (line.partition(": ")[2].partition("#") for line in served_addresses([runtime_directory()]))
     served = dict.fromkeys(base for base, sign, _ in lines if sign and not base.endswith(".html"))
     if not served:
@@ -152,7 +152,7 @@ def _print_address_for(name: str, role: str, minutes: float) -> None:
 
 
 def _serve_again(serve_once: Callable[[], None]) -> None:
-    """Serve until a signal comes. Where something unforeseen ends the server, say so, and begin again."""
+    """Serve until a signal comes. After an unexpected error, report it and start the server again."""
     restarts = RestartTracker(SystemClock(), [], beside=[PAGE])
     while True:
         restarts.record_start(PAGE)
@@ -161,7 +161,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
         except TelenanoError as error:
             raise type(error)(f"the view has ended: {error}") from error
         except Exception as error:  # noqa: BLE001
-            # The operator has to be able to stop the rig, whatever the error was.
+            # The operator must be able to stop the rig from the page after any error.
             end = restarts.record_exit(PAGE, EXIT_DIED)
             text = f"the view has ended: {described(error)}; {end.verdict}"
             say(text)
@@ -170,7 +170,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
 
 def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: PageService, same_session: bool) -> None:
     def judged() -> Mapping[str, Any]:
-        # What draws the figures takes longer to import than the page to open.
+        # Importing the analysis takes longer than opening the page.
         from telenano.analysis.recording_document import judged_recording
 
         return judged_recording(open_recordings(files, same_session=same_session))
@@ -193,9 +193,9 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: P
 
 
 def _serve_rig(site_file: Path, page: PageService) -> None:
-    """Run the node that `telenano up` starts beside a rig in this process."""
+    """Run, in this process, the page's node that `telenano up` would start."""
     book = AddressBook.load(site_file)
-    # A machine that may only observe has no other key, and a page on no network needs none.
+    # Only a page with an endpoint on the network publishes; a machine that may only observe has no key for that.
     is_public = PAGE in book.nodes and book.network_endpoint(PAGE) is not None
     with Participant.open(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
         node, bus = page_of_rig(participant, site_file, page.bound, page.access, page.tls)

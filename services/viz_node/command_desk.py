@@ -1,4 +1,4 @@
-"""The commands of pages: each in its turn, fresh or refused, and void after an emergency stop, which goes at once."""
+"""The queue of commands from pages: one at a time, refused if old, and cancelled by an emergency stop."""
 
 import asyncio
 import threading
@@ -16,15 +16,16 @@ from telenano.console.lease import FREE_COMMANDS
 from telenano.wire.errors import RefusedError
 from telenano.wire.messages import Scalar
 
-# Of one page, with the one that is being carried out.
+# Most waiting commands of one page, including the one that is being carried out.
 MOST_COMMANDS = 4
-# As of a session/control (ADR 0014); a page that means it sends it again.
+# Time for which a command is valid, as for a session/control (ADR 0014); a page may send it again [s].
 VALIDITY_S = 1.0
-# At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
+# Most simultaneous emergency stops. A key that is held down requests thirty per second, and each may take seconds if a
+# device does not answer.
 _MOST_STOPS = 4
-# The end of the page waits this long for the stops under way, each of which is given up after 5 s.
+# Time for which the end of the page waits for stops under way, each of which gives up after 5 s [s].
 _STOPS_END_S = 6.0
-# Obeyed at any age, and whoever has left: it only ends a motion.
+# This command is obeyed at any age, and even after its page has closed, because it only ends a motion.
 _STOP = "stop"
 _ARM = "arm"
 
@@ -32,7 +33,7 @@ Answers = Mapping[str, tuple[str, str]]
 
 
 class Commander(Protocol):
-    """How the commands of a page reach the rig. The methods block, and are called in threads."""
+    """Sends the commands of pages to the rig. The methods block, so they are called in threads."""
 
     def send(
         self,
@@ -43,29 +44,29 @@ class Commander(Protocol):
         issued_ns: int,
         by: str,
     ) -> Answers:
-        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not.
+        """Send a command; return for each node `ack` or `refused` and a sentence; raise TelenanoError if that fails.
 
-        It is not sent again once `is_wanted` is false, and an emergency stop after `issued_ns`, on the monotonic clock
-        [ns], makes it void. `by` is the name of who gave it, or empty.
+        The command is not repeated once `is_wanted` returns false. An emergency stop after `issued_ns`, on the
+        monotonic clock [ns], cancels it. `by` is the name of the person who gave it, or empty.
         """
 
     def estop(self, by: str) -> Answers:
-        """Stop the devices at once; return by node the answer. TelenanoError says why not."""
+        """Stop the devices at once; return the answer of each node; raise TelenanoError if that fails."""
 
 
 class PageCommand:
-    """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
+    """A command of a page, from its arrival to its answer; an emergency stop or the end of its page cancels it."""
 
     def __init__(self, session: Session, request: CommandRequest, arrived_s: float) -> None:
         self.session, self.request, self.arrived_s = session, request, arrived_s
         self.reason = ""
         self.needs_lease = request.command not in FREE_COMMANDS
-        # Whether it lets the tip go somewhere, which any other command ends.
+        # Whether it sends the tip to a place; any other command ends that motion.
         self.goes = request.command == _ARM and bool(request.parameters)
         self._is_void = threading.Event()
 
     def make_void(self, reason: str) -> None:
-        """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
+        """Cancel the command, whether it waits or is being sent, unless it only ends a motion."""
         if self.request.command != _STOP:
             self.reason = f"{self.request.command} was cancelled: {reason}"
             self._is_void.set()
@@ -74,7 +75,7 @@ class PageCommand:
         return not self._is_void.is_set()
 
     def check(self, now_s: float) -> None:
-        """Raise RefusedError for a command that is void, or older than it is valid."""
+        """Raise RefusedError if the command was cancelled, or is no longer valid."""
         if not self.is_wanted():
             raise RefusedError(self.reason)
         waited_s = now_s - self.arrived_s
@@ -84,31 +85,36 @@ class PageCommand:
 
 
 class CommandDesk:
-    """Sends what pages command, one command at a time, and the emergency stops beside them."""
+    """Sends the commands of pages, one at a time, and emergency stops without waiting for these."""
 
     def __init__(self, commander: Commander | None) -> None:
-        """Send by a commander; None where there is nothing to command."""
+        """Prepare to send through a commander; None if there is nothing to command."""
         self.commander = commander
         self.wishes: list[PageCommand] = []
         self._turn = asyncio.Lock()
         self._stops: set[Future[Answers]] = set()
         self._next_stop: asyncio.Task[Answers] | None = None
-        # when this process was last seen to run [s], for how long it stood still then, and until when that counts
+        # Time at which this process last ran [s]; length of its last standstill, and until when commands are refused
+        # because of it [s].
         self._alive_s: float | None = None
         self._held_up_s = self._distrust_until_s = 0.0
 
     def waiting(self, session: Session) -> int:
-        """Return how many commands of a page wait or are being sent."""
+        """Return the number of commands of a page that wait or are being sent."""
         return sum(wish.session is session for wish in self.wishes)
 
     def make_void(self, reason: str, is_meant: Callable[[PageCommand], bool] = lambda wish: True) -> None:
-        """Give up the commands that are meant, all of them if nothing is said."""
+        """Cancel the commands for which `is_meant` is true, by default all."""
         for wish in self.wishes:
             if is_meant(wish):
                 wish.make_void(reason)
 
     def check_arrival(self, session: Session, command: str) -> None:
-        """Raise RefusedError for a command that may not even wait for its turn."""
+        """Raise RefusedError for a command that must not enter the queue.
+
+        The page has too many waiting commands, an emergency stop is being sent, or this process stood still, so that
+        the age of the command is unknown. `stop` is refused only for the first reason.
+        """
         if (waiting := self.waiting(session)) >= MOST_COMMANDS:
             raise RefusedError(
                 f"{command} was not sent: {waiting} commands of this page wait already, as many as may be"
@@ -126,10 +132,10 @@ class CommandDesk:
             )
 
     async def send(self, wish: PageCommand) -> Answers:
-        """Send a command in its turn, unless it is void or too old by then.
+        """Send a command in its turn, unless it is cancelled or too old by then; return the answers of the nodes.
 
         Raises:
-            TelenanoError: It was not sent, or not obeyed; the message says why.
+            TelenanoError: The command was not sent, or not obeyed; the message has the reason.
         """
         assert self.commander is not None
         self.make_void("another command came after it", lambda other: other.goes)
@@ -145,13 +151,13 @@ class CommandDesk:
             self.wishes.remove(wish)
 
     async def stop(self, by: str) -> Answers:
-        """Stop the devices beside whatever else is being sent, and give up every command of every page."""
+        """Stop the devices at once, and cancel every other command of every page; return the answers of the nodes."""
         self.make_void("an emergency stop came after it")
         if len(self._stops) < _MOST_STOPS:
             return await self._stop_now(by)
         if self._next_stop is None:
             self._next_stop = asyncio.create_task(self._stop_next(by))
-        # Requests that come meanwhile share it, because it has not begun.
+        # Requests that come meanwhile share this stop, because it has not begun.
         return await asyncio.shield(self._next_stop)
 
     async def _stop_next(self, by: str) -> Answers:
@@ -168,11 +174,11 @@ class CommandDesk:
         return await asyncio.wrap_future(stop)
 
     def note_alive(self, now_s: float) -> None:
-        """Notice that this process stood still: what waited for it meanwhile seems to arrive only now."""
+        """Detect a standstill of this process: commands that waited during it seem to arrive only now."""
         if self._alive_s is not None and now_s - self._alive_s > VALIDITY_S:
             self._held_up_s, self._distrust_until_s = now_s - self._alive_s, now_s + VALIDITY_S
         self._alive_s = now_s
 
     def close(self) -> None:
-        """Let the emergency stops under way be sent."""
+        """Wait for the emergency stops under way, at most `_STOPS_END_S`."""
         wait(self._stops.copy(), _STOPS_END_S)

@@ -1,4 +1,4 @@
-"""How the commands of a page reach the nodes of a running rig; what it can set."""
+"""Sends the commands of pages to the nodes of a running rig, and describes the settings that pages can change."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,17 +14,17 @@ from telenano.wire.messages import Scalar
 from telenano.wire.nodes import TIP
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
-# This one consists of several commands: hand and tip are coupled again.
+# Command of a page that consists of several commands to the nodes: couple hand and tip again.
 COUPLE = "couple"
-# A command that is for several nodes is sent to this target.
+# Target of a command for all nodes.
 _EVERYBODY = "*"
 
 
 class RigCommander:
-    """Sends the commands of pages as `telenano session` does: at the console of the site, for one command at a time."""
+    """Sends the commands of pages like `telenano session`: one at a time, from the console of the site."""
 
     def __init__(self, site_file: Path) -> None:
-        """Read the site file, because an emergency stop needs none when it comes."""
+        """Read the site file now, so that an emergency stop does not have to."""
         self._site_file = site_file
         self._rig = LocalRig.read(site_file)
 
@@ -37,7 +37,12 @@ class RigCommander:
         issued_ns: int,
         by: str,
     ) -> dict[str, tuple[str, str]]:
-        """Send a command and return by node `ack` or `refused` and a sentence; RigError when nobody answers."""
+        """Send a command; return for each node `ack` or `refused` and a sentence.
+
+        Raises:
+            RigError: No node answers.
+            ConfigError: There is no such command.
+        """
         if command == COUPLE:
             return {TIP: ("ack", recouple(self._site_file, is_wanted, issued_ns=issued_ns, by=by))}
         if command not in _NAMES:
@@ -55,7 +60,7 @@ class RigCommander:
         return {src: (event.kind, event.text) for src, event in answers.items()}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:
-        """Stop the devices as `telenano estop` does: those of this machine at once, others at the console."""
+        """Stop the devices like `telenano estop`: those of this machine directly, others through the console."""
         rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
         answers: dict[str, tuple[str, str]] = {}
 
@@ -76,8 +81,8 @@ class RigCommander:
 
 
 def forms() -> dict[str, Any]:
-    """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
-    # the models of the laws take a second to import, which only a page needs
+    """Return the JSON schemas of the settings that `set` changes, by node, the laws, and the profiles of the link."""
+    # Importing the models of the laws takes a second, and only a page needs them.
     from telenano.sections.controller_section import LAWS, ControllerConfig
     from telenano.sections.program_requests import InstrumentRequest
     from telenano.settings.link_settings import LinkSettings

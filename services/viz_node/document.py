@@ -1,4 +1,4 @@
-"""A recording as a document: its curves as a whole and in part, and what happened in it, for a page to read in."""
+"""A recording as a document for pages: the curves of the whole or of a part, and the events and verdicts in it."""
 
 import threading
 import time
@@ -15,57 +15,61 @@ from telenano.recording.reader import Piece
 from telenano.recording.site_clock import Timeline
 from telenano.wire.errors import RefusedError, TelenanoError
 
-# A part that is shorter than this is read from the file, sample by sample [s]; of a longer one a pixel has several.
+# A part shorter than this is returned sample by sample [s]; in a longer one a pixel shows several samples.
 _RAW_S = 3.0
-# the longest part that is given sample by sample, for a file of its own [s]
+# The longest part that a page may request sample by sample, to store as a file [s].
 _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
-# An outline of a recording that is longer than this is read first.
+# Of a recording longer than this, an outline is read first [s].
 _LONG_S = 120.0
-# The outline is made of this number of looks into the recording.
+# Number of places in the recording from which the outline is made.
 _LOOKS = 240
-# A look takes this number of messages.
+# Number of messages read at each place.
 _LOOK = 200
-# The recording is read in pieces of this length.
+# Length of the pieces in which the recording is read [s].
 _PIECE_S = 2.0
-# At most this number of pieces are read at once for a page that waits for them.
+# Most missing pieces that are read at once, while the page waits; more are left to the reading thread.
 _AT_ONCE = 16
-# A message is received up to this long after it was sent.
+# Longest time between sending and reception of a message [s].
 _MARGIN_S = 0.1
-# The losses of the link are counted from one of its reports to the next, of which one comes within this time.
+# The losses of the link are counted from one report to the next; one comes within this time [ns].
 _BEFORE_NS = 300_000_000
-# A part that has fewer spans than this is given sample by sample.
+# A part with fewer spans of the finest level than this is returned sample by sample.
 _LEAST_SPANS = 300
-# the reader gives way to what plays, after each piece [s]
+# Pause after each piece, in which the reading thread gives way to the playback [s].
 _REST_S = 0.005
 
 Facts = Mapping[str, Any]
 
 
 class Document(Protocol):
-    """What a page may read in, at any place."""
+    """A recording that a page may read at any place."""
 
     def about(self) -> Facts:
-        """Return what is known of the whole by now: `read` is the share that has been read."""
+        """Return the facts of the whole that are known by now; `read` is the share that has been read."""
 
     def part(self, from_s: float, to_s: float, spans: int) -> Facts:
-        """Return the curves of a part [s] in this number of spans; all samples for 0. RefusedError says why not."""
+        """Return the curves of a part [s] in at most this number of spans, or all samples for 0.
+
+        Raises:
+            RefusedError: The part is empty, or too long for all samples.
+        """
 
 
 class KeptReading(Protocol):
-    """What was kept of an earlier reading."""
+    """Stores the result of a reading, so that a recording need not be read again."""
 
     def load(self, levels: Levels) -> Facts | None:
-        """Fill the levels and return the facts; None where nothing was kept."""
+        """Fill the levels and return the facts; None if nothing was stored."""
 
     def save(self, levels: Levels, facts: Facts) -> None:
-        """Keep both for the next time."""
+        """Store both."""
 
 
 class RecordingDocument:
     """Curves, phases, marks and verdicts of a recording.
 
-    It is read in a thread of its own when first asked for, piece by piece: what a page asks for comes first.
+    A thread reads it piece by piece after the first request; a part that a page requests is read first.
     """
 
     def __init__(
@@ -79,9 +83,9 @@ class RecordingDocument:
 
         Args:
             recording: The recording.
-            judge: Returns what happened in it: phases, holds, moments, the numbers of its summary.
-            kept: Where what was read of a long recording is kept; None to keep nothing.
-            judged_before: Returns what is kept of an earlier verdict beside the file; None where nothing is.
+            judge: Returns the facts of it: phases, holds, moments, the numbers of its summary.
+            kept: Stores the result of reading a long recording; None to store nothing.
+            judged_before: Returns the facts of an earlier verdict that is stored beside the file, or None.
         """
         self._recording = recording
         self._judge, self._judged_before = judge, judged_before
@@ -95,8 +99,8 @@ class RecordingDocument:
         self._timing = threading.Lock()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        # The pieces, those that have not been read, and what was asked for last [s]. There are no more than chunks,
-        # however long the file says that it is.
+        # The pieces, the indices of those not read yet, and the last requested part [s]. There are no more pieces than
+        # chunks, whatever length the file states.
         self._pieces = list(recording.pieces(round(_PIECE_S * 1e9), _BEFORE_NS))
         self._left = set(range(len(self._pieces)))
         self._asked: tuple[float, float] | None = None
@@ -108,7 +112,7 @@ class RecordingDocument:
         return {
             "start_ns": self._start_ns,
             "length_s": self._length_s,
-            # all curves are there before it is known what happened
+            # The curves are complete before the events are known, so the share is 1 only with both.
             "read": 1.0 if self._is_known else min(0.999, round(share, 3)),
             **self._facts,
         }
@@ -134,7 +138,7 @@ class RecordingDocument:
         return {"from_s": from_s, "to_s": to_s, "width_s": width_s, "streams": curves}
 
     def wait(self) -> None:
-        """Wait until everything has been read."""
+        """Wait until the whole recording has been read."""
         self._begin()
         if self._thread is not None:
             self._thread.join()
@@ -152,14 +156,14 @@ class RecordingDocument:
             return self._timeline
 
     def _read_all(self) -> None:
-        """Fill the levels and judge, unless both were kept."""
+        """Fill the levels and judge the recording, unless both results were stored."""
         is_kept = self._kept.load(self._levels) if self._kept is not None else None
         if is_kept is not None:
             self._facts = is_kept
             self._left.clear()
         else:
             try:
-                # A verdict that was kept is there at once; what it has no room for follows when all is read.
+                # A stored verdict is available at once; facts that it does not contain follow when all is read.
                 self._facts = self._judged_before() or {}
                 self._fill()
                 if self._judge is not None:
@@ -184,7 +188,7 @@ class RecordingDocument:
             self._read_piece(piece, with_rests=True)
 
     def _left_in(self, from_s: float, to_s: float) -> list[int]:
-        """Return the pieces that have not been read and may have a part, in order."""
+        """Return the pieces not read yet that may contain messages of a part, in order."""
         bounds = self._bounds_ns(from_s, to_s)
         return [piece for piece in sorted(self._left.copy()) if self._pieces[piece].has(*bounds)]
 
@@ -193,7 +197,7 @@ class RecordingDocument:
         return first_ns, last_ns
 
     def _read_piece(self, piece: int, *, with_rests: bool = False) -> None:
-        """Read a piece into the levels, unless it has been read by now; two threads may ask for it."""
+        """Read a piece into the levels, unless it has been read already; two threads may request it."""
         with self._reading:
             if piece not in self._left:
                 return
@@ -203,14 +207,14 @@ class RecordingDocument:
             time.sleep(_REST_S)
 
     def _add(self, piece: Piece, most: int | None = None) -> None:
-        """Read a piece, or some messages of it, into the levels."""
+        """Read a piece, or its first `most` messages, into the levels."""
         messages = islice(piece.recording.select(is_curve, blocks=piece.blocks), most)
         before = piece.recording.select(is_link, blocks=piece.lead)
         for name, times, values in read_samples(messages, before, self._known_timeline(), self._start_ns):
             self._levels.add(name, times, values)
 
     def _outline(self) -> None:
-        """Look into the recording at even distances, so that the whole of hours has a shape within seconds."""
+        """Read some messages at equal distances, so that a recording of hours has an outline within seconds."""
         for piece in self._pieces[:: max(1, len(self._pieces) // _LOOKS)]:
             self._add(piece, _LOOK)
             time.sleep(_REST_S)

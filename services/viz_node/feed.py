@@ -1,4 +1,4 @@
-"""What is sent to the pages: all that changed since the last time, and a snapshot for a page that comes later."""
+"""Data for the pages: the changes since the last transmission, and a snapshot for a page that opens later."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -16,20 +16,20 @@ from telenano.wire.ends import read_end
 from telenano.wire.nodes import site_of
 from telenano.wire.sequence import total
 
-# at most a second of the loop at once: more would hold up the page, and is past anyway
+# Most samples sent at once, a second of the loop: more would block the page, and would be old anyway.
 _MOST_SAMPLES = 1000
 _EVENTS_KEPT = 60
 _MOST_LINES = 4096
 _MOST_NODES = 64
 _MOST_STATES = 64
-# A message is kept up to this size.
+# Greatest size of the facts of one node, state or event [bytes].
 _MOST_BYTES = 1 << 16
-# A line of an image is kept up to this size.
+# Greatest size of a line of an image [bytes].
 _MOST_LINE_BYTES = 1 << 20
-# All lines together are kept up to this size.
+# Greatest size of all stored lines together [bytes].
 _MOST_IMAGE_BYTES = 1 << 26
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
-# Of a node whose guard has one.
+# Key in the health of a node whose guard has a force limit.
 _LIMIT_KEY = "force_limit_n"
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
@@ -37,19 +37,19 @@ _STATE_KEYS = {
     "afm/program": ("program", "state", "text", "done_percent", "line", "lines", "values"),
     "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
 }
-# in afm/state, where what is felt is no force
+# Keys of afm/state if the signal felt by the hand is no force.
 _FELT_KEYS = ("felt_channel", "felt_clamp")
-# The way back of a tip that was armed where it is, in steps that a page can show: 0.1 nm, 1 pm/s, 0.1 s.
+# Return of a tip that was armed at its place: digits of a resolution that a page can show, 0.1 nm, 1 pm/s and 0.1 s.
 _RETURN_DIGITS = {"return_place_m": 10, "return_speed_m_per_s": 12, "return_s": 1}
-# the operator's time changes with each sample, and is shown with a tenth of a second
+# Digits of times that change with each sample, so that they are sent only when the shown value changes.
 _COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
-# keys that a message may be without
+# Keys that a message may lack.
 _OPTIONAL = frozenset({"values"})
 _WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s", "delay_valid", "dropped")
 
 
 class SeenMessage(NamedTuple):
-    """A message: topic, publisher, when it was sent [ns], and its fields, which its model has bounded."""
+    """A message: topic, publisher, time of sending [ns], and its fields, which were checked against its model."""
 
     topic: str
     src: str
@@ -58,14 +58,14 @@ class SeenMessage(NamedTuple):
 
 
 def seen(topic: str, src: str, t_ns: int, message: Message) -> SeenMessage:
-    """Return a valid message for a feed."""
+    """Return a checked message in the form that a feed records."""
     return SeenMessage(topic, src, t_ns, fields_of(message))
 
 
 class Feed:
-    """Collects messages and gives what changed.
+    """Collects messages, and returns the changes since the last call.
 
-    What cannot be shown is counted in `left_out`, such as a time that no page can draw.
+    Messages that cannot be shown, such as one with a time that no page can draw, are counted in `left_out`.
     """
 
     def __init__(self) -> None:
@@ -78,24 +78,24 @@ class Feed:
         self._lines: dict[tuple[str, int], dict[str, Any]] = {}
         self._line_bytes = 0
         self._changes: dict[str, Any] = {}
-        # what the clock of the slave's machine is ahead, as the link measures it
+        # Offset of the clock of the slave's machine, as measured by the link; positive if it is ahead.
         self._slave_ahead_ns = 0
         self._loss = LinkLoss()
         self._of_panels = installed_panels().topics
 
     def record(self, seen: SeenMessage) -> None:
-        """Take a message."""
+        """Record a message."""
         if self.left_out.guard(self._record, seen) and not self.origin_ns:
             self.origin_ns = self._changes["origin_ns"] = seen.t_ns
 
     def take(self) -> dict[str, Any]:
-        """Return what changed since the last call, empty when nothing did."""
+        """Return the changes since the last call; empty if there are none."""
         changes, self._changes = self._changes, {}
         streams = {name: taken for name, batch in self._batches.items() if (taken := batch.take(self.origin_ns))}
         return {**changes, "streams": streams} if streams else changes
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state as a page needs it that knows nothing yet; curves begin with what comes next."""
+        """Return the whole state for a new page; its curves begin with the next changes."""
         return {
             "origin_ns": self.origin_ns,
             "nodes": dict(self._nodes),
@@ -105,7 +105,7 @@ class Feed:
         }
 
     def state(self, name: str) -> Mapping[str, Any]:
-        """Return what was sent to pages last of a topic; empty before the first message."""
+        """Return the newest facts that pages have of a state; empty before the first message."""
         return self._state.get(name, {})
 
     def _record(self, seen: SeenMessage) -> None:
@@ -132,7 +132,7 @@ class Feed:
         elif seen.topic == "link/network":
             queue_s, carries = seen.fields.get("queue_s"), seen.fields.get("capacity_bit_per_s")
             facts = {"queue_s": None if queue_s is None else round(queue_s, 3), "capacity_bit_per_s": carries}
-            # Of the other direction, which this end sends.
+            # These two describe the other direction, in which this end sends.
             facts["sends"] = seen.fields.get("line")
             facts["blocked_since_ns"] = seen.fields.get("blocked_since_ns")
             self._set_state(f"line/{seen.fields['direction']}", facts)
@@ -175,7 +175,7 @@ class Feed:
         }
         data = seen.fields.get("data", {})
         if data.get(ADVICE) is True:
-            # The law that it is of, where the adviser says so.
+            # The law concerned, if the adviser names one.
             event["advises"] = str(data.get("law", ""))
         if read_end(seen.fields) is not None and seen.src in self._nodes:
             self._set_node(seen.src, {**self._nodes[seen.src], "state": "ended", "beat": seen.t_ns})
@@ -195,18 +195,18 @@ class Feed:
         size = _check(line, _MOST_LINE_BYTES)
         number = int(line["line"])
         if number == 0:
-            # another image begins
+            # A new image begins.
             self._lines = {key: kept for key, kept in self._lines.items() if key[0] != line["direction"]}
             self._line_bytes = sum(_check(kept, _MOST_LINE_BYTES) for kept in self._lines.values())
         if len(self._lines) < _MOST_LINES and self._line_bytes + size <= _MOST_IMAGE_BYTES:
-            # a line that comes again counts again, so that the account is never below what is kept
+            # A repeated line counts twice, so the sum is never below the size of the stored lines.
             self._lines[str(line["direction"]), number] = line
             self._line_bytes += size
         self._changes.setdefault("lines", []).append(line)
 
 
 def _check(facts: Mapping[str, Any], most: int) -> int:
-    """Return the size of what a page is to be sent [bytes]; ValueError for what is too long."""
+    """Return the size of facts for a page [bytes]; raise ValueError if it exceeds `most`."""
     size = len(msgpack.packb(facts))
     if size > most:
         raise ValueError(f"a message has {size} bytes for the page, {most} may be")

@@ -1,40 +1,40 @@
-"""How late the frames of a page's hand are, by the page's own clock.
+"""Lateness of the frames of a page's hand, from time stamps of the page's own clock.
 
-Page and server have no common clock, and do not need one: what a frame took beyond the quickest of the last minute is
-time that it waited, in a queue before a line or on a machine that is busy.
+Page and server need no common clock: the transit time of a frame minus the least one of the last minute is the time
+that the frame waited, in a queue before a line or on a busy machine.
 """
 
 from collections import deque
 
-# The quickest frame is sought in the newest spans of this length.
+# Length of the time spans for each of which the least transit time is stored [s].
 _SPAN_S = 10.0
-# The number of those spans.
+# Number of the spans.
 _SPANS = 6
-# A page whose clock stood still, as that of a machine that slept, seems late by that for ever. It is not late where a
-# question went there and back within this time.
+# Round trip of a question below which a page is not late, even if it seems so because its clock stood still while its
+# machine slept [s].
 _QUICK_S = 0.1
-# The question was asked at most this long ago.
+# Greatest age of the answer for that check [s].
 _LATELY_S = 2.5
-# The page seems late by more than this.
+# Least apparent lateness for that check [s].
 _STEPPED_S = 1.0
 
 
 class HandAge:
-    """The frames of one page's hand: `number` of the newest that was taken, `late_s` of the newest that came [s]."""
+    """Lateness of one page's hand: `number` of the newest frame used, `late_s`, lateness of the newest arrival [s]."""
 
     def __init__(self) -> None:
         self.number = 0
         self.late_s = 0.0
-        # The least of arrival less stamp in each span, with the time at which that began [s].
+        # For each span its beginning, and the least difference between arrival and stamp [s].
         self._least: deque[tuple[float, float]] = deque(maxlen=_SPANS)
 
     def take(self, stamp_s: float, arrived_s: float, way: tuple[float, float] | None) -> float:
-        """Take a frame and return how late it is [s].
+        """Record a frame and return its lateness [s].
 
         Args:
-            stamp_s: When it was sent, by the page's clock [s].
-            arrived_s: When it arrived, by this machine's [s].
-            way: When the newest question to the page was answered and how long that took [s]; None before the first.
+            stamp_s: The time of sending, by the page's clock [s].
+            arrived_s: The time of arrival, by this machine's clock [s].
+            way: Time and round trip of the newest answer of the page to a question [s]; None before the first.
         """
         took_s = arrived_s - stamp_s
         least_s = min((least_s for _, least_s in self._least), default=took_s)

@@ -1,4 +1,4 @@
-"""The pages that are open: each gets what changed, thirty times a second, and none can hold up another."""
+"""The hub of the open pages: it sends them the changes thirty times a second, and no page can block another."""
 
 import asyncio
 import contextlib
@@ -43,26 +43,26 @@ from telenano.serving.people import Person
 from telenano.wire.errors import RefusedError, TelenanoError
 from telenano.wire.nodes import TIP
 
-# without a page only what a page that comes later needs is collected
+# Period while no page is open, when only the state for later pages is collected [s].
 IDLE_S = 0.25
-# A page whose hand is too slow is told so this often [s].
+# Period of the reports to a page whose hand is too slow [s].
 _SLOW_REPORT_PERIOD_S = 0.5
-# Of the values of one request to a panel: sixteen choices of 128 letters and their names.
+# Greatest size of the values of one request to a panel [bytes]: sixteen choices of 128 letters and their names.
 _MOST_ASKED_BYTES = 4096
-# A page that answers later than this was away.
+# A page that answers later than this was suspended, so the time is not used [s].
 _LONGEST_WAY_S = 5.0
 REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
 
 
 class _PanelRig:
-    """What the desk of a panel has of the rig."""
+    """The access of a panel's desk to the rig."""
 
     def __init__(self, outlet: HandOutlet, state: Callable[[str], Mapping[str, Any]]) -> None:
         self.publish, self.now_ns, self.state = outlet.publish, outlet.now_ns, state
 
 
 class Hub:
-    """Reads the source, tells the pages, and carries out what they ask as far as their role permits."""
+    """Reads the source, informs the pages, and carries out their requests as far as their role permits."""
 
     def __init__(
         self,
@@ -76,22 +76,22 @@ class Hub:
         """Prepare to serve a source.
 
         Args:
-            source: What is shown: a running rig or a recording.
-            commander: How commands reach the rig; None where there is nothing to command.
-            forms: Returns the JSON schemas of what `set` changes, by node, which may take a second.
-            open_hand: Opens the way of the page's force to the haptic node; None where there is none.
-            document: What a page may read in of a recording; None for a running rig.
-            register: The lease that the rig's processes share; None where these pages are alone.
+            source: A running rig or a recording.
+            commander: Sends commands to the rig; None if there is nothing to command.
+            forms: Returns the JSON schemas of the settings, by node, which may take a second.
+            open_hand: Opens the outlet for the page's force to the haptic node; None if there is none.
+            document: The recording for pages to read; None for a running rig.
+            register: The lease that the rig's processes share; None if these pages share it with no other process.
         """
         self.desk = LeaseDesk(register or OwnRegister())
-        # whether the address of a page is still valid
+        # Returns whether the address of a person is still valid.
         self.is_admitted: Callable[[Person], bool] = lambda person: True
         self.sessions: set[Session] = set()
-        # what ended the hub, and what is called then
+        # The error that ended the hub, and the function that is called then.
         self.fault: BaseException | None = None
         self.on_end: Callable[[], None] = lambda: None
         self.on_tick: Callable[[], None] = lambda: None
-        # called with whoever has the hand from now on, None for nobody
+        # Called with the new holder of control, None if it is free.
         self.on_lease: Callable[[Party | None], None] = lambda party: None
         self._source = source
         self.commands = CommandDesk(commander)
@@ -112,7 +112,7 @@ class Hub:
         self._metrics = MetricsText()
 
     async def run(self) -> None:
-        """Tell the pages what changed, until cancelled."""
+        """Send the changes to the pages, until cancelled."""
         making = asyncio.create_task(self._prepare_forms())
         due_s = time.monotonic()
         try:
@@ -126,18 +126,18 @@ class Hub:
             self.hand.close()
 
     def note_end(self, task: "asyncio.Task[None]") -> None:
-        """Note what ended `run`, and end the server with it: its pages would show the past."""
+        """Store the error that ended `run`, and end the server, because its pages would show old data."""
         self.fault = None if task.cancelled() else task.exception()
         if self.fault is not None:
             self.on_end()
 
     def close(self) -> None:
-        """Let the emergency stops under way be sent, and let go of the source."""
+        """Wait for the emergency stops under way, and close the source."""
         self.commands.close()
         self._source.close()
 
     async def _prepare_forms(self) -> None:
-        """Make the forms beside everything else, and tell the pages that have come meanwhile."""
+        """Make the forms in a thread, and send them to the pages that have opened meanwhile."""
         if self._make_forms is None:
             return
         self._forms = await asyncio.wrap_future(in_thread(self._make_forms))
@@ -145,7 +145,7 @@ class Hub:
             session.answer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
-        """Collect what has come and queue it for every page."""
+        """Collect new messages, and queue the changes for every page."""
         self.on_tick()
         self.commands.note_alive(time.monotonic())
         restarted = self._source.take_restart()
@@ -172,7 +172,7 @@ class Hub:
             self._offer(changes, self._recipients())
 
     def _take_age(self) -> dict[str, Any]:
-        """Return the age of the loop by its parts for the pages, once a second, and each page the way to itself."""
+        """Once a second, return the parts of the loop's age for the pages, and send each page its round trip."""
         now_s = time.monotonic()
         if not self.age.take(now_s, is_watched=bool(self.sessions)):
             return {}
@@ -183,10 +183,10 @@ class Hub:
         return {"age": [[part.name, part.p50_s, part.p99_s] for part in parts]} if parts else {}
 
     def _look_at_lease(self) -> Mapping[str, Any] | None:
-        """Return what pages are told of the lease, if it has changed; who lost it lets go, and its commands are void.
+        """Return the facts on the lease for pages, or None if unchanged; release the hand of a page that lost control.
 
-        A page whose address was revoked is told so and ended. Where a hand that pressed has vanished, the tip is
-        withdrawn.
+        The waiting commands of other pages are then cancelled. A page whose address was revoked is told so and ended.
+        If a holder vanished while it pressed, the tip is withdrawn.
         """
         for session in [each for each in self.sessions if each.person and not self.is_admitted(each.person)]:
             self.desk.refused.note("revoked", f"{session.party.label}: the address was revoked, or has expired")
@@ -211,7 +211,7 @@ class Hub:
         return changes
 
     async def _withdraw(self, commander: Commander) -> None:
-        """Withdraw the tip of a holder who has vanished, as that of a hand that is lost, unless somebody has it now."""
+        """Withdraw the tip after its holder has vanished, as after a lost hand, unless another party has control."""
         number = self.desk.lease.number
         send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
@@ -223,7 +223,7 @@ class Hub:
         return f"{holder.label} holds control now" if holder else "control is free now"
 
     def _recipients(self) -> set[Session]:
-        """Return the pages that are told everything: all but those of participants."""
+        """Return the pages that get all data: all except those of participants."""
         return {session for session in self.sessions if session.role is not Role.PARTICIPANT}
 
     def _offer(self, changes: Mapping[str, Any], sessions: Collection[Session]) -> None:
@@ -233,20 +233,20 @@ class Hub:
                 session.restart(self.snapshot(session))
 
     def join(self, role: Role, person: Person | None = None) -> Session:
-        """Return the session of a new page, with a snapshot waiting for it."""
+        """Return the session of a new page, with a snapshot in its queue."""
         session = Session(role, person, self._free_window() if role is Role.OPERATOR and person is None else "")
-        # what has come since belongs to the pages that are there
+        # Send pending changes to the open pages first; the snapshot contains them.
         self.tick()
         self.sessions.add(session)
         session.offer(self.snapshot(session))
         if role is Role.PARTICIPANT:
-            # Nothing reaches readers that is published before they have connected.
+            # Open the outlet now: messages published before readers have connected are lost.
             with contextlib.suppress(TelenanoError):
                 self.hand.outlet()
         return session
 
     def _free_window(self) -> str:
-        """Return the first letter that no window has, here or in the lease, which other servers share."""
+        """Return the first letter that no window has, on this server or in the lease, which servers share."""
         lease = self.desk.lease
         parties = [each.party for each in self.sessions] + [each.party for each in lease.asking]
         taken = {each.window for each in [*parties, lease.holder] if each is not None}
@@ -254,7 +254,7 @@ class Hub:
         return next((letter for letter in letters if letter not in taken), "")
 
     def leave(self, session: Session) -> None:
-        """Forget a page; what it asked for and was not carried out yet is given up."""
+        """Remove a page that has closed, and cancel its waiting commands."""
         self.sessions.discard(session)
         self.commands.make_void("its page was closed", lambda wish: wish.session is session)
         self.desk.leave(session)
@@ -263,18 +263,18 @@ class Hub:
 
     @property
     def left_out(self) -> LeftOut:
-        """What the pages could not be shown."""
+        """The numbers of messages that could not be shown, by reason."""
         return self._feed.left_out
 
     def metrics(self, now_ns: int) -> str:
-        """Return the newest reports of all nodes as a monitoring system reads them; now_ns, the rig's clock [ns].
+        """Return the newest reports of all nodes for a monitoring system; now_ns, the time on the rig's clock [ns].
 
-        The text is made at most once a second, however many ask: what it takes is time of the pages.
+        The text is made at most once a second, because making it takes time from the pages.
         """
         return self._metrics.at(now_ns, lambda: metrics_text(self._feed.snapshot()["nodes"], now_ns, self.age.parts))
 
     def snapshot(self, session: Session) -> bytes:
-        """Return everything that a page needs to begin, and to a participant no more than that may know."""
+        """Return the first frame of a page with the whole state; for a participant only the part it may know."""
         if session.role is Role.PARTICIPANT:
             return _packed(self._picture.snapshot(self._feed.snapshot(), hand=self.hand.exists))
         return _packed(
@@ -296,7 +296,7 @@ class Hub:
         )
 
     async def handle(self, session: Session, request: Request, arrived_s: float) -> None:
-        """Carry out a request that arrived at a time [s] and queue the answer; what a role may not do is refused."""
+        """Carry out a request that arrived at a time [s], if the role permits it, and queue the answer."""
         session.heard_s = time.monotonic()
         if isinstance(request, HereRequest):
             way_s = session.heard_s - request.stamp_s - request.waited_s
@@ -304,7 +304,7 @@ class Hub:
                 session.ways_s.append(way_s)
                 session.way_at_s = session.heard_s
             return
-        # A request that was read of a page before its end gives it no hand.
+        # A request that was read before the page ended must not give it the hand.
         if session.ended or (session not in self.sessions and isinstance(request, HandRequest | LeaseRequest)):
             return
         if isinstance(request, HandRequest):
@@ -321,7 +321,7 @@ class Hub:
         except TelenanoError as error:
             is_ok, text = False, str(error)
         except Exception as error:  # noqa: BLE001
-            # whatever went wrong: who asked for an emergency stop has to be told that there was none
+            # A page that requested an emergency stop must learn of any error that prevented it.
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
         if session.role is Role.PARTICIPANT:
             text = self._picture.acknowledgement(is_ok=is_ok)
@@ -329,7 +329,7 @@ class Hub:
         session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text, **lease}))
 
     async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
-        """Return the answer to a page that reads in a recording, which every role may."""
+        """Return the answer to a page that reads a recording: the data, or the reason for a refusal."""
         try:
             if not session.may_ask(time.monotonic()):
                 raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
@@ -354,11 +354,11 @@ class Hub:
         if isinstance(request, EstopRequest):
             return await self.commands.stop(session.party.name)
         if isinstance(request, LeaseRequest):
-            # Opening the way of the hand may take as long as a lease lasts without its holder.
+            # Open the outlet first: that may take as long as a silent holder keeps the lease.
             with contextlib.suppress(TelenanoError):
                 self.hand.outlet()
             text = self.desk.ask_for(session, request)
-            # the former holder lets go before the answer
+            # The former holder must release the hand before the answer.
             self.tick()
             return {"lease": ("ack", text)}
         if isinstance(request, CommandRequest):
@@ -366,7 +366,7 @@ class Hub:
         raise RefusedError("a page says hello once")
 
     async def _ask_desk(self, session: Session, request: PanelRequest) -> Answers:
-        """Let the desk of a panel carry out what a page asks of it; a guest asks that of the guests alone."""
+        """Let the desk of a panel carry out a page's request; a participant may only use the panel for guests."""
         is_guest = session.role is Role.PARTICIPANT
         desk = self._desks.get(request.panel)
         if desk is None or (is_guest and request.panel != self._guests_panel):
@@ -378,7 +378,7 @@ class Hub:
         return {request.panel: ("ack", await desk.ask(asked))}
 
     async def _command(self, session: Session, request: CommandRequest, arrived_s: float) -> Answers:
-        """Send a command in its turn, unless it is void or too old by then."""
+        """Send a command in its turn, unless it is cancelled or too old by then; return the answers of the nodes."""
         if session not in self.sessions:
             raise RefusedError(f"{request.command} was cancelled: its page was closed")
         self.commands.check_arrival(session, request.command)
@@ -391,10 +391,10 @@ class Hub:
             self._end_act(session)
 
     def _push(self, session: Session, request: HandRequest) -> None:
-        """Pass on the force of the page that has the hand; one at a time has it."""
+        """Publish the force of a page, if it holds the hand or may take it; one page at a time holds it."""
         if not session.may_ask(time.monotonic()):
             return
-        # A hand is let go at any age and in any order.
+        # A release counts at any age and in any order.
         if not request.held:
             session.hand.number = max(session.hand.number, request.number)
             if session is self.hand.holder:
@@ -417,7 +417,7 @@ class Hub:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
 
     def _is_old(self, session: Session, request: HandRequest) -> bool:
-        """Return whether a force is no longer of now, or was overtaken; its page is told how late it is."""
+        """Return whether a force is late or was overtaken by a newer one; if so, tell its page how late it is."""
         late_s, hand = session.hand_late_s(request.stamp_s, time.monotonic()), session.hand
         is_old = late_s > HAND_FRESH_S or 0 < request.number <= hand.number
         hand.number = max(hand.number, request.number)
@@ -427,7 +427,7 @@ class Hub:
         return is_old
 
     def _tell_slow(self, session: Session, late_s: float) -> None:
-        """Tell a page how late its hand is [s], twice a second, and once that it is late no longer, for 0."""
+        """Tell a page how late its hand is [s], at most twice a second; 0 tells it once that it is no longer late."""
         reported_s, now_s = session.slow_reported_s, time.monotonic()
         if late_s > 0.0 and (reported_s is None or now_s - reported_s >= _SLOW_REPORT_PERIOD_S):
             session.slow_reported_s = now_s
@@ -438,13 +438,13 @@ class Hub:
         session.answer(_packed({"k": "hand", "held": True, "text": "", "late_s": late_s}))
 
     def _end_act(self, session: Session) -> None:
-        """Let a page that has not taken the hand have it no longer than its acts last."""
+        """End the control of a page with its last act, unless it has taken control."""
         if session is not self.hand.holder and not self.commands.waiting(session):
             with contextlib.suppress(TelenanoError):
                 self.desk.ended(session)
 
     def _hold(self) -> None:
-        """Repeat the force of the page that presses, and report to it how late its hand is."""
+        """Repeat the force of the page that presses, and tell it how late its hand is."""
         holder, late_s = self.hand.holder, self.hand.look()
         if holder is not None and late_s is not None:
             self._tell_slow(holder, late_s if late_s > HAND_FRESH_S else 0.0)
@@ -452,7 +452,7 @@ class Hub:
 
 
 class _NoPicture:
-    """What guests are told where no package has a page for them: nothing."""
+    """The frames for participants if no package has a page for them: only a refusal."""
 
     def take(self, changes: Mapping[str, Any], now_s: float) -> list[dict[str, Any]]:
         return []

@@ -1,4 +1,4 @@
-"""The lease of the hand as the pages of a server have it: what they ask for, may do, and are told."""
+"""The lease of control for the pages of a server: carries out their requests, checks their rights, and informs them."""
 
 import contextlib
 import time
@@ -30,7 +30,7 @@ from telenano.wire.errors import RefusedError, RigError
 
 
 class OwnRegister:
-    """Keeps the lease of pages that share it with no other process, such as those of a recording."""
+    """Stores the lease of pages that share it with no other process, such as those of a recording."""
 
     def __init__(self, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._lease, self._now_ns = Lease(), now_ns
@@ -44,9 +44,9 @@ class OwnRegister:
 
 
 class LeaseDesk:
-    """Applies the lease to what pages want.
+    """Applies the lease to the requests of pages.
 
-    `lease`: as it was looked at last; `refused`: how often something was refused, by reason.
+    `lease`: the lease as last read; `refused`: the number of refusals, by reason.
     """
 
     def __init__(self, register: LeaseRegister | OwnRegister, clock: Callable[[], float] = time.monotonic) -> None:
@@ -60,15 +60,15 @@ class LeaseDesk:
         self._withdrawn = -1
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
-        """Let a page act under a number of the lease, 0 for none; RefusedError says who holds control."""
+        """Let a page act under a number of the lease, 0 for none; raise RefusedError if another party has control."""
         self._change(session, lambda lease, now_ns: act(lease, session.party, now_ns, number, presses=presses))
 
     def ended(self, session: Session) -> None:
-        """Note that an act of a page is over: only what it has taken it keeps."""
+        """Record that an act of a page is over; the page then keeps control only if it has taken it."""
         self._change(session, lambda lease, now_ns: ended(lease, session.party, now_ns))
 
     def ask_for(self, session: Session, request: LeaseRequest) -> str:
-        """Carry out what a page wants of the lease; return it in words, or raise RefusedError."""
+        """Carry out a page's request for the lease; return the result as a sentence, or raise RefusedError."""
         party, number = session.party, request.lease
         steps: dict[str, Step] = {
             "ask": lambda lease, now_ns: ask(lease, party, now_ns),
@@ -81,25 +81,25 @@ class LeaseDesk:
         return "control is free" if holder is None else f"{holder.label} holds control"
 
     def leave(self, session: Session) -> None:
-        """Note that the connection of a page is gone; a hand that pressed then has vanished."""
+        """Release control for a page whose connection has ended; if it pressed, its holder counts as vanished."""
         with contextlib.suppress(RefusedError, RigError):
             self._change(session, lambda lease, now_ns: let_go(lease, session.party, now_ns, vanished=True))
 
     def has(self, session: Session) -> bool:
-        """Return whether a page has the hand, by the lease as it was looked at last."""
+        """Return whether a page has control, by the lease as last read."""
         return self.lease.is_held_by(session.party)
 
     def may_press(self, session: Session) -> bool:
-        """Return whether the force of a page may still go out, by the lease as it was looked at last."""
+        """Return whether the force of a page may still be published, by the lease as last read."""
         holder = self.lease.holder
         is_participant = session.party.role == "participant" and holder is not None and holder.what == EXPERIMENT
         return self.has(session) or is_participant
 
     def tick(self, sessions: Collection[Session], now_s: float) -> Mapping[str, Any] | None:
-        """Look at the lease, say that its holder is there, and return what pages are told if it has changed."""
+        """Read the lease, report the presence of its holder, and return the facts for pages; None if unchanged."""
         self._sessions = sessions
         self._forgive(now_s)
-        # where the file cannot be had pages are told nothing new, and what they send is refused by name
+        # If the file cannot be read, pages get no news, and their requests are refused with that reason.
         with contextlib.suppress(RigError):
             self.lease = self._looked()
             there = next((each for each in sessions if self.has(each)), None)
@@ -118,7 +118,7 @@ class LeaseDesk:
         return facts
 
     def _forgive(self, now_s: float) -> None:
-        """Let nobody lose the hand for a moment in which this server itself stood still, if nobody else took it."""
+        """After a standstill of this server, let its page keep control unless another party has taken it."""
         stood_s, self._looked_s = now_s - self._looked_s, now_s
         own = next((each for each in self._sessions if self.has(each)), None)
         if stood_s > 2.0 * BEAT_S and own is not None:
@@ -126,7 +126,7 @@ class LeaseDesk:
                 self.lease = self._register.change(lambda lease, now_ns: stood_still(lease, own.party, now_ns))
 
     def facts(self) -> dict[str, Any]:
-        """Return what pages are told of the lease."""
+        """Return the facts on the lease for pages."""
         holder = self.lease.holder
         return {
             "number": self.lease.number,
@@ -138,18 +138,18 @@ class LeaseDesk:
         }
 
     def _looked(self) -> Lease:
-        """Return the lease as it is now; that the tip was withdrawn under it counts, also where it cannot be kept."""
+        """Return the present lease, without the request to withdraw a tip that this server has withdrawn already."""
         lease = self._register.look()
         return lease._replace(withdraw=False) if lease.number == self._withdrawn else lease
 
     def note_withdrawn(self, number: int) -> None:
-        """Note that the tip was withdrawn after the holder had vanished, as the lease of this number says."""
+        """Record that the tip was withdrawn, as the lease of this number requested after its holder had vanished."""
         self._withdrawn = number
         with contextlib.suppress(RigError):
             self.lease = self._register.change(partial(withdrawn, number=number))
 
     def is_to_withdraw(self) -> bool:
-        """Return whether the tip is to be withdrawn, as the lease is now: not any more once somebody else has it."""
+        """Return whether the present lease requests to withdraw the tip; no longer if another party has control."""
         with contextlib.suppress(RigError):
             self.lease = self._looked()
         return self.lease.withdraw

@@ -1,7 +1,7 @@
-"""What was read of long recordings, kept in the user's cache, so that the next look at one does not read it again.
+"""Cache of the levels and facts of long recordings, so that they need not be read again.
 
-A file of the cache is named by a digest of what it was made from: sizes, times, beginnings and ends of the recording,
-and the sources of this program. What is damaged, old or of something else is as if it were not there.
+A file of the cache is named by a digest of its inputs: sizes, times, beginnings and ends of the recording's files, and
+the sources of this program. A damaged, old or foreign file counts as missing.
 """
 
 import contextlib
@@ -19,9 +19,9 @@ from telenano.files.atomic_files import atomic_file
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
-# A file of the cache has this size at most, unpacked.
+# Greatest unpacked size of a file of the cache [bytes].
 _MOST_BYTES = 256 << 20
-# All files of the cache have this size at most, together.
+# Greatest size of all files of the cache together [bytes].
 _MOST_TOGETHER = 512 << 20
 _UNUSABLE = (OSError, RuntimeError, zstandard.ZstdError, TypeError, ValueError, MemoryError)
 _ROOT = Path(__file__).resolve().parents[2]
@@ -29,14 +29,14 @@ _SOURCES = ("services/viz_node", "telenano")
 
 
 class LevelCache:
-    """The place of what was read of one recording; nothing of it raises, because everything can be read again."""
+    """The cache file of one recording. Its methods raise no errors, because a recording can be read again."""
 
     def __init__(self, paths: Sequence[Path], folder: Path | None = None) -> None:
-        """Name the place of a recording in its parts."""
+        """Prepare for the files of a recording; `folder` is the cache, by default that of the user."""
         self._paths, self._given = paths, folder
 
     def load(self, levels: Levels) -> Mapping[str, Any] | None:
-        """Fill the levels, and return what else was kept; None where nothing usable was."""
+        """Fill the levels and return the stored facts; None if there is no usable file."""
         try:
             path = self._path()
             data = path.read_bytes()
@@ -51,7 +51,7 @@ class LevelCache:
         return facts if isinstance(facts, dict) else None
 
     def save(self, levels: Levels, facts: Mapping[str, Any]) -> None:
-        """Keep the levels and what else is known, and remove what was not used for longest where it gets too much."""
+        """Store the levels and facts, and remove the least recently used files if the cache gets too large."""
         with contextlib.suppress(*_UNUSABLE):
             path = self._path()
             packed = msgpack.packb({"levels": levels.kept(), "facts": dict(facts)})
@@ -71,7 +71,7 @@ class LevelCache:
                 digest.update(file.read(_ENDS_BYTES))
                 file.seek(max(0, status.st_size - _ENDS_BYTES))
                 digest.update(file.read(_ENDS_BYTES))
-        # a process without a home has no cache
+        # `Path.home` raises RuntimeError for a process without a home, which then has no cache.
         folder = self._given or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano/recordings"
         return folder / f"{digest.hexdigest()[:32]}.levels"
 
@@ -86,6 +86,6 @@ class LevelCache:
 
 
 def _program() -> str:
-    """Return what changes with the sources that read and judge a recording."""
+    """Return names, sizes and times of the sources that read and judge a recording."""
     files = sorted(path for folder in _SOURCES for path in (_ROOT / folder).rglob("*.py"))
     return " ".join(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files)

@@ -1,7 +1,7 @@
-"""The curves of a whole recording by their least and greatest values in even spans of time, and every sample of a part.
+"""The curves of a recording: least and greatest values in equal spans of time, and all samples of a part.
 
-A page that shows an hour has a thousand columns of pixels for 3.6 million samples. What it draws is the least and the
-greatest value behind each column, so that no spike disappears, and those are found once, while the file is read.
+A page that shows an hour has a thousand columns of pixels for 3.6 million samples. It draws the least and the greatest
+value of each column, so that no spike disappears. These are found once, while the file is read.
 """
 
 import math
@@ -17,17 +17,17 @@ from telenano.recording.site_clock import Timeline
 
 Floats = npt.NDArray[np.float64]
 
-# A span of the finest level is this long at least.
+# Least length of a span of the finest level [s].
 _LEAST_WIDTH_S = 0.005
-# The finest level has this number of spans at most: 35 MB for all curves.
+# Greatest number of spans of the finest level: 35 MB for all curves.
 _MOST_SPANS = 200_000
-# this number of messages of a stream are put into numbers at once
+# Number of messages of a stream that are converted to arrays at once.
 _AT_ONCE = 4000
 _NS = 1_000_000_000
 
 
 class Samples:
-    """Samples of a stream that wait to be put into numbers: stamps [ns], and a row of values for each."""
+    """Samples of a stream that wait to be converted to arrays: time stamps [ns], and a row of values for each."""
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
@@ -40,7 +40,7 @@ class Samples:
         return len(self._rows)
 
     def add(self, message: RecordedMessage) -> None:
-        """Take a message; what is not valid, or has no time of a clock, is left out, as live."""
+        """Add a message; leave out one that is invalid or has an impossible time, as for a live rig."""
         if message.publish_ns <= LATEST_NS:
             self._left_out.guard(self._add, message)
 
@@ -53,7 +53,7 @@ class Samples:
         self._rows.append(row)
 
     def note(self, message: RecordedMessage) -> None:
-        """Take what comes before the first sample: losses are counted from there."""
+        """Record a link report from before the first sample, from which the losses are counted."""
         self._left_out.guard(lambda found: self._loss.added(found.checked_fields()), message)
 
     def take(self, timeline: Timeline, start_ns: int) -> tuple[Floats, Floats]:
@@ -66,7 +66,7 @@ class Samples:
 
 
 class Levels:
-    """The least and the greatest value of each column in spans of one width, filled as the recording is read."""
+    """Least and greatest value of each column in spans of equal width, filled while the recording is read."""
 
     def __init__(self, length_s: float) -> None:
         """Prepare for a recording of a length [s]."""
@@ -78,7 +78,7 @@ class Levels:
         self._greatest = {name: np.full(size, -np.inf, dtype="<f4") for name, size in shape.items()}
 
     def add(self, name: str, times_s: Floats, values: Floats) -> None:
-        """Take samples of a stream: times [s] of shape (n,), values of shape (columns, n)."""
+        """Add samples of a stream: times [s] of shape (n,), values of shape (columns, n)."""
         inside = (times_s >= 0.0) & (times_s < self._count * self.width_s)
         place = (times_s[inside] / self.width_s).astype(np.int64)
         least, greatest = self._least[name], self._greatest[name]
@@ -88,21 +88,21 @@ class Levels:
             np.maximum.at(greatest[row], place[finite], column[finite].astype(np.float32))
 
     def kept(self) -> dict[str, list[bytes]]:
-        """Return all values as bytes, by stream the least and the greatest."""
+        """Return all values as bytes: for each stream the least and the greatest ones."""
         return {name: [least.tobytes(), self._greatest[name].tobytes()] for name, least in self._least.items()}
 
     def restore(self, kept: Mapping[str, Sequence[bytes]]) -> None:
-        """Take what `kept` has returned for a recording of the same length; ValueError where it is something else."""
+        """Restore the result of `kept` for a recording of the same length; raise ValueError if the sizes differ."""
         shapes = {name: least.shape for name, least in self._least.items()}
         arrays = {n: [np.frombuffer(each, dtype="<f4").reshape(size) for each in kept[n]] for n, size in shapes.items()}
         for name, (least, greatest) in arrays.items():
             self._least[name][:], self._greatest[name][:] = least, greatest
 
     def between(self, name: str, from_s: float, to_s: float, most: int) -> tuple[Floats, Floats, float]:
-        """Return samples that have the least and the greatest values of at most `most` spans of a part.
+        """Return the least and greatest values of a part [s] as samples, in at most `most` spans.
 
-        Returns: times [s] of shape (2 n,), values of shape (columns, 2 n), and the width of the spans [s]: the first of
-        each two samples is the least of its span, the second the greatest. Spans without a sample are left out.
+        Returns: times [s] of shape (2 n,), values of shape (columns, 2 n), and the width of the spans [s]. Of each pair
+        of samples, the first is the least of its span and the second the greatest. Empty spans are left out.
         """
         first = max(0, math.floor(from_s / self.width_s))
         last = min(self._count, max(first + 1, math.ceil(to_s / self.width_s)))
@@ -126,24 +126,24 @@ def is_curve(channel: RecordedChannel) -> bool:
 
 
 def is_link(channel: RecordedChannel) -> bool:
-    """Return whether a channel of a recording has the reports of the link."""
+    """Return whether a channel of a recording contains the reports of the link."""
     stream = stream_of(channel)
     return channel.via == "direct" and stream is not None and stream.name == "link"
 
 
 def stream_of(channel: RecordedChannel) -> Stream | None:
-    """Return the curves that a channel has; None where it has none."""
+    """Return the stream that is made from a channel, or None."""
     return BY_SOURCE.get((channel.topic, channel.src.rpartition("@")[2]))
 
 
 def read_samples(
     messages: Iterable[RecordedMessage], before: Iterable[RecordedMessage], timeline: Timeline, start_ns: int
 ) -> Iterator[tuple[str, Floats, Floats]]:
-    """Yield some thousand samples at a time: name, times since the start [s], values.
+    """Yield some thousand samples at a time: name of the stream, times since the start [s], values.
 
     Args:
-        messages: Those of channels that are drawn as curves.
-        before: Reports of the link before them, from which its losses are counted.
+        messages: Messages of channels that are drawn as curves.
+        before: Earlier reports of the link, from which its losses are counted.
         timeline: The clocks of the recording.
         start_ns: The start of the recording [ns].
     """
@@ -164,7 +164,7 @@ def read_samples(
 
 
 def packed(times_s: Floats, values: Floats) -> Mapping[str, Any]:
-    """Return samples as a page takes them in: see `streams.Batch.take`."""
+    """Return samples in the format that a page reads, as `streams.Batch.take` does; `t0` is since the start [s]."""
     order = np.argsort(times_s, kind="stable")
     t0_s = float(times_s[order[0]]) if times_s.size else 0.0
     with np.errstate(over="ignore"):

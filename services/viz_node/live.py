@@ -1,4 +1,4 @@
-"""A running rig as the source of a page: an observer of its bus that takes what it shows."""
+"""A running rig as the source of a page: an observer of the bus that receives the topics shown."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -10,19 +10,19 @@ from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.wiring.participant import Participant
 from telenano.wire.nodes import site_of
 
-# This number of batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
+# Most batches received from a node in one call; ten seconds of the busiest topics need several calls.
 _MOST_BATCHES = 8
 
 
 class LiveSource(NoTransport):
     """The messages of a rig that pages show.
 
-    It is an observer: it needs no endpoint, and the rig does not know of it. To topics of the loop it is subscribed
-    only while a page is open. Of a message that crossed the link the original is taken where its publisher is reached.
+    This is an observer: it needs no endpoint, and the rig does not know of it. It subscribes to topics of the loop only
+    while a page is open. If a publisher is reached directly, its messages are not also received over the link.
     """
 
     def __init__(self, book: AddressBook, name: str) -> None:
-        """Connect as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
+        """Connect with the keys of this machine; raise ConfigError if it lacks a key that the rig requires."""
         self._name = name
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(Participant.observing(book))
@@ -38,7 +38,7 @@ class LiveSource(NoTransport):
         for node, subscriber in self.subscribers.items():
             for _ in range(_MOST_BATCHES):
                 for received in subscriber.receive():
-                    # A message that comes from its publisher as well is taken there.
+                    # Skip a message over the link if its publisher is subscribed to directly.
                     src = received.message.src
                     if site_of(src) == site_of(node) or src not in self.subscribers:
                         yield seen(received.topic, src, received.message.t_ns, received.message)

@@ -1,4 +1,4 @@
-"""What a monitoring system asks for at /metrics: the newest reports of all nodes, as text of Prometheus 0.0.4."""
+"""The page /metrics for monitoring systems: the newest reports of all nodes, in the text format 0.0.4 of Prometheus."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -7,13 +7,13 @@ from telenano.timing.loop_age import Part
 from telenano.wire.nodes import counts_for_process
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-# The text is made anew after this time.
+# Time after which the text is made again [ns].
 _PERIOD_NS = 1_000_000_000
 _STATES = ("starting", "ready", "running", "safe", "stopping", "ended")
 
 
 class Metric(NamedTuple):
-    """A figure of node/health: the key that it is from, the name it is given, its kind, and what it is."""
+    """A metric made from node/health: key in the message, name of the metric, its kind, and its description."""
 
     key: str
     name: str
@@ -39,12 +39,12 @@ _MATES = "shares_with"
 
 
 def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Sequence[Part] = ()) -> str:
-    """Return one sample a node and figure.
+    """Return the text, with one sample for each node and metric.
 
     Args:
-        nodes: By node, such as `afm_node@slave`: its newest report, with `beat`, the time of sending [ns], and `state`.
-        now_ns: The clock that the nodes stamp their messages with [ns].
-        age: The age of the loop by its parts.
+        nodes: The newest report by node, such as `afm_node@slave`, with `beat`, the time of sending [ns], and `state`.
+        now_ns: The time on the clock with which the nodes stamp their messages [ns].
+        age: The parts of the loop's age.
     """
     lines: list[str] = []
     for metric in NODE_METRICS:
@@ -82,13 +82,13 @@ def _escaped(text: str) -> str:
 
 
 class MetricsText:
-    """The text, made at most once a second, however many ask: what it takes is time of the pages."""
+    """Caches the text for a second, because making it for every request would take time from the pages."""
 
     def __init__(self) -> None:
         self._text, self._made_ns = "", -_PERIOD_NS
 
     def at(self, now_ns: int, make: Callable[[], str]) -> str:
-        """Return the text of a time [ns], which is made if the last one is older than a second."""
+        """Return the text at a time [ns]; it is made again if the last one is older than a second."""
         if not 0 <= now_ns - self._made_ns < _PERIOD_NS:
             self._text, self._made_ns = make(), now_ns
         return self._text

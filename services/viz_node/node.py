@@ -1,4 +1,4 @@
-"""The page's server as a node: what it waits for is the web server, and its health is published as that of any node."""
+"""The page's server as a node: it runs the web server while it waits, and publishes its health like any node."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,24 +23,24 @@ from telenano.wire.received import Received
 
 
 class PageBus(ZmqBus):
-    """A bus that serves the page while it waits, so that a server which hangs sends no health."""
+    """A bus that serves the page while it waits, so that a server that hangs publishes no health."""
 
     def __init__(
         self, participant: Participant, publisher: Publisher, server: PageServer, left_out: Iterable[Refusals]
     ) -> None:
         super().__init__(publisher, (), participant.clock, participant.wake_descriptor, participant.network)
         self._server = server
-        # What the page does not take is in node/health by its reason, and in the log.
+        # Messages and requests that the page refuses appear in node/health by reason, and in the log.
         for counter in left_out:
             self.count(counter)
 
     def wait(self, deadline_ns: int) -> None:
-        """Serve until the monotonic clock has reached `deadline_ns` or a signal has come."""
+        """Serve until the monotonic clock reaches `deadline_ns`, or a signal comes."""
         self._server.run(max(0.0, (deadline_ns - self._clock.monotonic_ns()) * 1e-9))
 
 
 class PageNode(Node):
-    """Serves the page of a rig; its steps are those in which the pages are told what has changed."""
+    """Serves the page of a rig; each transmission of changes to the pages counts as a step."""
 
     inputs: ClassVar[tuple[str, ...]] = ()
 
@@ -51,18 +51,18 @@ class PageNode(Node):
         self._reported_party: Party | None = None
 
     def on_message(self, received: Received) -> None:
-        """Ignore a message: the hub has connections of its own."""
+        """Do nothing: the hub has its own connections."""
 
     def on_deadline(self, now_ns: int) -> None:
-        """Do nothing: the hub has its own times."""
+        """Do nothing: the hub keeps its own schedule."""
 
     def make_safe(self) -> None:
-        """End the server, and let go of the hand with it."""
+        """End the server, which also releases the hand."""
         self._server.close()
         self._hub.close()
 
     def _say_who(self, holder: Party | None) -> None:
-        """Publish who holds control, for a recording; a party without a name that acts for a moment is not named."""
+        """Publish the holder of control, for recordings; omit a party without a name that holds it only for one act."""
         named = holder if holder is not None and (holder.name or self._hub.desk.lease.kept) else None
         if named != self._reported_party:
             self._reported_party = named
@@ -89,7 +89,7 @@ def page_of_rig(
 
 
 def _publisher_of(participant: Participant) -> Publisher:
-    """Bind the endpoint of the page; where another page of this rig has it, this one is served without health."""
+    """Bind the endpoint of the page; if another page of this rig has bound it, this one publishes no health."""
     try:
         return participant.bind(participant.key)
     except EndpointError as error:

@@ -1,4 +1,4 @@
-"""The force of the page that holds the hand: repeated while the page is heard, faded in its silence, and then let go.
+"""The force of the page that holds the hand: repeated while the page sends, faded when it is silent, then released.
 
 `PageHand(open_outlet)`, then `hand.press(session, 1.5, (0.0, 0.0))` at each frame of the page, and `hand.look()` and
 `hand.repeat()` at each tick.
@@ -13,39 +13,39 @@ from services.viz_node.page_session import Session
 from telenano.wire.errors import RefusedError, TelenanoError
 
 TICK_S = 1.0 / 30.0
-# A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
-# for a tenth of a second and more. The last force holds for this time and is repeated to the haptic node, which waits
-# for less. A frame that is later than this is dropped: over a queue that grows, old forces would be those of now.
+# A page sends the force of its hand 60 times a second from a separate thread, but on a busy machine a browser pauses
+# for 0.1 s and more. The last force holds for this time [s], and is repeated for the haptic node, whose timeout is
+# shorter. A frame later than this is dropped, because in a growing queue old forces would be used as present ones.
 HAND_FRESH_S = 0.1
-# The force then fades over this time, and rises again as slowly.
+# The force then fades to 0 over this time, and rises again as slowly [s].
 HAND_FADE_S = 0.25
-# Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
+# Most of a standstill of this process that counts as silence of a page [s]: its frames are read only afterwards.
 _LONGEST_LOOK_S = 3.0 * TICK_S
 
 
 class HandOutlet(Protocol):
-    """Where the force of an operator at a page goes."""
+    """Publishes the force of an operator at a page."""
 
     def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
-        """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go. `by`: whose it is."""
+        """Publish a force towards the sample and one across it [N], 0 for a released hand; `by` names the person."""
 
     def publish(self, topic: str, **fields: Any) -> object:
-        """Publish on a topic of a package's panel."""
+        """Publish a message on a topic of a package's panel."""
 
     def now_ns(self) -> int:
         """Return the time on the clock of the endpoint [ns]."""
 
     def close(self) -> None:
-        """Let go of the endpoint."""
+        """Close the endpoint."""
 
 
 class PageHand:
-    """The way of a page's force to the haptic node, and the page that presses.
+    """Sends the force of the page that presses to the haptic node.
 
-    `holder` is the page that presses, or None; `share` is the part of its newest force that is in force.
+    `holder` is the page that presses, or None; `share` is the factor on its newest force, from 0 to 1.
 
     Args:
-        open_outlet: Opens the endpoint of the page; None where there is none, as of a recording.
+        open_outlet: Opens the endpoint of the page; None if there is none, as for a recording.
     """
 
     def __init__(self, open_outlet: Callable[[], HandOutlet] | None) -> None:
@@ -55,7 +55,7 @@ class PageHand:
         self._outlet: HandOutlet | None = None
         self._force_n = 0.0
         self._across_n = (0.0, 0.0)
-        # since when the hand was looked after, and how long its page has said nothing [s]
+        # Time of the last update of the share, and silence of the page until then [s].
         self._looked_s = 0.0
         self._silent_s = 0.0
 
@@ -65,11 +65,11 @@ class PageHand:
         return self._open_outlet is not None
 
     def outlet(self) -> HandOutlet:
-        """Return the endpoint of the page, and open it the first time.
+        """Return the endpoint of the page, which the first call opens.
 
         Raises:
-            RefusedError: There is none.
-            TelenanoError: It cannot be opened.
+            RefusedError: There is no endpoint, because the page shows a recording.
+            TelenanoError: The endpoint cannot be opened.
         """
         if self._open_outlet is None:
             raise RefusedError("this page shows a recording, which takes no answers")
@@ -78,7 +78,7 @@ class PageHand:
         return self._outlet
 
     def press(self, session: Session, force_n: float, across_n: tuple[float, float]) -> None:
-        """Publish the newest force of a page [N], which holds the hand from then on; errors as of `outlet`."""
+        """Publish the newest force of a page [N], which then holds the hand; raise the errors of `outlet`."""
         outlet = self.outlet()
         if self.holder is not session:
             self.share, self._looked_s = 1.0, time.monotonic()
@@ -88,14 +88,14 @@ class PageHand:
         self._push(outlet)
 
     def look(self) -> float | None:
-        """Return how late the page is that presses [s], None where none does; its force fades with its silence."""
+        """Update the share, and return how late the page that presses is [s]; None if no page presses."""
         if self.holder is None or self._outlet is None:
             return None
         self._fade()
         return max(self._silent_s, self.holder.hand.late_s)
 
     def repeat(self) -> None:
-        """Publish the force of the page again, or let go for one that has said nothing for too long."""
+        """Publish the force of the page again, or release the hand if the page has been silent for too long."""
         if self.holder is None or self._outlet is None:
             return
         if self._silent_s > HAND_FRESH_S + HAND_FADE_S:
@@ -105,30 +105,30 @@ class PageHand:
             self._push(self._outlet)
 
     def release(self) -> None:
-        """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""
+        """Release the hand by publishing the force 0; the endpoint stays open."""
         holder, self.holder = self.holder, None
         if holder is not None and self._outlet is not None:
             with contextlib.suppress(TelenanoError):
                 self._outlet.push(0.0, (0.0, 0.0), holder.party.name)
 
     def close(self) -> None:
-        """Let go of the hand and of the endpoint."""
+        """Release the hand and close the endpoint."""
         self.release()
         if self._outlet is not None:
             self._outlet.close()
 
     def _fade(self) -> None:
-        """Continue with the share of the force that is in force: less in a silence, and more while a page is heard."""
+        """Update the share of the force: it falls while the page is silent, and rises while it sends."""
         now_s = time.monotonic()
         passed_s = min(_LONGEST_LOOK_S, now_s - self._looked_s)
         self._silent_s, self._looked_s = self._silent_s + passed_s, now_s
-        # Of what passed since the last look only what is beyond the first time is silence.
+        # Only the time beyond `HAND_FRESH_S` counts as silence.
         over_s = min(passed_s, self._silent_s - HAND_FRESH_S)
         change = -over_s if over_s > 0.0 else passed_s
         self.share = min(1.0, max(0.0, self.share + change / HAND_FADE_S))
 
     def _push(self, outlet: HandOutlet) -> None:
-        """Publish the force of the page that presses, as much of it as is in force."""
+        """Publish the force of the page that presses, multiplied by the share."""
         if self.holder is not None:
             x_n, y_n = self._across_n
             outlet.push(self.share * self._force_n, (self.share * x_n, self.share * y_n), self.holder.party.name)

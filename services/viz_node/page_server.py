@@ -1,4 +1,4 @@
-"""The web server of the page, which serves while its process waits."""
+"""The web server of the page, which runs in the thread of the node while that waits."""
 
 import asyncio
 import contextlib
@@ -10,7 +10,7 @@ from telenano.serving.connections import Connections, Listener, most_connections
 from telenano.serving.serve import Tls, make_server, page_folder
 from telenano.wire.errors import RigError
 
-# A browser opens six connections at once.
+# Connections without a page: a browser opens six at once.
 _LEAST_STRANGERS = 8
 
 
@@ -19,10 +19,10 @@ class PageServer:
 
     def __init__(self, hub: Hub, access: Access, bound: Listener, tls: Tls | None, wake_descriptor: int) -> None:
         """Prepare to serve at a bound address; `run` returns as soon as `wake_descriptor` is readable."""
-        # The web server closes the listener that it is given, and the page may be served again.
+        # The web server closes its listener, so it gets a copy, and the page can be served again.
         listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
         self._server = make_server(make_app(hub, access, page_folder(), listener.connections), tls)
-        # The process that waits handles the signals.
+        # The process handles the signals itself.
         self._server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
         self._hub = hub
         hub.on_end = lambda: setattr(self._server, "should_exit", True)
@@ -32,7 +32,7 @@ class PageServer:
         self._serving = self._loop.create_task(self._server.serve(sockets=[listener]))
 
     def run(self, wait_s: float | None = None) -> None:
-        """Serve for a time [s], or until the descriptor is readable. Raises what has ended the server."""
+        """Serve for a time [s], or until the descriptor is readable; raise the error that has ended the server."""
         self._loop.run_until_complete(self._wait(wait_s))
         if self._serving.done():
             raise self._hub.fault or self._serving.exception() or RigError("the server of the page could not begin")
@@ -46,7 +46,7 @@ class PageServer:
         """End the server and the connections of its pages."""
         self._server.should_exit = True
         self._loop.run_until_complete(asyncio.wait({self._serving}))
-        # No page is left for the answers to what pages had asked for.
+        # Cancel pending requests, because their pages are closed.
         left = asyncio.all_tasks(self._loop)
         for task in left:
             task.cancel()

@@ -1,4 +1,4 @@
-"""Threads for what blocks, beside the loop that serves the pages."""
+"""Threads for blocking work, beside the event loop that serves the pages."""
 
 import threading
 from collections.abc import Callable
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def in_thread(work: Callable[[], T]) -> Future[T]:
-    """Begin what blocks in a daemon thread: the end of the process waits for those of `asyncio.to_thread`."""
+    """Start blocking work in a daemon thread; the exit of the process would wait for one of `asyncio.to_thread`."""
     done: Future[T] = Future()
     done.set_running_or_notify_cancel()
 

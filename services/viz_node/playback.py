@@ -10,27 +10,27 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
 from telenano.wire.errors import RecordingError, RefusedError
 
-# The bounds of the rate of play.
+# Bounds of the rate of playback.
 _LEAST_RATE = 0.01
 _MOST_RATE = 100.0
 _IMAGE_TOPIC = "afm/scanline"
-# how far back from its last line the beginning of an image is looked for first [ns]
+# The first line of an image is first searched in this time before its last line [ns].
 _LOOK_BACK_NS = 60_000_000_000
-# what is shown of the time before a place that was sought, so that no curve begins empty
+# Time before a sought place that is shown too, so that no curve begins empty [s].
 _LEAD_S = 5.0
-# messages in one call: a rate of 100 must not hold up the pages
+# Most messages in one call: a rate of 100 must not block the pages.
 _MOST_MESSAGES = 20_000
 
 
 class RecordingPlayback:
-    """Messages of a recording at their own pace, or another one.
+    """Plays the messages of a recording at their own rate, or another one.
 
-    After a seek come the newest message of each slow topic from before that place, the lines of the newest image
-    there, and the curves of a few seconds.
+    After a seek it first yields, from before that place, the newest message of each slow topic, the lines of the newest
+    image, and the curves of a few seconds.
     """
 
     def __init__(self, recording: RecordingSource, monotonic_s: Callable[[], float]) -> None:
-        """Begin to play at the start; RecordingError when there is nothing to show."""
+        """Start to play at the beginning; raise RecordingError if the recording has nothing to show."""
         self._recording = recording
         self._monotonic_s = monotonic_s
         self._start_ns, self._end_ns = recording.span_ns
@@ -45,7 +45,7 @@ class RecordingPlayback:
 
     @property
     def position_s(self) -> float:
-        """Place in the recording [s]; time stands still while no page looks."""
+        """Position in the recording [s]; it does not advance while no page is open."""
         if not (self._playing and self._watched):
             return self._from_s
         elapsed_s = (self._monotonic_s() - self._from_monotonic_s) * self._rate
@@ -87,7 +87,7 @@ class RecordingPlayback:
         if not math.isfinite(value):
             raise RefusedError(f"{action}: a finite number is needed")
         if action == "seek":
-            # what has ended does not play on from wherever somebody looks next
+            # A playback that has reached the end does not continue after a seek.
             self._playing = self._playing and self.position_s < self.length_s
             return self._seek(value)
         if action not in ("play", "pause", "rate"):
@@ -107,7 +107,7 @@ class RecordingPlayback:
         """Do nothing: the file is open only while it is read."""
 
     def _look(self, watched: bool) -> None:
-        """Hold the place when the last page has closed, and begin there, or again, with the curves that led there."""
+        """Pause when the last page closes; when one opens, continue there, or from the beginning after the end."""
         place_s = self.position_s
         self._watched = watched
         self._seek(0.0 if watched and place_s >= self.length_s else place_s)
@@ -132,9 +132,9 @@ class RecordingPlayback:
         yield from self._recording.select(_is_shown, start_ns)
 
     def _image_before(self, place_ns: int) -> list[RecordedMessage]:
-        """Return the lines of the newest image that had begun before a place [ns], as many as it had by then.
+        """Return the lines recorded before a place [ns] of the newest image that began before it.
 
-        They are looked for a minute before the newest line, and then in all that was recorded before it.
+        Its first line is searched in the minute before its newest line, and then in the whole earlier recording.
         """
         newest = self._recording.newest_before(place_ns, _is_image)
         if not newest:
@@ -169,5 +169,5 @@ def _seen(message: RecordedMessage) -> SeenMessage:
     try:
         return SeenMessage(message.topic, message.src, message.publish_ns, message.checked_fields())
     except RecordingError:
-        # a feed counts a message without fields as one that cannot be read
+        # The feed counts a message without fields as unreadable.
         return SeenMessage(message.topic, message.src, message.publish_ns, {})

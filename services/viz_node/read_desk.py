@@ -1,4 +1,4 @@
-"""What pages read in a recording: its events as a whole, and the curves of parts, some of them at once."""
+"""Carries out the requests of pages to read a recording: its facts as a whole, and the curves of parts."""
 
 import asyncio
 from functools import partial
@@ -9,20 +9,20 @@ from services.viz_node.page_threads import in_thread
 from services.viz_node.requests import DocumentRequest, PartRequest
 from telenano.wire.errors import RefusedError
 
-# Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
+# Most simultaneous reads for all pages together: each takes a thread and up to a second.
 _MOST_READS = 8
 
 
 class ReadDesk:
-    """Reads in the recording that is shown, for all pages."""
+    """Reads the recording that is shown, for all pages."""
 
     def __init__(self, document: Document | None) -> None:
-        """Read in a document; None for a running rig."""
+        """Prepare to read a document; None for a running rig."""
         self._document = document
         self._reads = 0
 
     async def read(self, request: DocumentRequest | PartRequest) -> Any:
-        """Return what a page asks for; RefusedError where there is no recording, or too much is being read."""
+        """Return the requested facts or curves; raise RefusedError if there is no recording, or too many reads."""
         if self._document is None:
             raise RefusedError("only a recording can be read in parts, and this page shows a running rig")
         if self._reads >= _MOST_READS:

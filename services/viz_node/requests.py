@@ -1,4 +1,4 @@
-"""What a page may say to the server: one msgpack map a frame, checked before anything is done with it."""
+"""The requests that a page may send to the server: one msgpack map per frame, checked before it is used."""
 
 import math
 from typing import Annotated, Literal, get_args
@@ -9,7 +9,7 @@ from msgspec import Meta
 from telenano.serving.serve import LARGEST_FRAME
 from telenano.wire.messages import Scalar
 
-# raised when a page of an older build would misread what the server says, or the other way round
+# Version of the protocol; it increases when a page and a server of different builds would misread each other.
 PROTOCOL = 1
 Name = Literal["start", "stop", "arm", "set", "mark", "couple"]
 COMMANDS: tuple[Name, ...] = get_args(Name)
@@ -21,11 +21,11 @@ _Values = Annotated[dict[str, bool | _Integer | float | Annotated[str, Meta(max_
 
 
 class RequestError(Exception):
-    """A frame is not what a page may send; the text says what would be right."""
+    """A frame is no valid request; the text says what would be valid."""
 
 
 class _Frame(msgspec.Struct, frozen=True, tag_field="k"):
-    """A frame, whose key `k` says which."""
+    """A frame, with its kind as the key `k`; a float that is not finite is refused."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -53,7 +53,7 @@ class CommandRequest(_Frame, tag="command", frozen=True):
     command: Name
     target: _Text
     parameters: _Values = {}
-    # number of the lease of the hand under which it was given; 0 where the page has none
+    # Number of the lease of control under which the command was given; 0 if the page knows none.
     lease: _Number = 0
 
 
@@ -72,13 +72,13 @@ class TransportRequest(_Frame, tag="transport", frozen=True):
 
 
 class DocumentRequest(_Frame, tag="document", frozen=True):
-    """A question for what happened in the whole of a recording."""
+    """A request for the facts of a whole recording."""
 
     id: _Id
 
 
 class PartRequest(_Frame, tag="part", frozen=True):
-    """A question for the curves of a part of a recording [s], in this number of spans; every sample for 0."""
+    """A request for the curves of a part of a recording [s], in this number of spans; 0 requests every sample."""
 
     id: _Id
     from_s: float
@@ -87,10 +87,10 @@ class PartRequest(_Frame, tag="part", frozen=True):
 
 
 class HandRequest(_Frame, tag="hand", frozen=True):
-    """The force of the operator at the page [N], towards the sample; `held` is false when the hand lets go.
+    """The force of the operator at the page [N], towards the sample; `held` is false when the hand is released.
 
-    across_x_n, across_y_n: that across the sample [N]; none from a page that only presses. number, stamp_s: of the
-    frame, counted from 1, and when it was sent, by the page's clock [s]; 0 from one that does not say.
+    across_x_n, across_y_n: force across the sample [N]; 0 from a page that only presses. number: number of the frame,
+    from 1; stamp_s: time of sending by the page's clock [s]; both are 0 if the page does not state them.
     """
 
     force_n: float
@@ -103,7 +103,7 @@ class HandRequest(_Frame, tag="hand", frozen=True):
 
 
 class LeaseRequest(_Frame, tag="lease", frozen=True):
-    """What a page wants of the lease of the hand; `to` is the id of one who asks, for whom it is."""
+    """A request for the lease of control; `to` is the id of the party to which `hand_over` gives it."""
 
     id: _Id
     action: Literal["ask", "take", "hand_over", "let_go"]
@@ -112,9 +112,9 @@ class LeaseRequest(_Frame, tag="lease", frozen=True):
 
 
 class HereRequest(_Frame, tag="here", frozen=True):
-    """A page is there: who has the hand and says nothing for a second has lost it.
+    """A sign that the page is there: a holder of control that is silent for a second loses it.
 
-    `stamp_s`: of the frame `way` that it answers, `waited_s`: for how long that was at the page [s].
+    `stamp_s`: time stamp of the frame `way` that this answers; `waited_s`: time that the frame spent at the page [s].
     """
 
     stamp_s: float = 0.0
@@ -122,7 +122,7 @@ class HereRequest(_Frame, tag="here", frozen=True):
 
 
 class PanelRequest(_Frame, tag="panel", frozen=True):
-    """What a page asks of the half of a package's panel that runs in the server."""
+    """A request to the part of a package's panel that runs in the server."""
 
     id: _Id
     panel: _Text
@@ -145,7 +145,7 @@ _decoder: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
 
 
 def read_request(frame: bytes) -> Request:
-    """Read a frame; RequestError says what is wrong with it."""
+    """Return the request in a frame; raise RequestError if it is too long or no valid request."""
     if len(frame) > LARGEST_FRAME:
         raise RequestError(f"a frame has {len(frame)} bytes, {LARGEST_FRAME} are allowed")
     try:

@@ -1,4 +1,4 @@
-"""The web server of the page: static files, and one web socket a page. The browser never touches the bus."""
+"""The web server of the page: static files, and one web socket per page. The browser has no access to the bus."""
 
 import asyncio
 import contextlib
@@ -27,7 +27,7 @@ from telenano.timing.clock import SystemClock
 
 MOST_PAGES = 32
 _HELLO_S = SILENCE_S
-# a token is tried once a connection, and a connection takes this long
+# Delay of the answer to a wrong token, which limits the rate of guesses, one per connection [s].
 _WRONG_TOKEN_S = 0.5
 # Close codes of RFC 6455.
 _TRY_LATER = 1013
@@ -35,13 +35,13 @@ _UNSUPPORTED = 1003
 
 
 class _PageSocket:
-    """The web socket of one page, from its first frame to its last."""
+    """Serves the web socket of a page, from its first frame to its last."""
 
     def __init__(self, hub: Hub, access: Access, connections: Connections) -> None:
         self._hub = hub
         self._access = access
         self._connections = connections
-        # a task is kept until it is over, also when its page has left
+        # Tasks are stored until they end, even after their page has left, so that they are not collected.
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def serve(self, socket: WebSocket) -> None:
@@ -53,7 +53,7 @@ class _PageSocket:
                 await self._converse(socket, *shown)
 
     async def _role(self, socket: WebSocket) -> tuple[Role, Person | None] | None:
-        """Return the role and the person of a page that has shown its token; None when it was refused."""
+        """Return the role and the person of a page that sends a valid token; None after a refusal."""
         try:
             request = read_request(await asyncio.wait_for(_receive(socket), _HELLO_S))
             if not isinstance(request, Hello):
@@ -95,7 +95,7 @@ class _PageSocket:
             while True:
                 frame = await _receive(socket)
                 arrived_s = time.monotonic()
-                # an emergency stop does not wait for the command before it
+                # A task for each request, so that an emergency stop does not wait for an earlier command.
                 task = asyncio.create_task(self._hub.handle(session, read_request(frame), arrived_s))
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
@@ -107,7 +107,7 @@ class _PageSocket:
 
 
 async def _receive(socket: WebSocket) -> bytes:
-    """Return the bytes of the next frame; RequestError for a frame of text."""
+    """Return the bytes of the next frame; raise RequestError for a text frame."""
     message = await socket.receive()
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1000))
@@ -124,18 +124,18 @@ async def _send_all(socket: WebSocket, session: Session) -> None:
 
 
 async def _refuse(socket: WebSocket, code: int, text: str) -> None:
-    """Send the reason as a frame, because a page cannot read that of every close, and close."""
+    """Send the reason as a frame, because a page cannot read the reason of every close, and close the socket."""
     await socket.send_bytes(msgpack.packb({"k": "refused", "text": text}))
     await socket.close(code, text.encode()[:120].decode(errors="ignore"))
 
 
 def make_app(hub: Hub, access: Access, page: Path | None, connections: Connections | None = None) -> Any:
-    """Return the application: the page of a folder, its web socket at /bus, /health and /metrics.
+    """Return the web application: the page of a folder, its web socket at /bus, /health and /metrics.
 
     Args:
-        hub: The pages that are open.
-        access: Who may open one, and as what.
-        page: The folder of the page; None where none has been built, and the server says how to build it.
+        hub: The hub of the open pages.
+        access: The tokens and their roles.
+        page: The folder of the built page; if None, the server answers with the command that builds it.
         connections: The connections of the listener that serves it.
     """
     connections = connections or Connections()
@@ -151,7 +151,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
         finally:
             for task in tasks:
                 task.cancel()
-            # what ended them has been noted
+            # `Hub.note_end` has stored the error that ended them.
             await asyncio.gather(*tasks, return_exceptions=True)
 
     async def health(request: Request) -> PlainTextResponse:
@@ -159,7 +159,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
 
     async def metrics(request: Request) -> PlainTextResponse:
         host = request.client.host if request.client else ""
-        # A monitoring system of this machine is asked for no token, and one of another machine sends it in a header.
+        # A monitoring system on this machine needs no token; one on another machine sends it in a header.
         if not is_loopback(host):
             token = request.headers.get("authorization", "").removeprefix("Bearer ")
             if access.role_of(token) in (None, Role.PARTICIPANT):
@@ -171,7 +171,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
     async def missing(request: Request) -> PlainTextResponse:
         return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
 
-    # Only these files are served: no path of a request is made into one of a file.
+    # Only these files are served; the path of a request is never used as the path of a file.
     files = {f"{row.base}{name}": path for row in hub.panels.rows for name, path in row.files().items()}
 
     async def of_panel(request: Request) -> Response:

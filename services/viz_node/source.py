@@ -1,4 +1,4 @@
-"""Where the messages of a page come from: a running rig or a recording, with the same interface."""
+"""The interface of the sources of a page's messages: a running rig or a recording."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
@@ -7,7 +7,7 @@ from services.viz_node.feed import SeenMessage
 from telenano.serving.panels import installed_panels
 from telenano.wire.errors import RefusedError
 
-# what only curves are made of: most of the traffic of a rig, and of no use while no page is open
+# Topics that are only drawn as curves: most of the traffic of a rig, and useless while no page is open.
 LOOP_TOPICS = ("haptic/state", "haptic/command", "afm/state", "law/status")
 TOPICS_SHOWN = (
     *LOOP_TOPICS,
@@ -20,12 +20,12 @@ TOPICS_SHOWN = (
 )
 
 
-# of which the age of the loop is told by its parts
+# Topics from which the parts of the loop's age are computed.
 AGE_TOPICS = ("haptic/state", "haptic/command", "afm/state", "link/delay")
 
 
 def is_shown(topic: str) -> bool:
-    """Return whether pages are told of a topic, of their own or of a panel of a package."""
+    """Return whether pages show a topic, themselves or in a panel of a package."""
     return topic in TOPICS_SHOWN or topic in installed_panels().topics
 
 
@@ -33,23 +33,23 @@ class Source(Protocol):
     """Messages to show."""
 
     def poll(self, *, watched: bool) -> Iterable[SeenMessage]:
-        """Return what has come since the last call, without waiting; unwatched, what curves are made of may be left."""
+        """Return the new messages without waiting; while no page watches, those for curves may be left out."""
 
     def take_restart(self) -> bool:
-        """Return, once, whether what comes now does not continue what came before, as after a seek."""
+        """Return whether the next messages do not continue the previous ones, as after a seek; True only once."""
 
     def about(self) -> Mapping[str, Any]:
-        """Return what the page says of the source: `kind` live or recording, and its place in time."""
+        """Return the facts on the source for pages: `kind` live or recording, and its position in time."""
 
     def transport(self, action: str, value: float) -> str:
-        """Carry out an action of the transport and return a sentence; RefusedError says why not."""
+        """Carry out an action of the transport and return a sentence; raise RefusedError if it is impossible."""
 
     def close(self) -> None:
-        """Let go of connections and files."""
+        """Close connections and files."""
 
 
 class NoTransport:
-    """What a source without a transport answers."""
+    """Base class of sources without a transport."""
 
     def transport(self, action: str, value: float) -> str:
         raise RefusedError(f"{action}: a running rig has no transport, only a recording can be played and sought in")

@@ -1,7 +1,7 @@
-"""What the page draws as curves: columns of numbers, made from the messages of the loop.
+"""The curves of the page: columns of numbers that are made from the messages of the loop.
 
 Positions and forces are along the paper's axis, towards the sample, as in Fig. 12; lateral forces are in the
-instrument's frame. What a message does not know is NaN, which the page draws as a gap.
+instrument's frame. A value missing in a message is NaN, which the page draws as a gap.
 """
 
 import math
@@ -12,12 +12,12 @@ import numpy as np
 
 Fields = Mapping[str, Any]
 _NONE = math.nan
-# a time of any clock [ns], before and after it is put right, whose differences still have 64 bits
+# Latest valid time of any clock [ns]: differences of times up to this, corrected or not, fit into 64 bits.
 LATEST_NS = 2**62
 
 
 class Column(NamedTuple):
-    """A column: name, unit, and what it is in a message."""
+    """A column: name, unit, meaning, and the function that returns its value in a message."""
 
     name: str
     unit: str
@@ -55,12 +55,12 @@ def _where_known(key: str) -> Callable[[Fields], float]:
 
 
 def _follows(fields: Fields) -> float:
-    """Return 1 while the tip is where hand or program want it, and 0 while it is placed, withdrawn, or away."""
+    """Return 1 while the tip follows the hand or a program, and 0 while it is being placed, withdrawn, or away."""
     return float(fields["mode"] in ("follow", "hold") and fields.get("placed") is not False)
 
 
 def _loop_age_s(fields: Fields) -> float:
-    """Return how old the hand's sample is that the newest command answers, when the command arrives [s]."""
+    """Return the age of the hand's sample that the newest command answers, at the arrival of the command [s]."""
     sampled_ns = fields["answered_t_ns"]
     return (fields["answered_at_ns"] - sampled_ns) * 1e-9 if sampled_ns > 0 else _NONE
 
@@ -161,16 +161,16 @@ def _dropped(way: Fields) -> float:
 
 
 class LinkLoss:
-    """Record the counts of link/status, to add the share of loss since the message before."""
+    """Stores the counts of link/status, to add the share of losses since the previous message."""
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[float, float]] = {}
 
     def added(self, fields: Fields) -> Fields:
-        """Return the fields with `forward_loss` and `backward_loss`: NaN where nothing came, or the counts began again.
+        """Return the fields with `forward_loss` and `backward_loss`; NaN if no message came, or the counts restarted.
 
-        A message is counted as dropped when it should have been delivered, some time after it came: the share is at
-        most 1. Raises KeyError, TypeError or AttributeError for fields that are no link/status.
+        A message counts as dropped at the time of its delivery, which is after its arrival, so the share is limited to
+        1. Raises KeyError, TypeError or AttributeError for fields that are no link/status.
         """
         shares = {}
         for name in ("forward", "backward"):
@@ -184,17 +184,17 @@ class LinkLoss:
 
 
 class Batch:
-    """Samples of a stream that no page has yet: times [ns], and a row of numbers for each."""
+    """Samples of a stream that are not sent to pages yet: times [ns], and a row of numbers for each."""
 
     def __init__(self, stream: Stream, most: int) -> None:
-        """Begin empty; of more than `most` samples the oldest are left out, as after a stall of this process."""
+        """Begin empty; of more than `most` samples, as after a stall of this process, the oldest are dropped."""
         self.stream = stream
         self._most = most
         self._times_ns: list[int] = []
         self._rows: list[list[float]] = []
 
     def add(self, t_ns: int, fields: Fields) -> None:
-        """Take a sample.
+        """Add a sample.
 
         Raises KeyError, TypeError, IndexError, ValueError or OverflowError for fields that are no such message.
         """
@@ -207,10 +207,10 @@ class Batch:
             self._shorten()
 
     def take(self, origin_ns: int) -> dict[str, Any] | None:
-        """Return and remove the samples; None without any.
+        """Return and remove the samples; None if there are none.
 
-        `t0` is the time of the first since the origin [s]; `data` holds float32 columns one after the other, the first
-        of them the time since `t0` [s].
+        `n` is their number; `t0` is the time of the first one since the origin [s]; `data` holds float32 columns one
+        after the other, of which the first is the time since `t0` [s].
         """
         self._shorten()
         if not self._rows:
@@ -219,7 +219,7 @@ class Batch:
         times = (np.array(self._times_ns, dtype=np.int64) - t0_ns) * 1e-9
         with np.errstate(over="ignore"):
             columns = np.vstack([times[np.newaxis, :], np.array(self._rows).T]).astype("<f4")
-        # what has no place in float 32 is not one of the quantities that are shown
+        # A value that float32 cannot hold is none of the quantities shown.
         columns[np.isinf(columns)] = _NONE
         taken = {
             "n": len(self._rows),

@@ -1,4 +1,4 @@
-"""Closed loop in lockstep: the same steps as the nodes, compiled, without processes."""
+"""The closed loop in lockstep: the steps of the nodes in one compiled function, without processes."""
 
 from typing import TYPE_CHECKING
 

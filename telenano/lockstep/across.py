@@ -1,8 +1,8 @@
-"""The hand across the sample in lockstep: the steps that the nodes call, between those of the loop of the law.
+"""Lateral motion of the hand in lockstep: the steps that the nodes call, between those of the law's loop.
 
-The stylus and the person on it step with the haptic site, the reference of the tip goes with the forward signals of the
-law, and place of the stage and force on the tip come with the answers. So delay, loss and silence of the link are those
-of the law.
+The stylus and the person step with the haptic site. The reference of the tip is sent with the forward signals of the
+law, and the position of the stage and the force on the tip return with the answers. So delay, loss and silence of the
+link are the same as for the law.
 """
 
 from typing import NamedTuple
@@ -32,19 +32,19 @@ from telenano.sections.lateral_hand_section import LateralHandConfig
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
-# The columns of the course are the stylus [m], the force that it is shown [N], the stage [m], the force on the tip
-# [N], and the energy that has entered across and by the hold of the depth [J]. Those of a hand that steers come after.
+# Columns of the rows: position of the stylus [m], force shown to it [N], position of the stage [m], force on the tip
+# [N], and energy that has entered laterally and by holding the depth [J]. The columns of a hand that steers follow.
 X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH = range(10)
 WIDTH = 10
 
 
 class AcrossPath(NamedTuple):
-    """The path across: constants, what is on the link, and the course, a row a tick.
+    """The lateral path: constants, the data on the link, and the results, one row per tick.
 
-    silence_s: without an answer for longer nothing is known of the tip [s]; forward: references by the number of the
-    sample, (window, 2) [m]; backward: place and force by the number of the answer, (window, 4) [m, N]; rows: (ticks,
-    WIDTH or more), columns X to ENTERED_DEPTH and those of a hand that steers. Those of stage, tip and hand are
-    written by the loop.
+    silence_s: time without an answer after which the state of the tip is unknown [s]; forward: references by the number
+    of the sample, (window, 2) [m]; backward: position and force by the number of the answer, (window, 4) [m, N]; rows:
+    (ticks, WIDTH or more), columns X to ENTERED_DEPTH and those of a hand that steers. The loop writes the columns of
+    stage, tip and hand.
     """
 
     lateral: LateralParams
@@ -56,7 +56,7 @@ class AcrossPath(NamedTuple):
 
 
 class AcrossState(NamedTuple):
-    """The stylus, both halves, the newest answer, and the work of the hold of the depth [J]."""
+    """The stylus, both halves, the newest answer, and the work of the force that holds the depth [J]."""
 
     hand: LateralHandState
     master: LateralMasterState
@@ -68,7 +68,7 @@ class AcrossState(NamedTuple):
 def across_path(
     controller: ControllerConfig, hand: LateralHandConfig, schedule: Schedule, further: int = 0
 ) -> AcrossPath:
-    """Return the path of a rig over a link, nothing on it yet, with room for further columns of a hand that steers."""
+    """Return the empty lateral path of a rig over a link, with room for further columns of a hand that steers."""
     window = schedule.window
     return AcrossPath(
         controller.lateral_params(),
@@ -90,7 +90,7 @@ def across_at_rest() -> AcrossState:
 
 @inlined
 def across_steered(path: AcrossPath, state: AcrossState, speed_m_per_s: Pair) -> Pair:
-    """Return the force of a person who steers the tip at a speed [m/s]."""
+    """Return the lateral force of a person who steers the tip at a speed [m/s], (x, y) [N]."""
     held, hand, shown = state.master.held, state.hand, state.master.force_n
     place_m, neutral_m, shown_n = (hand.x_m, hand.y_m), (held.neutral_x_m, held.neutral_y_m), (shown[0], shown[1])
     k = path.hand.stiffness_n_per_m
@@ -108,17 +108,17 @@ def across_sampled(
     dt: float,
     own_n: Pair,
 ) -> AcrossState:
-    """Return the state after a sample of the hand, whose reference is on the link then.
+    """Return the state after a sample of the hand, and put its reference on the link.
 
     Args:
         path: The path.
-        state: The state at the sample before.
+        state: The state at the previous sample.
         hand: The sample along the axis of the law.
-        is_known: Whether the newest answer still counts.
+        is_known: Whether the newest answer is still valid.
         tick: The number of the sample.
-        session_s: Time of the force profile of the operator [s].
+        session_s: The time of the operator's force profile [s].
         dt: The time between two samples [s].
-        own_n: Force of a person who steers [N].
+        own_n: The force of a person who steers, (x, y) [N].
     """
     force, depth_j = state.master.force_n, state.depth_j
     if state.master.held.live:
@@ -146,7 +146,7 @@ def across_sampled(
 
 @inlined
 def guided(state: AcrossState, hand: HandSample) -> HandSample:
-    """Return a sample of the hand as the law takes it: with the force that holds its depth."""
+    """Return a sample of the hand for the law: with the force that holds its depth added."""
     force_n = hand.force_n + state.master.force_n[2]
     return HandSample(hand.position_m, hand.velocity_m_per_s, force_n, hand.following)
 
@@ -155,7 +155,7 @@ def guided(state: AcrossState, hand: HandSample) -> HandSample:
 def across_signalled(
     path: AcrossPath, state: AcrossState, number: int, place_m: tuple[float, float], follows: bool, dt: float
 ) -> AcrossState:
-    """Return the state after the signal of a sample has reached the slave half, dt [s] after the one before."""
+    """Return the state after the signal of a sample has reached the slave half, dt [s] after the previous one."""
     row = path.forward[number & (path.forward.shape[0] - 1)]
     slave = lateral_slave_step(path.lateral, state.slave, (row[0], row[1]), place_m, follows, dt)
     return AcrossState(state.hand, state.master, slave, state.far, state.depth_j)
@@ -163,7 +163,7 @@ def across_signalled(
 
 @inlined
 def across_heard(path: AcrossPath, state: AcrossState, number: int) -> AcrossState:
-    """Return the state after an answer."""
+    """Return the state after an answer has reached the master half."""
     row = path.backward[number & (path.backward.shape[0] - 1)]
     far = LateralFar(row[2], row[3], row[0], row[1], True)
     return AcrossState(state.hand, state.master, state.slave, far, state.depth_j)

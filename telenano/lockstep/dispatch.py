@@ -1,8 +1,8 @@
-"""One loop for every law: compiled code that chooses the step by the type of its parameters.
+"""Steps of the laws for the one loop of all laws: compiled code that selects a step by the type of its parameters.
 
-Numba compiles the loop of `lockstep` once for each pair of law and instrument and keeps the result on disk. The choice
-is made while compiling, so it costs nothing at run time; without the compiler the same names look the step up in plain
-Python. Steps handed over as arguments would be compiled again by every process.
+Numba compiles the loop of `lockstep` once for each pair of law and instrument, and stores the result on disk. The
+selection happens at compile time, so it costs nothing at run time; without the compiler the same names look up the step
+in plain Python. Steps passed as arguments would be compiled again by every process.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ Step = Callable[..., Any]
 
 
 def _laws_by_parameters() -> dict[type, Law]:
-    """Return the law of each class of parameters; two laws must not share one."""
+    """Return the law for each class of parameters; raise TypeError if two laws share one."""
     table: dict[type, Law] = {}
     for name, law in KNOWN_LAWS.items():
         kind = type(ControllerConfig.model_validate({"law": name}).params())

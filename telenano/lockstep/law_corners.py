@@ -1,4 +1,4 @@
-"""Both halves of every law at the corners of their inputs and settings, alone and with each other."""
+"""Checks of both halves of every law at the corners of their inputs and settings, alone and with each other."""
 
 import math
 import random
@@ -29,11 +29,11 @@ ORDINARY = {"position": 5e-9, "velocity": 1e-9, "force": 7e-9, "wave variable": 
 
 
 class NotANumberError(Exception):
-    """A law gave something that is no number."""
+    """A law returned NaN or infinity."""
 
 
 def check(where: str, value: Any) -> None:
-    """Raise NotANumberError naming the part of a state or signal that is infinite or no number."""
+    """Raise NotANumberError, which names it, if a part of a state or signal is infinite or NaN."""
     if isinstance(value, float) and not math.isfinite(value):
         raise NotANumberError(f"{where} is {value}")
     if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -45,7 +45,7 @@ def check(where: str, value: Any) -> None:
 
 
 def _corner_settings(name: str, rng: random.Random, way: str) -> dict[str, Any]:
-    """Return settings of a law: all at their low or high ends, or each at one of them, as it is, or in between."""
+    """Return settings of a law: all at their least or greatest values, or each at one of these, default or between."""
     settings: dict[str, Any] = {}
     for key, schema in LAWS[name].config.model_json_schema()["properties"].items():
         if schema["type"] == "boolean":
@@ -59,7 +59,7 @@ def _corner_settings(name: str, rng: random.Random, way: str) -> dict[str, Any]:
 
 
 def _config_at_corners(name: str, period_s: float, rng: random.Random, way: str) -> ControllerConfig:
-    """Return a configuration with the law and the clamp at corners of their settings."""
+    """Return a configuration with the settings of law and clamp at corners of their ranges."""
     clamp = {"enabled": rng.choice((None, True, False)), "force_margin_n": rng.choice((0.0, 0.1, 1e6))}
     clamp |= {"damping_n_s_per_m": rng.choice((1e-6, 30.0, 1e9))}
     document = {"law": name, "period_s": period_s, "clamp": clamp, name: _corner_settings(name, rng, way)}
@@ -105,13 +105,13 @@ def _signal_at_corners(rng: random.Random) -> PortSignal:
 
 
 def _over_the_wire(signal: PortSignal) -> PortSignal:
-    """Return a signal as the other half hears it: limited to the ranges."""
+    """Return a signal as the other half receives it: limited to the ranges of the wire."""
     ranges = dict(position_m=WAY, velocity_m_per_s=VELOCITY, force_n=FORCE, wave_sqrt_w=WAVE, energy_j=ENERGY)
     return signal._replace(**{key: min(max(getattr(signal, key), r.low), r.high) for key, r in ranges.items()})
 
 
 class _Halves:
-    """Both halves of a law under one set of parameters."""
+    """Both halves of a law with the same parameters."""
 
     def __init__(self, law: Law, config: ControllerConfig, rng: random.Random) -> None:
         self.law, self.period_s, self.rng = law, config.period_s, rng
@@ -137,7 +137,7 @@ class _Halves:
         return signal
 
     def backward(self, signal: PortSignal) -> tuple[float, PortSignal]:
-        # the slave half steps by one period a call
+        # The slave half steps by one period per call.
         period_s = self.period_s
         self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, period_s)
         check("slave_receive", (self.slave, wanted))
@@ -163,7 +163,7 @@ class _Halves:
 
 
 def _run_apart(halves: _Halves) -> None:
-    """Give each half anything within the ranges at every tick."""
+    """Give each half random inputs within the ranges at every tick."""
     for _ in range(TICKS):
         halves.hand, halves.tip = _hand_sample(halves.rng), _tip_sample(halves.rng)
         halves.forward()
@@ -172,7 +172,7 @@ def _run_apart(halves: _Halves) -> None:
 
 
 def _run_together(halves: _Halves) -> None:
-    """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
+    """Let the halves answer each other on a stiff spring: instability grows until the ranges limit it."""
     stiffness, hand_n = halves.rng.choice((1.0, 20.0, 1e9)), halves.rng.choice((1.0, 1e6))
     halves.hand = HandSample(0.0, 0.0, hand_n, True)
     halves.tip = NO_TIP._replace(separation_valid=True, in_contact=True, following=True)
@@ -191,7 +191,7 @@ def _run_together(halves: _Halves) -> None:
 
 
 def failures(seed: int, cases: int, laws: Iterable[str] = OWN_LAWS) -> Iterator[str]:
-    """Yield a line for each case in which a law raised, or gave what is no number."""
+    """Yield a line for each case in which a law raised an error, or returned NaN or infinity."""
     for name in laws:
         law = LAWS[name]
         for case in range(cases):

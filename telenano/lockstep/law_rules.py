@@ -1,7 +1,7 @@
-"""The rules that a law keeps, each checked: for the laws of this project in its tests, for others by `law check`.
+"""The rules that every law must keep, with their checks: in the tests for own laws, by `law check` for others.
 
-They are what the rig relies on whatever the law: no jump where it takes over, a hold of a spring, numbers at the
-corners of every range. Passivity and the delay that a law tolerates are no rules: `telenano study` measures them.
+The rig relies on them for any law: no jump when the law takes over, a stable hold of a spring, finite numbers at the
+corners of every range. Passivity and the tolerated delay are no rules: `telenano study` measures them.
 """
 
 import copy
@@ -27,63 +27,63 @@ _TIP = TipMeasurement(
     outstanding_m=0.0,
 )
 _PERIOD_S = 1e-3
-# Two positions this close are the same one, after rounding.
+# Positions closer than this are equal, up to rounding [m].
 _SAME_PLACE_M = 1e-20
-# The speed of the hand and a force of 10 N take it no further than this in a period.
+# The speed of the hand and a force of 10 N move it no further than this in a period [m].
 _HAND_JUMP_M = 2.5e-5
-# They change its speed by no more than this in a period.
+# They change its speed by no more than this in a period [m/s].
 _HAND_JUMP_M_PER_S = 0.05
-# A force of 0.7 N at the hand's scale moves a base through a damper of 30 N s/m this far in a period.
+# Distance that a force of 0.7 N at the hand's scale moves a base through a damper of 30 N s/m in a period [m].
 _TIP_JUMP_M = 0.7 / 30.0 * _PERIOD_S * 1.5e-6 * 1.001
-# A hand holds a spring for this time.
+# Time for which a hand holds a spring [s].
 _HOLD_S = 4.0
-# The stiffness of that spring.
+# Stiffness of that spring [N/m].
 _SPRING_N_PER_M = 20.0
-# The force that it holds with, and the swing of it, may be off by this share.
+# Greatest relative error of the holding force, and greatest swing of it for a hand of 1 N.
 _HOLD_SHARE = 0.06
-# Corners of the settings are drawn from this seed.
+# Seed with which corners of the settings are drawn.
 _CORNER_SEED = 1
-# The number of corners that are drawn.
+# Number of corners that are drawn.
 _CORNER_CASES = 8
-# The hand goes to a wall at this distance of the tip.
+# Distance of the wall from the tip that the hand approaches [m].
 _WALL_M = 3e-9
-# The wall has this share of the stiffness that the law states as its limit.
+# Stiffness of the wall, as a share of the limit that the law states.
 _NEAR_LIMIT = 0.9
-# A session on the bench has this number of periods.
+# Length of a session on the bench [periods].
 _SESSION_TICKS = 3000
-# The mean and the swing of the force are those of this number of its last periods.
+# Number of the last periods over which mean and swing of the force are taken.
 _HOLD_TICKS = 500
-# A setting is multiplied by these factors in a held contact.
+# Factors by which a setting is multiplied in a held contact.
 _RETUNED_BY = (0.5, 3.0)
-# The contact is watched for this number of periods after that.
+# Number of periods for which the contact is observed after that.
 _RETUNED_TICKS = 300
-# The force of a hand of 1 N, and that of the tip at its scale, may change by this [N].
+# Greatest change of the force shown to a hand of 1 N, and of the tip's force at its scale [N].
 _FORCE_STEP = 0.05
-# The hand may go this far.
+# Greatest motion of the hand [m].
 _HAND_STEP_M = 1e-4
-# How late an instrument behind a serial line or a network answers, that a law is tried with as well [periods].
+# Latency of an instrument behind a serial line or a network, with which a law is tried too [periods].
 LATE_PERIODS = 4
 
 
 class Rule(NamedTuple):
-    """A rule in words, and what breaks it: sentences, none for a law that keeps it."""
+    """A rule in words, and its check, which yields a sentence for each violation by the law of a name."""
 
     name: str
     broken_by: Callable[[str], Iterator[str]]
 
 
 def broken_rules(name: str) -> dict[str, list[str]]:
-    """Return what a law does against each rule, by the rule's name; an empty list where it keeps it.
+    """Return the violations of each rule by a law, by the name of the rule; an empty list if the law keeps it.
 
     Raises:
-        ConfigError: There is no such law.
+        ConfigError: There is no law of this name.
     """
     broken: dict[str, list[str]] = {}
     name = LAWS[name].name
     for rule in RULES:
         try:
             broken[rule.name] = list(rule.broken_by(name))
-        # Anything that the law of a package raises is a finding of the rule.
+        # Any error that the law of a package raises is a violation of the rule.
         except Exception as error:  # noqa: BLE001
             broken[rule.name] = [f"fails: {described(error)}"]
     return broken
@@ -187,7 +187,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
 class _Bench:
     """Both halves of a law over a link without delay, and a spring under the tip, or a wall that only pushes.
 
-    lates: by how many ticks the slave half learns later what the instrument measures, in turn.
+    lates: delays [ticks] of the measurements for the slave half, which are used in turn.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class _Bench:
     def run(
         self, ticks: int, force_n: float, *, off: bool = False, retracted: bool = False
     ) -> list[tuple[float, float]]:
-        """Return position of the hand [m] and force on the tip [N] of each tick; off: the hand; retracted: the tip."""
+        """Return position of the hand [m] and force on the tip [N] at each tick; off: hand off; retracted: tip away."""
         rows = []
         for _ in range(ticks):
             hand = HandSample(self.x, 0.0, force_n, not off)
@@ -268,7 +268,7 @@ def _arms_again(name: str) -> Iterator[str]:
     bench = _Bench(name)
     bench.run(20, 0.0, retracted=True)
     first = bench.run(400, 1.0)
-    # the device is off while the hand moves, so that hand and tip part; then the tip retracts and the hand goes back
+    # The device is off while the hand moves, so that hand and tip part; then the tip retracts and the hand returns.
     bench.run(520, 1.0, off=True)
     bench.x += 1e-3
     bench.run(50, 1.0)

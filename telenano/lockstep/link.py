@@ -1,10 +1,10 @@
-"""The link of the lockstep loop: when each signal reaches the other side, known before the loop runs.
+"""The link of the lockstep loop: the arrival times of all signals, computed before the loop runs.
 
-What happens to a message depends on its number and the time it is sent, not on its content. The hand sends at every
-tick and the slave answers at once what it takes, so both directions can be computed beforehand by the link's own
-engine (`DirectionEngine.fates`), and the loop merely merges arrivals. Readers take the newest message only: what was
-overtaken or came twice is dropped here as the bus drops it. Of messages that arrive together, at the end of a slot or
-of an outage that holds them, the loop takes the newest one that was sent, and there is one answer to them.
+The fate of a message depends on its number and time of sending, not on its content. The hand sends at every tick and
+the slave answers every received signal at once, so the link's own engine (`DirectionEngine.fates`) can compute both
+directions in advance, and the loop only merges arrivals. Readers use only the newest message: overtaken and repeated
+ones are dropped here, as on the bus. Of messages that arrive together, at the end of a slot or of an outage that holds
+them, the loop uses the newest one that was sent, and there is one answer to all of them.
 """
 
 from collections.abc import Callable
@@ -20,22 +20,22 @@ from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.timing.play_out import PlayOut
 
 Times = npt.NDArray[np.int64]
-# When messages arrive [ns], and which of them each one is, by the times at which they are sent [ns].
+# Function of the times of sending [ns] that returns the times of arrival [ns], and the number of each arrived message.
 Crossing = Callable[[Times], tuple[Times, Times]]
 
 FORWARD_TOPIC = "teleop/forward"
 BACKWARD_TOPIC = "teleop/backward"
-# about the size of a teleop message on the wire; it matters only where the link has a finite rate
+# Approximate size of a teleop message on the wire [bytes]; it matters only if the link has a finite rate.
 MESSAGE_BYTES = 300
 
 
 class Schedule(NamedTuple):
     """Arrivals at the other side, in the order of time.
 
-    forward_ns: at the slave [ns]; forward_of: the tick of the hand's sample each one carries; backward_ns: at the
-    master [ns]; backward_of: the forward arrival each one answers, the last of those that come
-    together; ticks: length of the run; window: a power of two, more than are ever between a sending and the arrival
-    that it leads to.
+    forward_ns: times of arrival at the slave [ns]; forward_of: the tick of the hand's sample that each one carries;
+    backward_ns: times of arrival at the master [ns]; backward_of: index of the forward arrival that each one answers,
+    the last of those that come together; ticks: length of the run; window: a power of two, greater than the number of
+    messages between any sending and its arrival.
     """
 
     forward_ns: Times
@@ -49,7 +49,7 @@ class Schedule(NamedTuple):
     def of(
         cls, settings: LinkSettings, ticks: int, period_s: float, folder: Path = Path(), *, play_out: bool = False
     ) -> "Schedule":
-        """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it.
+        """Compute the arrivals of a run over a link that starts at the same time.
 
         Args:
             settings: The settings of the link.
@@ -68,14 +68,14 @@ class Schedule(NamedTuple):
 
     @staticmethod
     def over(forward: Crossing, backward: Crossing, ticks: int, period_ns: int) -> "Schedule":
-        """Return the arrivals of a run of `ticks` samples, one every period_ns [ns], over two directions.
+        """Return the arrivals of a run over two directions, given as functions.
 
-        Each direction is called once, with the times at which its messages are sent [ns], and returns when those that a
-        reader takes arrive, in the order of time [ns], and which message each one is: its place among those sent.
+        Each function is called once, with the times at which its messages are sent [ns]. It returns the arrival times
+        of those that a reader uses, in the order of time [ns], and the index of each among the messages sent.
 
         Args:
             forward: The direction of the signals of the hand.
-            backward: The direction of the answers, of which there is one to all that come together.
+            backward: The direction of the answers; signals that arrive together have one answer.
             ticks: The number of samples.
             period_ns: The time between two samples [ns].
         """
@@ -86,21 +86,21 @@ class Schedule(NamedTuple):
 
     @staticmethod
     def newest(times_ns: Times, numbers: Times) -> tuple[Times, Times]:
-        """Return the arrivals, in the order of time, that a reader of the newest takes: none late and none twice."""
+        """Return the arrivals that a reader of the newest message uses; the arrivals must be in the order of time."""
         newest_before = np.maximum.accumulate(np.concatenate([[-1], numbers]))[:-1]
         kept = numbers > newest_before
         return times_ns[kept], numbers[kept]
 
 
 def last_together(times_ns: Times) -> Times:
-    """Return the places of the arrivals that no other one comes together with later in the order [ns]."""
+    """Return the index of the last arrival of each group with equal times [ns]; the times must be in order."""
     return np.flatnonzero(np.diff(times_ns, append=-1))
 
 
 def schedule_from(
     forward_ns: Times, forward_of: Times, backward_ns: Times, backward_of: Times, ticks: int, period_ns: int
 ) -> Schedule:
-    """Return the schedule of known arrivals, in the order of time; the fields of `Schedule` say what is what."""
+    """Return the schedule of known arrivals, in the order of time; `Schedule` explains the arguments."""
     behind = [
         forward_ns // period_ns - forward_of,
         np.searchsorted(forward_ns, backward_ns, side="right") - backward_of,
@@ -119,10 +119,10 @@ def schedule_from(
 def _arrivals(
     settings: LinkSettings, way: Direction, topic: str, sent_ns: Times, folder: Path, *, play_out: bool
 ) -> tuple[Times, Times]:
-    """Return when messages of one direction arrive, and which message each one is, as a reader takes them.
+    """Return times [ns] and indices of the messages of one direction that a reader uses, in the order of arrival.
 
-    A constant delay, with losses or without, is the common case of a map. Messages keep their order then, so that only
-    the losses need to be drawn: the result is the same (tested).
+    A constant delay, with or without losses, is the common case in a map. Messages then keep their order, so only the
+    losses need to be drawn: the result is the same (tested).
     """
     direction: DirectionSettings = getattr(settings, way)
     plain = DirectionSettings(delay_s=direction.delay_s)
@@ -133,7 +133,7 @@ def _arrivals(
             kept = kept[~np.array(DirectionEngine(way, settings, 0).draw_losses(topic, len(sent_ns)), np.bool_)]
         return sent_ns[kept] + round(direction.delay_s * 1e9), kept
     fates = DirectionEngine.fates(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES, folder=folder)
-    # a message with flipped bits is refused by its reader, as a rule: it counts as lost
+    # A reader usually refuses a message with flipped bits, so it counts as lost.
     released = [(fate.release_ns, fate.seq) for fate in fates if fate.release_ns is not None and not fate.corrupted]
     released.sort()
     if play_out:

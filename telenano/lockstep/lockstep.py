@@ -1,23 +1,24 @@
-"""The closed loop in one compiled function: hand, law, link and instrument, tick by tick, no process and no clock.
+"""The closed loop in one compiled function: hand, law, link and instrument, tick by tick, without processes or clock.
 
-The steps are those that the nodes call, the state machines of the halves (`telenano.laws.integration`) are those
-that the nodes run, and the order is that of the bus. At the tick n of the hand, time n Ts:
+The steps and the state machines of the halves (`telenano.laws.integration`) are those of the nodes, and the order is
+that of the bus. At the tick n of the hand, time n Ts:
 
-1. the haptic site steps with the newest command that it has (guard, device, hand);
-2. the master half takes the sample: it receives first, if nothing has answered the sample before, and then sends,
-   unless the dead band keeps the signal back;
-3. what reaches its end of the link before the next tick acts in the order of arrival. Of signals that arrive together a
-   reader takes the newest, as on the bus, where they wait for it together (conflation). A forward signal goes through
-   the slave half, the instrument and the slave half again, and its answer enters the link. A backward signal goes to
-   the master half. An instrument that receives nothing for a period and a half steps by itself, its guard judges the
-   silence, and the slave half processes what it measured: with a local loop it commands a step of its own.
+1. The haptic site steps with its newest command (guard, device, hand).
+2. The master half processes the sample: if nothing has answered the previous sample, it receives first, and then it
+   sends, unless the dead band suppresses the signal.
+3. Signals that reach their end of the link before the next tick act in the order of arrival. Of signals that arrive
+   together a reader uses the newest, as on the bus, where they wait for it together (conflation). A forward signal
+   passes the slave half, the instrument and the slave half again, and its answer enters the link. A backward signal
+   goes to the master half. An instrument that receives nothing for a period and a half steps by itself, its guard
+   judges the silence, and the slave half processes the measurement: with a local loop it commands another step.
 
-What passes on a site takes no time here, so the instrument carries out at once what it is asked for.
-The guards judge the age of the hand's sample behind a command, less the delay of the link in whole steps, as nodes do.
+Messages within a site take no time here, so the instrument carries out each command at once.
+The guards judge the age of the hand's sample that a command descends from, minus the delay of the link in whole steps,
+as in the nodes.
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
-The session begins when the tip is placed, as the instrument says on the bus (`telenano.afm.safety.is_placed`).
+The session begins when the tip is placed, as the instrument reports on the bus (`telenano.afm.safety.is_placed`).
 """
 
 import logging
@@ -77,8 +78,8 @@ from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import ConfigError, RigError
 
 _NEVER_NS = 2**62
-# Plain Python takes 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
-# (docs/api.md): this many ticks of one kind take as long as compiling, and more of them will follow.
+# Plain Python needs 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
+# (docs/api.md). After this number of ticks of one kind, which took as long as compiling, the loop is compiled.
 PLAIN_TICKS = 200_000
 COLUMNS = (
     "time_s",
@@ -99,13 +100,13 @@ COLUMNS = (
 )
 
 
-# The ticks that this process has run as plain Python, by what the compiler makes a loop of its own for.
+# Number of ticks that this process has run as plain Python, by the types for which a separate loop is compiled.
 _plain_ticks: Counter[tuple[Any, ...]] = Counter()
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `Rig.of`."""
+    """A rig ready to run: constants of halves, haptic site and instrument, and their first states; made by `Rig.of`."""
 
     halves: Halves
     haptic: HapticParams
@@ -117,13 +118,13 @@ class Rig:
     def of(
         cls, controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams, duration_s: float = 0.0
     ) -> Self:
-        """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted.
+        """Prepare a rig with the device off at its configured position, and the instrument retracted.
 
         Args:
             controller: The configuration of both halves of the law.
             haptic: The configuration of the haptic site.
             instrument: The constants of the instrument.
-            duration_s: The length of the run [s], for which what disturbs the hand is drawn; 0 leaves that out.
+            duration_s: The length of the run [s], for which disturbances of the hand are drawn; 0 for none.
         """
         halves = Halves(
             law=controller.params(),
@@ -138,13 +139,13 @@ class Rig:
         return cls(halves, site, start, instrument, initial_afm_state(instrument))
 
     def over(self, plant: Any) -> Self:
-        """Return the same rig with another plant in its instrument, which is retracted."""
+        """Return the same rig with another plant in its instrument, which starts retracted."""
         instrument = self.instrument._replace(plant=plant)
         return replace(self, instrument=instrument, instrument_start=initial_afm_state(instrument))
 
     @property
     def period_s(self) -> float:
-        """Return the period of the hand [s]."""
+        """The period of the hand [s]."""
         return self.halves.period_s
 
     def run(
@@ -156,22 +157,22 @@ class Rig:
         *,
         at_once: bool = True,
     ) -> "Trajectory":
-        """Run the rig over a link, compiled or as plain Python, with the same bits.
+        """Run the rig over a link, compiled or as plain Python, which give the same bits.
 
         Args:
             schedule: The arrivals of `Schedule.of`, whose number of ticks is the length of the run.
-            session_tick: The tick at which the operator's program starts (`AfmConfig.time_to_place_s`), or later, when
-                the tip is placed.
-            hand: Steers the tip over the sample as well, with the steps of its class (`telenano.lockstep.steering`);
-                without a path the run ends when it is done.
-            path: The lateral path of the controller, by which a path or `hand` moves the tip; the run continues to its
-                end.
-            at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
-                where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
+            session_tick: The earliest tick at which the operator's program starts (`AfmConfig.time_to_place_s`); it
+                starts later if the tip is placed later.
+            hand: A hand that also steers the tip over the sample, with the steps of its class
+                (`telenano.lockstep.steering`); without `path` the run ends when it is done.
+            path: The lateral path of the controller, through which the stylus or `hand` moves the tip; the run then
+                takes all ticks.
+            at_once: Whether to compile for the first run, for a study of many runs. Otherwise a stored compiled loop is
+                used if there is one, and is compiled after PLAIN_TICKS ticks of its kind as plain Python.
 
         Raises:
-            ValueError: No tick is left for the session.
-            RigError: The tip was not placed in all of these ticks.
+            ValueError: `session_tick` is not within the run.
+            RigError: The tip was not placed within the run.
             ConfigError: A model cannot be compiled; no tick has run.
         """
         if not 0 <= session_tick < schedule.ticks:
@@ -201,13 +202,13 @@ class Rig:
 
 
 def _run_as_it_pays(rig: Rig, arguments: tuple[Any, ...]) -> tuple[int, int]:
-    """Run the loop compiled where that is kept or pays, and as plain Python otherwise, whose ticks are counted."""
+    """Run the loop compiled if that is stored or pays; otherwise run it as plain Python, and count the ticks."""
     kind = tuple(map(type, (rig.halves.law, rig.instrument.plant, *arguments)))
     if _plain_ticks[kind] >= PLAIN_TICKS or is_compiled(_run, arguments):
         try:
             counts: tuple[int, int] = compiled_call(_run, arguments)
             return counts
-        # what has run until now as plain Python continues so
+        # Continue as plain Python, because that has worked until now.
         except ConfigError as error:
             logging.getLogger("studies").warning("%s; it runs as plain Python", error)
             _plain_ticks[kind] = -_NEVER_NS
@@ -224,9 +225,9 @@ def _at(times_ns: npt.NDArray[np.int64], index: int) -> int:
 def _taken_together(
     times_ns: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64], sent: npt.NDArray[np.bool_], first: int
 ) -> tuple[int, int]:
-    """Return the last of the arrivals that come together with the first, and the newest number that was sent, or -1.
+    """Return the last arrival that comes together with the first, and the newest number of these that was sent, or -1.
 
-    sent: by number, modulo its length, which is a power of two.
+    sent: whether each number was sent, modulo its length, which is a power of two.
     """
     mask, last, newest = len(sent) - 1, first, -1
     while True:
@@ -250,16 +251,16 @@ def _run(
     steers: Any,
     path: AcrossPath | None,
 ) -> tuple[int, int]:
-    """Fill `rows` (columns, ticks) with the closed loop; the module's text gives the order.
+    """Fill `rows` (columns, ticks) with the closed loop, in the order of the module's docstring.
 
     Returns:
-        The tick at which the session began, -1 if it never did, and how many rows were filled.
+        The tick at which the session began, -1 if it never did, and the number of ticks that were run.
     """
-    # `Rig.run` keeps all arrays until the end, so that no call in here need count references to them.
+    # `Rig.run` keeps all arrays until the end, so no call in here needs to count references to them.
     halves, haptic, instrument = borrowed((halves, haptic, instrument))
     haptic_state, instrument_state = borrowed((haptic_state, instrument_state))
     schedule, rows = borrowed((schedule, rows))
-    # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
+    # Unpack the fields once, because every access to the tuple counts references to its arrays.
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
     dt, period_ns = halves.period_s, halves.master.period_ns
@@ -268,10 +269,10 @@ def _run(
     mask = window - 1
     forward = [NO_SIGNAL for _ in range(window)]
     backward = [NO_SIGNAL for _ in range(window)]
-    # A sample that the dead band keeps back has a place in the schedule, and arrives nowhere.
+    # A sample that the dead band suppresses has a place in the schedule, but does not arrive.
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
     answered = np.zeros(window, np.int64)
-    # the same of a hand that steers: speeds [m/s], and places with forces of the answers [m, N]
+    # The same for a hand that steers: speeds [m/s], and positions and forces of the answers [m, N].
     speeds, answers = np.zeros((window, 2)), np.zeros((window, 4))
     slave_band = initial_deadband_state(NO_SIGNAL)
     m, s = master_at(halves, haptic, haptic_state), slave_at(halves)
@@ -283,7 +284,7 @@ def _run(
         now_ns = n * period_ns
         if start < 0 and n >= session_tick and i.placed:
             start = n
-        # ticks of the session, negative before it
+        # Tick of the session, negative before it.
         since = n - start if start >= 0 else n - schedule.ticks
         session_s = since * dt if start >= 0 else -1.0
         haptic_state, hand = hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
@@ -353,7 +354,7 @@ def _run(
 
 @inlined
 def _record(row: Series, session_s: float, m: Master, tip: TipMeasurement, hand_energy_j: float, i: Instrument) -> None:
-    """Write down what stands at the end of a tick, in the order of COLUMNS."""
+    """Write the values at the end of a tick, in the order of COLUMNS."""
     row[0], row[1], row[2], row[3] = session_s, m.hand.force_n, m.hand.position_m, m.command.position_m
     row[4], row[5], row[6], row[7] = m.rendered_n, i.base_m, tip.force_n, tip.separation_m
     row[8], row[9] = hand_energy_j, i.energy_j

@@ -1,8 +1,8 @@
-"""A whole session of a scenario in lockstep, as `telenano up` runs it on processes: `telenano.simulate`.
+"""A whole session of a scenario in lockstep, which `telenano up` runs as processes: `telenano.simulate`.
 
 The steps are those of the nodes, the link is computed by its own engine, and nothing waits for a clock: the eight
-seconds of Fig. 12 take a fraction of one. What the processes add to it, their own delay of a millisecond or two and its
-jitter, is not in it.
+seconds of Fig. 12 take a fraction of a second. The delay of a millisecond or two that the processes add, and its
+jitter, are not simulated.
 """
 
 import math
@@ -47,7 +47,7 @@ from telenano.settings.scenario import LoadedScenario
 from telenano.wire.errors import ConfigError, known_names
 
 _RENAMED = {"operator_force_n": "hand_force_n"}
-# Of a session whose hand moves the tip across as well: column of the course, unit, and text.
+# Further columns if the hand also moves the tip across the sample: column of the rows, unit, and text.
 _ACROSS = {
     "hand_x_m": (across.X, "m", "Position of the hand across the sample, x"),
     "hand_y_m": (across.Y, "m", "Position of the hand across the sample, y"),
@@ -60,9 +60,9 @@ _ACROSS = {
     "across_j": (across.ENTERED, "J", "Energy that the hand has put in across the sample"),
     "depth_j": (across.ENTERED_DEPTH, "J", "Energy that the hand has put into the hold of its depth"),
 }
-# Makes the hand that steers (`telenano.lockstep.steering`), from the period [s].
+# Returns the hand that steers (`telenano.lockstep.steering`), for a period [s].
 Steers = Callable[[float], Any]
-# The same in the names and the frame of the bus, z away from the sample: column and sign of each.
+# The names and signs of the columns on the bus, whose frame has z away from the sample.
 _CHANNELS = {
     "haptic/state": {
         "position_m.2": ("hand_position_m", -1.0),
@@ -127,13 +127,16 @@ class SimulatedSession(Session):
     def of(
         cls, document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, at_once: bool = False
     ) -> "SimulatedSession":
-        """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
+        """Run a scenario that was read already.
 
         Args:
             document: The scenario.
-            origin: What an error names.
-            steers: Makes a hand that steers the tip across the sample, in mode rate.
+            origin: The name of the scenario in errors.
+            steers: Returns a hand that steers the tip across the sample, in mode rate.
             at_once: Whether to compile for the first session, as in `Rig.run`.
+
+        Raises:
+            ConfigError: The scenario cannot be simulated; the message names `origin` and the key at fault.
         """
         from telenano.analysis.recorded_session import planned_holds
 
@@ -226,28 +229,28 @@ class SimulatedSession(Session):
 
     @property
     def conditions(self) -> Conditions:
-        """What it was run with."""
+        """The conditions under which the session was run."""
         return self._conditions
 
     @property
     def measured_round_trip_ms(self) -> float | None:
-        """Median age of the hand's sample that an answer descends from [ms]."""
+        """Median age of the hand's samples that the answers descend from [ms]."""
         return self._measured_round_trip_ms
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
-        """The publishers of each channel that `table` gives."""
+        """The publishers of each channel that `table` returns."""
         return dict(_PUBLISHERS)
 
     def table(self, channel: str, src: str | None = None) -> ColumnTable:
-        """Return what a recording has on a channel, under its names and in its frame, z away from the sample.
+        """Return a channel as in a recording, with the names and the frame of the bus, z away from the sample.
 
         Args:
             channel: haptic/state or afm/state.
-            src: Its publisher; None and `*` take it as well.
+            src: The publisher; None and `*` mean the only one.
 
         Raises:
-            ConfigError: A simulation has no such channel or publisher; the message names those that it has.
+            ConfigError: A simulation has no such channel or publisher; the message names the possible ones.
         """
         if channel not in _CHANNELS:
             raise ConfigError(f"{channel}: a simulation has no such channel; {known_names(str(channel), _CHANNELS)}")
@@ -264,7 +267,7 @@ class SimulatedSession(Session):
 
     @cached_property
     def holds(self) -> list[Hold]:
-        """The holds of the hand, each judged."""
+        """The holds of the hand, each with its judgement."""
         time_s, tip_n = self["time_s"], self["scaled_tip_force_n"]
         return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._context)
 
@@ -276,17 +279,17 @@ class SimulatedSession(Session):
 
     @property
     def verdict(self) -> Kind:
-        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        """The verdict: that of the worst hold, or `guarded` if the instrument's guard ended the session."""
         return self._verdict[0]
 
     @property
     def reason(self) -> str:
-        """The verdict in words; a guard that acted comes first, with its time and limit."""
+        """The reason for the verdict in words; a guard that acted comes first, with its time and limit."""
         return self._verdict[1]
 
     @cached_property
     def felt_stiffness(self) -> FeltSession:
-        """What the hand felt of the stiffness that is there, or why that cannot be known."""
+        """The stiffness that the hand felt, compared with the actual one, or the reason why it is unknown."""
         course, time_s = self._trajectory, self["time_s"]
         hand = np.stack([time_s, self["hand_position_m"], self["operator_force_n"]])
         tip = np.stack([time_s, self["base_position_m"], self["tip_force_n"]])
@@ -326,8 +329,8 @@ def simulate_scenario(
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 
-    It runs as plain Python, a second for the eight of Fig. 12. A loop of some twenty such calls compiles the models,
-    which takes some ten seconds, is said, and is kept for later processes (docs/api.md).
+    It runs as plain Python, which takes a second for the eight of Fig. 12. After some twenty such calls the models are
+    compiled, which takes some ten seconds and is announced; later processes use the stored result (docs/api.md).
 
     Args:
         scenario: A known name or a YAML file. What the other arguments leave out is as in it.
@@ -359,29 +362,29 @@ def simulate_scenario(
     path = find_scenario(scenario)
     document = merge(read_yaml(path), nested(dict(settings or {}), "settings"), overrides)
     if operator is not None:
-        # in the place of that of the scenario, and not key by key: it may be of another kind
+        # Replace the scenario's operator as a whole, and not key by key, because its kind may be another one.
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
     return SimulatedSession.of(document, str(path))
 
 
-# An error of Python's names it as it is called.
+# The name under which users call it, for Python's error messages.
 simulate_scenario.__qualname__ = "telenano.simulate"
 
 
 def compile_scenario(scenario: str, law: str) -> None:
-    """Compile what a scenario runs with a law, in a session of two ticks, and keep it on the disk."""
+    """Compile the loop of a scenario with a law, by a session of two ticks, and store it on disk."""
     path = find_scenario(scenario)
     document = merge(read_yaml(path), {"controller": {"law": law}, "duration_s": 0.002})
     SimulatedSession.of(document, str(path), at_once=True)
 
 
 def _ages_s(schedule: Schedule, period_s: float) -> Any:
-    """Return the age of the hand's sample that each answer descends from [s]."""
+    """Return the age of the hand's sample that each answer descends from [s], shape (answers,)."""
     sent_ns = schedule.forward_of[schedule.backward_of] * round(period_s * 1e9)
     return 1e-9 * (schedule.backward_ns - sent_ns)
 
 
 def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -> float:
-    """Return the median age of the hand's sample that an answer descends from [ms]; the least one where none comes."""
+    """Return the median age of the hand's samples that answers descend from [ms]; `least_s` [s] if there is none."""
     ages_s = _ages_s(schedule, period_s)
     return round(1e3 * (float(np.median(ages_s)) if ages_s.size else least_s), 3)

@@ -1,4 +1,4 @@
-"""The two sites of the closed loop in lockstep: what each half, the hand and the instrument are, and their steps.
+"""The two sites of the closed loop in lockstep: states and steps of both halves, the hand and the instrument.
 
 The steps are those that the nodes call; `telenano.lockstep.lockstep` calls them in the order of the bus.
 """
@@ -26,7 +26,7 @@ from telenano.numerics.compiler import inlined
 from telenano.wire.messages import DELAY_STEP_NS
 from telenano.wire.topics import LOOP_DEADLINE_S
 
-# a rate of the hand that is older than the deadline of the loop moves nothing
+# A rate of the hand that is older than the deadline of the loop moves nothing [ns].
 _RATE_NS = round(LOOP_DEADLINE_S * 1e9)
 
 
@@ -47,21 +47,21 @@ def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     sample, mode = answer.sample, answer.allowed.mode
     following = mode == afm_safety.MODE_FOLLOW or mode == afm_safety.MODE_HOLD
     return TipMeasurement(
-        # A half sees the base where it would be without the offset.
+        # A half gets the position that the base would have without the offset.
         base_position_m=sample.base_m + answer.allowed.offset_m if following else sample.base_m,
         force_n=sample.force_n,
         separation_m=sample.distance_m,
         separation_valid=True,
         in_contact=sample.in_contact,
         following=following,
-        # the instrument carries out each command before the next one comes
+        # The instrument carries out each command before the next one comes.
         outstanding_m=0.0,
     )
 
 
 @inlined
 def _latest(signal: PortSignal, heard: NewestSignal, now_ns: int, round_trip_s: float) -> PortSignal:
-    """Return the newest signal with the two figures that its receiver fills in."""
+    """Return the newest signal with silence and round trip [s], which its receiver fills in."""
     if heard.received_ns < 0:
         return NO_SIGNAL
     return PortSignal(
@@ -81,12 +81,12 @@ def _latest(signal: PortSignal, heard: NewestSignal, now_ns: int, round_trip_s: 
 
 @inlined
 def _reported_delay_ns(delay_ns: int) -> int:
-    """Return the part of a delay that the link tells the guards [ns]."""
+    """Return the part of a delay that the link reports to the guards: whole steps [ns]."""
     return delay_ns - delay_ns % DELAY_STEP_NS
 
 
 class HandCommand(NamedTuple):
-    """What the haptic site obeys: mode, x_mr [m], and the times from which its age counts [ns]; -1 for none."""
+    """A command to the haptic site: mode, x_mr [m], and the times from which its age counts [ns]; -1 for none."""
 
     mode: int
     position_m: float
@@ -95,9 +95,10 @@ class HandCommand(NamedTuple):
 
 
 class Master(NamedTuple):
-    """The master half: timing, law, hand, newest signal and when its sample would have been back without the link [ns].
+    """State of the master half.
 
-    band, of the signals that it sends; command, to the hand; rendered_n, the force that the law ascribes to the
+    signal: the newest one received; answered_ns: time of the sample that it answers plus the reported delays [ns];
+    band: dead band of the signals that it sends; command: to the hand; rendered_n: force that the law attributes to the
     environment [N].
     """
 
@@ -112,9 +113,10 @@ class Master(NamedTuple):
 
 
 class Slave(NamedTuple):
-    """The slave half: timing, law, newest signal, what the instrument measured, and what it is to do.
+    """The slave half: timing, law, newest signal, measurement of the instrument, and reference for it.
 
-    hand_ns, the time that its command counts from: that of the hand's sample, told delay included [ns]; -1 for none.
+    hand_ns: time from which the age of its command counts: that of the hand's sample plus the reported delay [ns]; -1
+    for none.
     """
 
     timing: SlaveTiming
@@ -126,7 +128,7 @@ class Slave(NamedTuple):
 
 
 class Lateral(NamedTuple):
-    """The tip over the sample: place [m], speed [m/s] and until when that counts [ns], force on the tip [N]."""
+    """The tip over the sample: position [m], speed [m/s] and the time until which that is valid [ns], and force [N]."""
 
     x_m: float
     y_m: float
@@ -138,10 +140,10 @@ class Lateral(NamedTuple):
 
 
 class Instrument(NamedTuple):
-    """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J].
+    """The instrument: its state, times of its last step and of its next one without a command [ns], and its energy [J].
 
-    base_m: where its base is [m]; placed: whether that is where it was asked to be; reason: why its mode last changed;
-    withdrawn_s: when it last ceased to follow [s], NaN if it never did.
+    base_m: position of the base [m]; placed: whether the base has reached its target; reason: reason for the last
+    change of mode; withdrawn_s: time at which it last ceased to follow [s], NaN if it never did.
     """
 
     state: Any
@@ -183,7 +185,7 @@ def hand_stepped(
 
 @inlined
 def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
-    """Let the master half integrate what is due, and command the hand."""
+    """Let the master half integrate the periods that are due, and command the hand."""
     if m.timing.due == 0:
         return m
     round_trip_s = integration.round_trip_periods(m.timing, halves.master) * halves.period_s
@@ -228,7 +230,10 @@ def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int)
 def master_with_answer(
     halves: Halves, m: Master, signal: PortSignal, hand_ns: int, there_ns: int, now_ns: int
 ) -> Master:
-    """Return the master half after a signal that answers the sample of hand_ns, which was there at there_ns [ns]."""
+    """Return the master half after a signal that answers the sample of hand_ns, which reached the slave at there_ns.
+
+    All times are in ns.
+    """
     heard = Master(
         timing=integration.master_heard(m.timing, now_ns, hand_ns),
         law=m.law,
@@ -278,9 +283,9 @@ def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers:
 def _instrument_stepped(
     params: Any, i: Instrument, s: Slave, period_ns: int, now_ns: int, commanded: bool
 ) -> tuple[Instrument, TipMeasurement]:
-    """Step the instrument, on a command or by itself; return it with what it measured."""
+    """Step the instrument, on a command or by itself; return it and its measurement."""
     action = afm_safety.ACTION_POSITION if s.reference.active else afm_safety.ACTION_HOLD
-    # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
+    # The operator arms the instrument once, when commands come; a guard that trips later stays tripped.
     arm = commanded and not i.armed and s.reference.active
     age_s = np.inf if s.hand_ns < 0 else (now_ns - s.hand_ns) * 1e-9
     dt, lateral = min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9, i.lateral
@@ -318,7 +323,7 @@ def _instrument_stepped(
 
 @inlined
 def driven(i: Instrument, lateral: Lateral) -> Instrument:
-    """Return the instrument that is elsewhere over the sample, or continues from there."""
+    """Return the instrument with another position or speed over the sample."""
     return Instrument(
         state=i.state,
         stepped_ns=i.stepped_ns,
@@ -336,26 +341,26 @@ def driven(i: Instrument, lateral: Lateral) -> Instrument:
 
 @inlined
 def by_rate(was: Lateral, speed: Array, now_ns: int) -> Lateral:
-    """Return the way at a speed [m/s], until its deadline."""
+    """Return the lateral state with a new speed [m/s], which is valid until the deadline of the loop."""
     return Lateral(was.x_m, was.y_m, speed[0], speed[1], now_ns + _RATE_NS, was.force_x_n, was.force_y_n)
 
 
 @inlined
 def put_answer(row: Array, lateral: Lateral) -> None:
-    """Put what is known of the tip across into an answer."""
+    """Write lateral position [m] and force [N] of the tip into a row of an answer."""
     row[0], row[1], row[2], row[3] = lateral.x_m, lateral.y_m, lateral.force_x_n, lateral.force_y_n
 
 
 @inlined
 def counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
-    """Return whether the newest answer tells where the tip is."""
+    """Return whether the newest answer is recent enough to know the state of the tip."""
     heard = m.timing.heard
     return heard.received_ns >= 0 and m.signal.active and integration.silence_ns(heard, now_ns) * 1e-9 <= path.silence_s
 
 
 @inlined
 def continues(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
-    """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
+    """Return whether a signal continues the previous one and the instrument follows, and the time between them [s]."""
     timing, tick = integration.slave_tick(s.timing, halves.slave, now_ns, now_ns, hand_ns, True, False)
     follows = not tick.begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
     return follows, timing.pacing.elapsed * halves.period_s
@@ -365,7 +370,7 @@ def continues(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns
 def carried_out(
     halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int
 ) -> tuple[Slave, Instrument, PortSignal]:
-    """Let the instrument carry out the command of the slave half, and that account for it; return its answer."""
+    """Let the instrument carry out the slave half's command, and the half account for it; also return the answer."""
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, True)
     s, settled = _slave_measured(halves, s, tip, now_ns)
     law, signal = slave_send(halves.law, s.law, tip, settled.periods * halves.period_s)
@@ -375,7 +380,7 @@ def carried_out(
 
 @inlined
 def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -> tuple[Slave, Instrument]:
-    """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
+    """Let the instrument step by itself; the slave half steps too if its last signal still counts."""
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
     s, settled = _slave_measured(halves, s, tip, now_ns)
     if settled.continues:
@@ -386,7 +391,7 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
 
 @inlined
 def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, SlaveDecision]:
-    """Return the slave half after what the instrument measured, and what it does about that."""
+    """Return the slave half after a measurement of the instrument, and its decision on it."""
     follows = s.signal.active and tip.following
     timing, settled = integration.slave_measured(
         s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows

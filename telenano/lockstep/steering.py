@@ -1,14 +1,14 @@
-"""Hands that steer the tip across the sample in lockstep: what a package brings, and `simulate` runs.
+"""Hands that steer the tip across the sample in lockstep: a package provides them, and `simulate` runs them.
 
-A hand is a NamedTuple of arrays, which its steps change in place. It sees what has come back over the link, and says
-how fast the tip is to go:
+A hand is a NamedTuple of arrays, which its steps change in place. It gets the answers that come over the link, and
+returns the speed with which the tip should move:
 
     class Hand(NamedTuple):
         seen: npt.NDArray[np.float64]  # shape (4,)
 
     HandSteps(moves, sees).register(Hand)
 
-The steps are pure but for these arrays, marked `compiled`, and chosen by the class of the hand.
+The steps are pure except for these arrays, marked `compiled`, and selected by the class of the hand.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,13 +38,13 @@ def _writes_nothing(hand: Any, row: Row) -> None:
 
 
 class HandSteps(NamedTuple):
-    """The steps of a hand that steers, and what it adds to the course of a session.
+    """The steps of a hand that steers, and the columns that it adds to the results of a session.
 
-    moves(hand, tick) gives the speed of the tip in x and y that it asks for [m/s]; the session begins at the tick 0.
-    sees(hand, answer) takes the newest answer of the link, shape (4,): place of the tip [m], force across it [N].
-    notes(hand, part, force_n, across_n) takes what a judge may know and the hand may not: the state of the instrument's
-    part and the forces on the tip [N]. ends(hand) tells whether it is done; without a stylus the run ends then.
-    writes(hand, row) fills a row of its columns, of which `columns` has unit and text by name.
+    moves(hand, tick) returns the desired speed of the tip in x and y [m/s]; the session begins at tick 0.
+    sees(hand, answer) gets the newest answer of the link, shape (4,): position of the tip [m] and lateral force [N].
+    notes(hand, part, force_n, across_n) gets data for a judge that the hand itself must not use: the state of the
+    instrument's plant and the forces on the tip [N]. ends(hand) returns whether it is done; the run ends then, unless
+    it has a stylus. writes(hand, row) fills a row of its columns; `columns` has the unit and text of each by name.
     """
 
     moves: Callable[..., tuple[float, float]]
@@ -55,7 +55,7 @@ class HandSteps(NamedTuple):
     columns: Mapping[str, tuple[str, str]] = {}
 
     def register(self, kind: type) -> None:
-        """Let `simulate` run the hands of a class; TypeError, if others have this class already."""
+        """Register these steps for the hands of a class; raise TypeError if the class has steps already."""
         if kind in _HANDS:
             raise TypeError(f"other steps are those of the hand {kind.__module__}.{kind.__name__} already")
         _HANDS[kind] = self
@@ -65,7 +65,7 @@ _HANDS: dict[type, HandSteps] = {}
 
 
 def columns_of(hand: Any) -> Mapping[str, tuple[str, str]]:
-    """Return the columns that a hand adds to the course, each with its unit and text; none for None."""
+    """Return the columns that a hand adds to the results, with unit and text by name; empty for None."""
     return {} if hand is None else _HANDS[type(hand)].columns
 
 

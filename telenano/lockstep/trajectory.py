@@ -1,4 +1,4 @@
-"""The course of a run in lockstep, with what an analysis asks of it: the instrument, the context, the judged holds.
+"""The trajectory of a run in lockstep, with the views that an analysis needs: instrument, context and judged holds.
 
 course = rig.run(schedule, settle)
 course.tip_force_n[course.follows]
@@ -22,17 +22,17 @@ Series = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What happened, one value a tick of the hand, each of shape (n,), from the start of the session on.
+    """Results of a run from the start of the session, one value per tick of the hand, each of shape (n,).
 
-    hand_force_n, hand_position_m: F_m [N] on the device and x_m [m] at the tick. The rest is as it stands at the end of
-    the tick: reference_m, x_mr [m]; rendered_force_n, the force that the law ascribes to the environment, at the hand's
-    scale [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m];
-    hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
-    put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
-    safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
-    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10)
-    or wider, the course of the path across (`telenano.lockstep.across`), where there was one; begins_s, for how long
-    the rig ran before the session [s].
+    hand_force_n, hand_position_m: F_m [N] on the device and x_m [m] at the tick. All others are the values at the end
+    of the tick: reference_m, x_mr [m]; rendered_force_n, the force that the law attributes to the environment, at the
+    hand's scale [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m]; hand_energy_j, the work of
+    the hand on its device [J], the integral of F_m dx_m; tip_energy_j, the work of the base on cantilever and sample
+    [J], the integral of F_s dx_s; in_contact; instrument_mode (MODE_* of the AFM's safety chain); hand_following;
+    instrument_reason, the reason for the last change of that mode (REASON_*); withdrawn_s, the time at which the
+    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10) or
+    wider, the rows of the lateral path (`telenano.lockstep.across`), or None; begins_s, the time for which the rig ran
+    before the session [s].
     """
 
     time_s: Series
@@ -64,14 +64,14 @@ class Trajectory:
         return np.equal(self.instrument_mode, MODE_HOLD)
 
     def tip(self, position_scale: float | None = None, *, knows_contact: bool = True) -> Instrument:
-        """Return what the instrument says; position_scale, alpha_p, tells how far the hand is ahead of it."""
+        """Return the states of the instrument; with position_scale, alpha_p, also the lead of the hand over it [m]."""
         apart_m = None
         if position_scale is not None:
             apart_m = self.hand_position_m - self.base_position_m / position_scale
         return Instrument(self.follows | self.held, self.in_contact, self.held, apart_m, knows_contact)
 
     def context(self, safety: SafetyParams | None, context: SessionContext = NO_CONTEXT) -> SessionContext:
-        """Return what is known besides the series: when the loop was open, and the guard, which acts once."""
+        """Return `context` with the limits, the action of the guard, and the times at which the loop was open."""
         withdrawn = np.flatnonzero(np.isfinite(self.withdrawn_s))[:1].tolist()
         reasons = [REASON_NAMES[int(self.instrument_reason[i])] for i in withdrawn]
         guards = [Guard(float(self.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
@@ -82,7 +82,7 @@ class Trajectory:
         why = self.instrument_reason
         reports = [ModeReport(float(self.time_s[i]), "hold", REASON_NAMES[int(why[i])]) for i in begins]
         interruptions = interruptions_of("tip_held", self.time_s, self.held, reports)
-        # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
+        # A hand is released if commands are missing, or if the law uncouples it from a tip that is held or away.
         interruptions += interruptions_of("hand_let_go", self.time_s, ~self.hand_following, ())
         return context._replace(guards=guards, interruptions=sorted(interruptions, key=lambda one: one.start_s))
 
@@ -95,11 +95,11 @@ class Trajectory:
         *,
         knows_contact: bool = True,
     ) -> list[Hold]:
-        """Return what became of the holds of the hand, each judged.
+        """Return the holds of the hand, each with its judgement.
 
         Args:
             controller: The configuration of the law that ran.
-            transit_s: How long a command is in transit in the loop [s].
+            transit_s: The time for which a command is in transit in the loop [s].
             deadlines_s: The deadlines for commands of both devices [s].
             spans: Begin and end of each hold [s], with the force of the hand in it [N].
             knows_contact: Whether the instrument measures contact.
@@ -112,7 +112,7 @@ class Trajectory:
 
 
 def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> SessionContext:
-    """Return what a law and a link tell of a session: what the law rests at, how long a command is in transit [s]."""
+    """Return the context that follows from law and link: rest force of the law, transit time and deadline [s]."""
     rest_force = KNOWN_LAWS[controller.law].rest_force
     own = None if rest_force is None else functools.partial(rest_force, controller.params())
     return SessionContext(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)

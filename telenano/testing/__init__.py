@@ -1,7 +1,7 @@
 """A kit for the tests of packages: nodes, rigs, recordings, wires and damaged files, as a plug-in of pytest.
 
-`pip install telenano[testing]` adds pytest, which finds the fixtures of `telenano.testing.plugin` by itself; what is
-named here serves any other way to test as well. docs/extending/tests.md has a test with each.
+`pip install telenano[testing]` adds pytest, which finds the fixtures of `telenano.testing.plugin` by itself. The
+functions and classes exported here work with any other test runner too. docs/extending/tests.md has a test with each.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Nodes in virtual time, each alone on a bench, and what a package gives to one: drivers and programs."""
+"""Test benches for single nodes in virtual time, and for the drivers and programs that packages add to them."""
 
 from collections.abc import Iterator
 from importlib import import_module
@@ -16,12 +16,12 @@ from telenano.wire.sequence import Arrival
 if TYPE_CHECKING:
     from telenano.extend.programs import Inputs, Program, ProgramSettings
 
-# the period of an instrument [s]
+# Period of an instrument [s].
 _PERIOD_S = 1e-3
 
 
 class NodeBench:
-    """The world of one node in virtual time: what it publishes is kept, what it receives is made here.
+    """The surroundings of one node in virtual time: stores its published messages, and makes those that it receives.
 
     Args:
         key: The node and its site, such as `afm_node@slave`.
@@ -50,7 +50,7 @@ class NodeBench:
         self.clock.advance_ns(max(0, deadline_ns - self.clock.monotonic_ns()))
 
     def make(self, topic: str, src: str, **fields: Any) -> Message:
-        """Build a message with the next number of its source."""
+        """Return a message with the next number of its source."""
         seq = self._sequence.get((topic, src), 0)
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
@@ -58,18 +58,18 @@ class NodeBench:
         return compose(topic, {**header, **fields})[0]
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:
-        """Return a message of another node as the node would receive it now."""
+        """Return a message of another node, as received by the node now."""
         message = self.make(topic, src, **fields)
         return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
 
     def link_delay(self, direction: str, delay_ns: int) -> Received:
-        """Return what the link tells a reader of its delay."""
+        """Return a message of the link about its delay in a direction [ns]."""
         src = "delay_node@" + self.context.key.partition("@")[2]
         unknown = {"hand_t_ns": 0, "transit_ns": 0, "clock_ahead_ns": 0}
         return self.received("link/delay", src, direction=direction, delay_ns=delay_ns, **unknown)
 
     def take(self, topic: str) -> list[Any]:
-        """Return and remove what was published on a topic."""
+        """Return and remove the messages published on a topic."""
         taken = [message for name, message in self.sent if name == topic]
         self.sent = [(name, message) for name, message in self.sent if name != topic]
         return taken
@@ -79,21 +79,21 @@ class NodeBench:
 
 
 def afm_config(section: Any = None) -> Any:
-    """Return the settings of a section `afm_node`, validated; ValueError names what is wrong."""
+    """Return the validated settings of a section `afm_node`; raise ValueError if they are wrong."""
     from telenano.sections.afm_section import AfmConfig
 
     return section if isinstance(section, AfmConfig) else AfmConfig.model_validate(section or {})
 
 
 def instrument_of(section: Any = None) -> Any:
-    """Return the driver of a section `afm_node`, not yet open: the simulated instrument where it names none."""
+    """Return the driver of a section `afm_node`, not yet opened; by default the simulated instrument."""
     from telenano.devices.afm.instrument import driver_of
 
     return driver_of(afm_config(section))
 
 
 def afm_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
-    """Return the node with a driver of a package, opened, whatever the section names as its driver.
+    """Return the AFM node with an opened driver, instead of the driver that the section names.
 
     Raises:
         DeviceError: The driver refuses to open.
@@ -103,20 +103,20 @@ def afm_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
 
 
 def haptic_config(section: Any = None) -> Any:
-    """Return the settings of a section `haptic_node`, validated; ValueError names what is wrong."""
+    """Return the validated settings of a section `haptic_node`; raise ValueError if they are wrong."""
     from telenano.sections.hand_section import HapticConfig
 
     return section if isinstance(section, HapticConfig) else HapticConfig.model_validate(section or {})
 
 
 def haptic_device_of(section: Any = None) -> Any:
-    """Return the driver of a section `haptic_node`, not yet open: the simulated device where it names none."""
+    """Return the driver of a section `haptic_node`, not yet opened; by default the simulated device."""
     process = import_module(f"{module_of(name_of(HAND))}.__main__")
     return process.device_of(haptic_config(section))
 
 
 def haptic_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
-    """Return the node with a driver of a haptic device, opened, whatever the section names as its driver.
+    """Return the haptic node with an opened driver, instead of the driver that the section names.
 
     Raises:
         DeviceError: The driver refuses to open.
@@ -126,17 +126,17 @@ def haptic_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
 
 
 def _pass_ms(line: Any, duration_ms: int) -> None:
-    """Let the time of what is behind a node pass; a test may replace `pass_ms` of it meanwhile."""
+    """Let time pass for the device behind a node, by its `pass_ms`, which a test may replace at any time."""
     if hasattr(line, "pass_ms"):
         line.pass_ms(duration_ms)
 
 
 class InstrumentRig:
-    """An AFM node on a bench, over a wire (`RequestLine`) or with any driver, which a test commands as a law does.
+    """An AFM node on a bench, over a wire (`RequestLine`) or with any driver, which a test commands like a law.
 
     Args:
         bench: The bench of the node.
-        driver: The driver, or what has it as its attribute `driver` and lets its own time pass in `pass_ms`.
+        driver: The driver, or an object with the driver as attribute `driver` and a method `pass_ms` for its time.
         section: The section `afm_node`.
     """
 
@@ -145,12 +145,12 @@ class InstrumentRig:
         self.node = afm_node(bench, getattr(driver, "driver", driver), section)
 
     def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Command a base and a place over the sample, once a millisecond.
+        """Command a base position and a place over the sample, once per millisecond.
 
         Args:
-            count: How often.
-            x_s_m: Where the base is wanted, towards the sample [m].
-            place: Where over the sample the tip is wanted [m].
+            count: The number of commands.
+            x_s_m: The position of the base, towards the sample [m].
+            place: The place of the tip over the sample [m].
         """
         for _ in range(count):
             self.bench.advance_ms(1)
@@ -160,28 +160,28 @@ class InstrumentRig:
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 
     def control(self, command: str, **parameters: Any) -> str:
-        """Give the node a command, and return what it refuses it with; empty where it does not."""
+        """Send the node a command, and return the sentence with which it carries it out; RefusedError if refused."""
         fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
 
 
 class HandRig:
-    """A haptic node on a bench, over a wire or with any driver, which a test commands as a law does.
+    """A haptic node on a bench, over a wire or with any driver, which a test commands like a law.
 
     Args:
         bench: The bench of the node.
-        driver: The driver, or what has it as its attribute `driver` and lets its own time pass in `pass_ms`.
+        driver: The driver, or an object with the driver as attribute `driver` and a method `pass_ms` for its time.
         section: The section `haptic_node`.
     """
 
     def __init__(self, bench: NodeBench, driver: Any, section: Any = None) -> None:
         self.bench, self.line = bench, driver
         self.node = haptic_node(bench, getattr(driver, "driver", driver), section)
-        # where the device is wanted, on the axis of the paper [m]
+        # Commanded position of the device, on the axis of the paper [m].
         self.x_m = 0.0
 
     def tick(self, count: int = 1) -> None:
-        """Command the place `x_m` and let the node take its turn, once a millisecond, `count` times."""
+        """Command the position `x_m` and let the node step, `count` times, once per period of the node."""
         for _ in range(count):
             now_ns = self.bench.clock.now_ns()
             command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
@@ -194,7 +194,7 @@ class HandRig:
 
 
 def handed_over(one: Any, other: Any) -> Any:
-    """Return another node that goes on from the state of one, as a re-run from the middle of a journal does."""
+    """Return the node `other` after it has restored the state of `one`, as in a re-run from the middle of a journal."""
     from telenano.wire.node_state import pack, restore
 
     restore(other, pack(one), lambda *_: b"")
@@ -202,14 +202,14 @@ def handed_over(one: Any, other: Any) -> Any:
 
 
 def refused_program(driver: str, program: str) -> str:
-    """Return why a program cannot run on a driver of the instrument; empty where it can."""
+    """Return the reason why a program cannot run on a driver of the instrument; empty if it can."""
     from telenano.devices.afm.capabilities import refusal
 
     return refusal(driver, program)
 
 
 def refused_laws(driver: str) -> dict[str, str]:
-    """Return the laws that cannot be used with a driver of the instrument, and why, by their names."""
+    """Return the laws that cannot be used with a driver of the instrument, by name, with the reasons."""
     from telenano.launcher import plan
 
     return plan.refused_laws(driver)
@@ -221,19 +221,20 @@ def trial(
     stiffness_n_per_m: float = 40.0,
     most_s: float = 60.0,
 ) -> "Iterator[Inputs]":
-    """Yield what a program is given at each step until it is done, on an instrument as shipped over a linear spring.
+    """Run a program on the default instrument over a linear spring; yield its inputs at each step until it is done.
 
-    The base goes where the program wants it to be, and the stage no faster than it can; nothing guards the tip.
+    The base moves at once to the position that the program requests, and the stage at its limited speed; nothing guards
+    the tip.
 
     Args:
         program: The program to run.
         settings: Its settings.
-        stiffness_n_per_m: Force on the tip for each metre of the base beyond the surface at `rest_distance_m` [N/m].
-        most_s: The time after which a program that is not done is given up [s].
+        stiffness_n_per_m: Force on the tip per metre of the base beyond the surface at `rest_distance_m` [N/m].
+        most_s: The time after which an unfinished program is ended [s].
 
     Raises:
         RefusedError: The program refuses its settings.
-        TimeoutError: It is not done within most_s.
+        TimeoutError: The program is not done within most_s.
     """
     from telenano.extend.programs import Inputs, Instrument
     from telenano.extend.samples import Oscillation

@@ -1,4 +1,4 @@
-"""A command of `telenano`, in the process of a test or in one of its own."""
+"""Functions that run a command of `telenano`, in the process of a test or in another one."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ def invoke(arguments: Sequence[object], **settings: Any) -> "Result":
 
     Args:
         arguments: The words after `telenano`.
-        settings: What else `CliRunner.invoke` of Typer takes, such as `input` and `env`.
+        settings: Other arguments of `CliRunner.invoke` of Typer, such as `input` and `env`.
     """
     from typer.testing import CliRunner
 
@@ -26,14 +26,14 @@ def invoke(arguments: Sequence[object], **settings: Any) -> "Result":
 
 
 def run(*arguments: object) -> tuple[int, str, str]:
-    """Return exit code, standard output and standard error of a command, which raises nothing but its exit."""
+    """Return exit code, standard output and standard error of a command; fail if it raises anything but SystemExit."""
     result = invoke(arguments)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result.exit_code, result.stdout, result.stderr
 
 
 def run_program(*arguments: object) -> int:
-    """Return the exit code of the whole program in this process, which also says what is not installed."""
+    """Run the whole program in this process, with its messages on missing packages, and return the exit code."""
     from telenano.cli.app import main
 
     words, sys.argv = sys.argv, ["telenano", *map(str, arguments)]
@@ -49,7 +49,7 @@ def run_program(*arguments: object) -> int:
 def run_apart(
     *arguments: object, folder: Path | None = None, timeout_s: float = 240.0, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
-    """Return what a command does in a process of its own without an input, in a folder or that of the tests."""
+    """Run a command in another process without input, in `folder` or that of the tests; return the finished process."""
     return subprocess.run(
         [sys.executable, "-m", "telenano", *map(str, arguments)], cwd=folder, env=os.environ | environment,
         stdin=subprocess.DEVNULL, capture_output=True, encoding="utf-8", timeout=timeout_s, check=False,

@@ -1,4 +1,4 @@
-"""Files that are damaged on purpose, in the same way with the same seed."""
+"""Files that are damaged on purpose; the same seed gives the same damage."""
 
 import random
 import struct
@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 
 def damaged(whole: bytes, seed: int, count: int) -> Iterator[bytes]:
-    """Yield a file with bits flipped, a number at its end, or cut, lengthened, zeroed or doubled in parts.
+    """Yield copies of a file with flipped bits or an extreme number, or cut, lengthened, zeroed or doubled in parts.
 
-    Each reader of files has to answer each of them with what is right in it, or with a sentence.
+    A reader must return the valid content of each, or an error in a sentence.
 
     Args:
-        whole: The file as it should be.
+        whole: The undamaged file.
         seed: The seed of the damage.
-        count: How many files to yield; each sixth of them is damaged in one way.
+        count: The number of files; the six kinds of damage take turns.
     """
     dice = random.Random(seed)
     for number in range(count):

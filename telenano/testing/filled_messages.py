@@ -1,6 +1,6 @@
-"""Examples of each message by the case that they stand for: the least, the greatest, what is empty, other letters.
+"""Examples of each message, by test case: least and greatest values, empty fields, unusual characters.
 
-They are made from the schemas, so that a new field gets its own.
+They are made from the schemas, so new fields are filled too.
 """
 
 import sys
@@ -22,24 +22,24 @@ from telenano.wire.topics import Topic
 WITH_OPTIONAL = "_with_optional_keys"
 
 
-# A made-up text would not match the patterns of these strings.
+# Values of strings with a pattern, which the text of a case would not match.
 _PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance", "public_key": "07" * 32, "answers": "a9" * 32}
 
 
 _ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
 
 
-# This is the least integer that a reader loses if it keeps integers as doubles.
+# The least positive integer that a reader changes if it stores integers as doubles.
 _BEYOND_DOUBLE = 2**53 + 1
 
 
 @dataclass(frozen=True)
 class Case:
-    """How the fields of one example are filled.
+    """The values with which the fields of one example are filled.
 
-    `end`: integers take the lowest (0), a large odd (1) or the highest (2) value allowed. `numbers` are dealt out in
-    turn; where there are none, each takes the lowest (0) or the highest (2) value of its range. `choice` picks among
-    words and element types. `filled`: maps, lists, arrays and optional parts hold something.
+    `end`: integers get the lowest (0), a large odd (1) or the highest (2) allowed value. `numbers` are used for floats
+    in turn; if there are none, each float gets the lowest (`end` 0) or the highest value of its range. `choice` selects
+    among words and element types. `filled`: whether maps, lists, arrays and optional parts have content.
     """
 
     name: str
@@ -59,7 +59,7 @@ CASES = (
     Case("negative_zero", 1, (-0.0,), "-0", 4, True, True),
     Case("unicode", 1, (0.1, -2.0 / 3.0), 'Ångström µN 力 🔬 \u0000\n"', 5, False, True),
     Case("nil", 1, (2.5e-10, -1e-3), "nil", 6, True, False),
-    # the ends of the ranges; `greatest` lies beyond them and tells of the numbers themselves
+    # The ends of the ranges; `greatest` lies beyond them, and tests the numbers themselves.
     Case("highest", 2, (), "highest", 7, True, True),
     Case("lowest", 0, (), "lowest", 8, False, True),
 )
@@ -70,7 +70,7 @@ def schema_of(topic: Topic) -> dict[str, Any]:
     schema = json_schema(topic.model)
     schema["properties"]["v"]["maximum"] = topic.model.version
     if topic.model is not SessionControl:
-        # A reader ignores the keys that it does not know; a command with one is refused.
+        # A reader ignores unknown keys, except that a command with one is refused.
         for record in (schema, *schema.get("$defs", {}).values()):
             record.pop("additionalProperties")
     return {
@@ -83,9 +83,9 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 
 @cache
 def examples(topic: Topic) -> Mapping[str, Message]:
-    """Return one valid message a case, by the name of the case; the same ones every time.
+    """Return one valid message per case, by the name of the case; the same ones every time.
 
-    Where keys may be absent each case is there without them, and once more with all of them.
+    If the message has optional keys, there is each case without them, and another one with all of them.
     """
     schema = json_schema(topic.model)
     sets = {"": schema["required"]}
@@ -145,14 +145,14 @@ class _Filler:
 
     def _numeric_array(self) -> dict[str, Any]:
         kind = _ELEMENT_TYPES[self._case.choice % len(_ELEMENT_TYPES)]
-        # The elements begin below zero where the type allows it, and are nanometres where it has fractions.
+        # The elements begin below zero for signed types, and are multiples of 0.5 nm for floats.
         steps = np.arange(6 if self._case.filled else 0) - (0 if kind == "u1" else 3)
         elements = (steps * (0.5e-9 if kind[0] == "f" else 1)).astype(kind)
         shaped = elements.reshape((2, -1) if elements.size else (0,))
         return fields_of(Array.from_numpy(shaped))
 
     def _object(self, schema: dict[str, Any]) -> dict[str, Any]:
-        # The map may hold several kinds of values, and each needs an entry.
+        # A map may hold several kinds of values; each gets an entry.
         kinds = schema["additionalProperties"].get("anyOf", [schema["additionalProperties"]])
         return {f"section.{self._case.name}_{kind['type']}": self._value(kind) for kind in kinds if self._case.filled}
 
@@ -169,7 +169,7 @@ class _Filler:
     def _number(self, schema: dict[str, Any]) -> float:
         value = next(self._numbers)
         if not self._case.numbers:
-            # A quantity without a unit of its own has no range.
+            # A quantity without a unit has no range.
             largest = sys.float_info.max
             return float(schema.get("maximum", largest) if self._case.end else schema.get("minimum", -largest))
         return -value if value < 0.0 and schema.get("minimum") == 0.0 else value

@@ -1,4 +1,4 @@
-"""Frames that no node of ours would send, the same for a seed: extreme messages in the schemas, and broken ones."""
+"""Frames that no real node sends, for fuzz tests: extreme messages within the schemas, and broken ones, from a seed."""
 
 import math
 import random
@@ -22,7 +22,7 @@ from telenano.wire.messages import Array
 from telenano.wire.nodes import LINK, NODES, name_of
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 
-# what a command may set at whom
+# Keys that a command may set, by node.
 KEYS: dict[str, tuple[str, ...]] = {
     "controller": tuple(flatten(ControllerConfig().model_dump())),
     "delay_node": (*LinkSettings().flattened(), "forward.topics.teleop/forward.delay_s"),
@@ -42,10 +42,10 @@ TARGETS = ("*", "controller@slave", "controller@master", "afm_node", "haptic_nod
 
 @dataclass
 class Frames:
-    """Makes frames; `now_ns` is what the readers' clock shows.
+    """Makes frames; `now_ns` is the time on the readers' clock [ns].
 
-    gentle: leaves out commands that end what a live session is judged by: its programme, its law, the samples that a
-    dead band leaves out, its link, its files.
+    gentle: leaves out commands that would change the basis on which a live session is judged: its programme, law, dead
+    band, link and files.
     """
 
     seed: str
@@ -58,10 +58,10 @@ class Frames:
         self._schemas = {name: schema_of(row) for name, row in TOPICS.items()}
         self._valid = {name: [encode(m) for m in examples(row).values()] for name, row in TOPICS.items()}
 
-    # --- what the schemas allow ---
+    # --- frames that the schemas allow ---
 
     def extreme(self, topic: str) -> bytes:
-        """Return a message that the schema of a topic allows, with values at the ends of what they may be."""
+        """Return an encoded message that the schema of a topic allows, with values at the ends of their ranges."""
         schema = self._schemas[topic]
         fields = self._object(schema, schema)
         if topic == "session/control":
@@ -74,7 +74,7 @@ class Frames:
         rng = self.random
         known = [node.key for node in NODES] + ["fuzz@slave", "fuzz@master", "a@b", "n" * 31 + "@" + "s" * 32]
         if self.gentle and row.name == "link/delay":
-            # whoever speaks in the name of the link says how old the samples of the hand may be
+            # A message in the name of the link would change the permitted age of the hand's samples.
             known = [key for key in known if name_of(key) != LINK]
         src = rng.choice(known) if rng.random() < 0.9 else f"made_up_{rng.randrange(2000)}@slave"
         seq = self._seq.get((row.name, src), -1) + 1
@@ -158,7 +158,7 @@ class Frames:
         if name == "src":
             return "fuzz@slave"
         if schema.get("pattern") == "^[a-z][a-z0-9_]{0,31}$":
-            # programs of packages have names of their own
+            # Packages add programs with other names.
             return rng.choice(("scan", "z", "p" + 31 * "_"))
         if "[0-9a-f]{64}" in schema.get("pattern", ""):
             return f"{rng.getrandbits(256):064x}"
@@ -185,10 +185,10 @@ class Frames:
         count = rng.choice((0, 1, 2, 30)) if rng.random() < 0.998 else 1024
         return [self._value(schema["items"], root) for _ in range(min(count, schema.get("maxItems", count)))]
 
-    # --- what they do not ---
+    # --- frames that they do not allow ---
 
     def broken(self, topic: str) -> tuple[bytes, ...]:
-        """Return frames of which most are no message: changed, cut, spliced, a key twice, wrong kinds, bombs."""
+        """Return frames that are mostly invalid: changed, cut, spliced, with a key twice, wrong types, or bombs."""
         rng = self.random
         payload = rng.choice(self._valid[topic]) if rng.random() < 0.5 else self.extreme(topic)
         way = rng.random()
@@ -246,7 +246,7 @@ class Frames:
 
 
 def stream(frames: Frames, topics: Sequence[str], count: int) -> Iterator[tuple[bytes, ...]]:
-    """Yield `count` extreme messages and as many broken ones, on the topics in turn."""
+    """Yield `count` extreme messages and `count` broken ones alternately, on the topics in turn."""
     for number in range(count):
         topic = topics[number % len(topics)]
         yield topic.encode(), frames.extreme(topic)

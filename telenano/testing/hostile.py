@@ -1,7 +1,7 @@
-"""A service or a board that answers twice, late, out of turn or not at all, for the tests of a driver.
+"""A service or board that answers twice, late, out of order or not at all, for tests of a driver.
 
-A test of a driver gives the time, and lets the place that its service answers with be the time at which it was taken.
-So it knows the true age of every reading, and compares it with the age that the driver tells.
+A test of a driver controls the time, and lets its service return the time of measurement as the position. So it knows
+the true age of every reading, and compares it with the age that the driver reports.
 """
 
 from collections import deque
@@ -23,16 +23,16 @@ _MS = 1_000_000
 _LATE_NS = 80 * _MS
 _HELD_NS = 200 * _MS
 _AGAIN_NS = _MS // 2
-# answers of before that come at once
+# Number of earlier answers that come at once.
 _PUSHED = 40
 
 
 class HostileService:
-    """What is between a service and a driver.
+    """Disturbed transmission of answers between a service and a driver.
 
     Args:
         kind: One of `HOSTILITIES`.
-        begins_ns: The time from which on it is hostile [ns].
+        begins_ns: The time from which on the answers are disturbed [ns].
     """
 
     def __init__(self, kind: str, begins_ns: int) -> None:
@@ -45,7 +45,7 @@ class HostileService:
         self._count = 0
 
     def put(self, answer: bytes, now_ns: int) -> None:
-        """Take an answer of the service at a time [ns]."""
+        """Add an answer of the service at a time [ns]."""
         kind = self.kind if now_ns >= self._begins_ns else "none"
         self._count += 1
         if kind == "half":
@@ -68,18 +68,18 @@ class HostileService:
         self._before.append(answer)
 
     def take(self, now_ns: int) -> list[bytes]:
-        """Return what has come to the driver by a time [ns], each answer once."""
+        """Return and remove the answers that have arrived at the driver by a time [ns]."""
         come = [answer for due_ns, answer in self._due if due_ns <= now_ns]
         self._due = [(due_ns, answer) for due_ns, answer in self._due if due_ns > now_ns]
         return come
 
     def forget(self) -> None:
-        """Lose what is under way, as a connection that ends does."""
+        """Drop the answers in transit, as when a connection ends."""
         self._due.clear()
 
 
 class TakenReading(NamedTuple):
-    """A reading: the age that the driver tells and the true one [s], and whether the driver calls it good."""
+    """A reading: the age that the driver reports and the true one [s], and whether the driver calls it good."""
 
     reported_age_s: float
     true_s: float
@@ -87,5 +87,5 @@ class TakenReading(NamedTuple):
 
 
 def unseen(readings: Iterable[TakenReading], limit_s: float = 0.05) -> list[TakenReading]:
-    """Return the readings that are older than a limit, while the driver calls them good and not older than that."""
+    """Return the readings older than a limit [s] that the driver reports as good and not older than the limit."""
     return [reading for reading in readings if reading.is_good and reading.reported_age_s <= limit_s < reading.true_s]

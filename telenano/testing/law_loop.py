@@ -17,9 +17,11 @@ LOST = -1
 
 @dataclass
 class LawRun:
-    """One value a tick: hand's reference [m], force shown to it [N], base [m], force on the tip [N]; and the work.
+    """Results of a run, one value per tick.
 
-    entered_j: of the hand on the law since the start, left_j: of the law on the environment, at the hand's scale.
+    reference_m, shown_n: reference of the hand [m], and force shown to it [N]; base_m, force_n: position of the base
+    [m], and force on the tip [N]; entered_j: work of the hand on the law since the start; left_j: work of the law on
+    the environment, at the hand's scale [J]; masters, slaves: the states of both halves.
     """
 
     reference_m: Any
@@ -45,8 +47,9 @@ def run_law(
 ) -> LawRun:
     """Run a law; `forward(n)`, `backward(n)`: delay of the signal of tick n in ticks, or LOST.
 
-    `touches(force_n)`: whether the tip is in contact. A reader acts on what is newer than what it has, as the
-    bus does. With no delay the answer is of the same tick.
+    `hand_force(n)`: force of the hand [N]; `environment(base_m)`: force on the tip [N]; `touches(force_n)`: whether the
+    tip is in contact. A reader uses only signals newer than the one that it has, as on the bus. Without delay the
+    answer arrives in the same tick.
     """
     law = LAWS[name]
     config = ControllerConfig.model_validate({"law": name, name: parameters, "clamp": clamp.model_dump()})
@@ -70,7 +73,7 @@ def run_law(
         if due:
             served, last = max(due, key=lambda pair: pair[0])
             last_at = n
-        # the instrument steps by itself when nothing comes, and the slave half with it
+        # If no signal comes, the instrument steps by itself, and the slave half with it.
         local = config.local_loop and last_at >= 0 and last.active and n - last_at <= 50
         if due or local:
             silence = (n - last_at) * PERIOD_S

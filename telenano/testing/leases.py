@@ -1,4 +1,4 @@
-"""The lease of a rig as others see it and take it, for tests of what holds the hand."""
+"""The lease of control of a rig, as other parties read and take it, for tests of programs that hold control."""
 
 
 class LeaseOfRig:
@@ -10,12 +10,12 @@ class LeaseOfRig:
         self._register = LeaseRegister()
 
     def holder(self) -> str:
-        """Return who has control: the name of a person, else what the program is; empty where nobody has it."""
+        """Return the holder of control: the name of a person, otherwise the kind of program; empty if it is free."""
         holder = self._register.look().holder
         return "" if holder is None else holder.name or holder.what
 
     def lapse(self) -> None:
-        """Let the time pass after which a holder that was not heard has vanished."""
+        """Let the time pass after which a silent holder counts as vanished."""
         from telenano.console.lease import VANISHED_NS, current
 
         self._register.change(lambda lease, now_ns: current(lease, now_ns + 2 * VANISHED_NS))

@@ -24,16 +24,16 @@ def print_table(
     fault: Callable[[_Outcome], str],
     note: Callable[[Any], str] = lambda kind: "",
 ) -> dict[str, list[_Outcome]]:
-    """Make files of each kind that the command line asks for, print a row for each, and return what became of them.
+    """Make files of each kind that the command line names, print a row for each kind, and return the outcomes by kind.
 
     Args:
-        about: What the program says of itself.
-        kinds: What makes a file of a kind; its name stands in the row and is what `--kind` takes.
-        outcome: Gives what became of the file of a kind and a seed, which is made in a folder.
-        columns: By heading, what is said of all outcomes of a kind.
-        reason: Why a file was refused, empty where it was read; `--reasons` prints the reasons that differ.
-        fault: What is wrong with an outcome, empty for nothing; `--reasons` prints it with the seed.
-        note: What is said of a kind behind its name.
+        about: The description of the program in its help.
+        kinds: Functions that make a file of a kind; their names stand in the rows and are the choices of `--kind`.
+        outcome: Makes the file of a kind and a seed in a folder, and returns the result of reading it.
+        columns: Functions of all outcomes of a kind, by the heading of their column.
+        reason: Returns the reason why a file was refused, empty if it was read; `--reasons` prints different reasons.
+        fault: Returns the fault of an outcome, empty if there is none; `--reasons` prints it with the seed.
+        note: Returns a remark on a kind, which stands behind its name.
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("count", nargs="?", type=int, default=50, metavar="COUNT", help="files of each kind")

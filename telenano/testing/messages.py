@@ -1,4 +1,4 @@
-"""Messages with a number, a time and values of choice: of a topic, of the hand, and as a recording has them."""
+"""Messages for tests, with given number, time and values: of any topic, of the hand, and as in a recording."""
 
 from typing import Any
 
@@ -10,19 +10,19 @@ from telenano.wire import TOPICS, Message, encode, example
 from telenano.wire.codec import fields_of as fields_of_message
 
 _MS = 1_000_000
-# when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
+# Time of sending of the message with number 0 [ns since 1970]; each one is sent a millisecond after the previous one.
 EPOCH_NS = 1_750_000_000_000_000_000
 
 
 def numbered(topic: str, seq: int, **changes: Any) -> Message:
-    """Return an example of a message with this number and its time of sending, with some fields changed."""
+    """Return an example message of a topic with this number and its time of sending; `changes` replace fields."""
     return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * _MS} | changes))
 
 
 def hand_state(seq: int, **changes: Any) -> Message:
-    """Return a numbered `haptic/state`, whose place and force are others with each of ten thousand numbers.
+    """Return a numbered `haptic/state`, whose position and force differ for each of ten thousand numbers.
 
-    They begin anew then, because a test that publishes for long has to stay within the ranges of the wire.
+    After these they repeat, because a test that publishes for long must stay within the ranges of the wire.
     """
     place = seq % 10_000
     fields = {"position_m": (0.0, 0.0, -1e-3 * place), "operator_force_n": (0.1, 0.2, -0.5 - place)}
@@ -30,7 +30,7 @@ def hand_state(seq: int, **changes: Any) -> Message:
 
 
 def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
-    """Return the fields of an example of a message without its header, with some changed, to publish it."""
+    """Return the fields of an example message without its header, for `publish`; `changes` replace fields."""
     required = {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
     found = fields_of_message(example(topic))
     present = {name: value for name, value in found.items() if value is not None or name in required}
@@ -38,7 +38,7 @@ def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
 
 
 def payload(topic: str, src: str, seq: int) -> bytes:
-    """Return an ordinary message of a source with a number, as it is on the wire."""
+    """Return the encoded ordinary example of a topic, with the given source and number."""
     return encode(msgspec.structs.replace(examples(TOPICS[topic])["ordinary"], src=src, seq=seq))
 
 

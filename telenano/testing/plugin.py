@@ -1,6 +1,6 @@
 """The fixtures of the kit, which pytest finds by the entry point of the wheel.
 
-Every pytest on a machine with telenano imports this module, and so it imports nothing before a fixture is asked for.
+Every pytest on a machine with telenano imports this module, so it imports other modules only when a fixture is used.
 """
 
 import hashlib
@@ -27,10 +27,11 @@ def bench_of() -> "type[NodeBench]":
 
 @pytest.fixture
 def virtual_rig(tmp_path: Path) -> "Iterator[Callable[..., VirtualRig]]":
-    """Return what makes a rig of both sites in virtual time, of settings as `--set` takes them, and closes it.
+    """Return a function that makes a rig of both sites in virtual time; the rig is closed after the test.
 
-    Its recording is in a folder of its own; `seed`, `scenario` and `timing` are those of `VirtualRig`. Where it is to
-    be `running`, both devices are armed and the programme of the hand has begun, 0.3 s after the nodes.
+    The arguments are settings in the form of `--set`, and `seed`, `scenario` and `timing` of `VirtualRig`. Each
+    recording has its own folder. With `running=True` both devices are armed, and the programme of the hand has begun,
+    0.3 s after the nodes.
     """
     from telenano.virtual import ARMED_S, STARTED_S, VirtualRig
 
@@ -53,7 +54,7 @@ def virtual_rig(tmp_path: Path) -> "Iterator[Callable[..., VirtualRig]]":
 
 @pytest.fixture
 def live_rig(tmp_path: Path) -> "Iterator[LiveRig]":
-    """Return a rig of real processes that is not started yet, and take it down, whatever becomes of the test."""
+    """Return a rig of real processes that is not started yet; it is ended after the test, even if that fails."""
     from telenano.testing.processes import LiveRig
 
     rig = LiveRig(tmp_path)
@@ -65,15 +66,15 @@ def live_rig(tmp_path: Path) -> "Iterator[LiveRig]":
 def recordings_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the recordings that all tests of a run share."""
     base = tmp_path_factory.getbasetemp()
-    # the workers of a run have folders of their own in one
+    # The workers of a run have separate folders in a common one.
     return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "recorded"
 
 
 @pytest.fixture(scope="session")
 def recording_of(recordings_folder: Path) -> Callable[..., Path]:
-    """Return what records the beginning of Fig. 12 in virtual time, as `record_fig12` does, once for all tests.
+    """Return a function that records the beginning of Fig. 12 in virtual time, as `record_fig12`, once for all tests.
 
-    It takes a law and settings as `--set` takes them. The file belongs to all tests: copy it before changing it.
+    Its arguments are a law and settings in the form of `--set`. All tests share the file: copy it before changing it.
     """
     from telenano.testing.recordings import record_fig12, recording_with
 
@@ -90,20 +91,20 @@ def recording_of(recordings_folder: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the closed loop of studies as plain Python: the same bits, and a short one is done before it is compiled."""
+    """Run the closed loop of studies as plain Python, with the same bits: a short run is faster than compiling."""
     monkeypatch.setattr("telenano.lockstep.lockstep.compiled_call", lambda step, given: step(*given))
     monkeypatch.setattr("telenano.lockstep.lockstep.is_compiled", lambda step, given: False)
 
 
 @pytest.fixture
 def without_realtime(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no command of this process request real-time scheduling, which would outlast the test."""
+    """Prevent commands in this process from requesting real-time scheduling, which would outlast the test."""
     monkeypatch.setattr("telenano.runtime.loop.realtime.apply_realtime", lambda *settings: None)
 
 
 @pytest.fixture
 def networks_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Return a folder whose profiles of networks are known by name in this test, as TELENANO_NETWORKS makes them."""
+    """Return a folder for network profiles that this test can use by name, set as TELENANO_NETWORKS."""
     from telenano.settings import network_profiles
 
     def forget() -> None:

@@ -1,4 +1,4 @@
-"""A rig of real processes on this machine: `telenano up` in the background, and the commands of a person beside it."""
+"""A rig of real processes on this machine: `telenano up` in the background, and commands of a person to it."""
 
 import json
 import os
@@ -14,30 +14,30 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from telenano.recording import Recording
 
-# far beyond what is expected: it only keeps a broken rig from holding the suite
+# Far longer than expected: it only keeps a broken rig from blocking the suite [s].
 PATIENCE_S = 150.0
-# the end of a log that a failure shows [characters]
+# Length of the end of a log that a failure shows [characters].
 _LOG_END = 1500
 
 
 class LiveRig:
-    """A rig in a folder of its own, with runtime files that no other rig sees.
+    """A rig in a separate folder, with runtime files that no other rig uses.
 
     Args:
-        folder: The folder, which gets the session's own `out`.
+        folder: The folder; the session writes to `out` in it.
     """
 
-    # what a rig is started with, beside the words of the test
+    # Arguments of every start, before those of the test.
     usual: Sequence[str] = ()
-    # called in each process of `telenano up` before it begins
+    # Called in each process of `telenano up` before it begins.
     before_start: Callable[[], None] | None = None
-    # where its commands run; None for the folder of the tests
+    # Folder in which its commands run; None for the folder of the tests.
     working_folder: Path | None = None
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.out = folder / "out"
-        # the path of a socket is short by law, and folders of tests are not
+        # The length of a socket's path is limited, and folders of tests are longer.
         self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
         self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
         self.process: subprocess.Popen[str] | None = None
@@ -67,7 +67,7 @@ class LiveRig:
         return self.process.returncode, json.loads(out) if out.strip() else {}, err
 
     def stop(self) -> tuple[int, dict[str, Any], str]:
-        """End the session as Ctrl-C does and wait for its end; return as `finish` does."""
+        """End the session like Ctrl-C, wait for its end, and return the result of `finish`."""
         assert self.process is not None, "no session was started"
         self.process.send_signal(signal.SIGINT)
         return self.finish()
@@ -77,14 +77,14 @@ class LiveRig:
         return [sys.executable, "-m", "telenano", *arguments]
 
     def telenano(self, *arguments: str, patience_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
-        """Run another command beside the rig."""
+        """Run another command beside the rig; return the finished process."""
         return subprocess.run(
             self.command(*arguments), env=self.environment, cwd=self.working_folder, stdin=subprocess.DEVNULL,
             capture_output=True, text=True, timeout=patience_s, check=False,
         )  # fmt: skip
 
     def process_of(self, node: str) -> int | None:
-        """Return the process id of a node of this rig, such as controller@slave; None where it does not run."""
+        """Return the process id of a node of this rig, such as controller@slave; None if it does not run."""
         name, _, site = node.partition("@")
         for process_id, words in _processes():
             # Nodes that share a process are named in its command line.
@@ -95,7 +95,7 @@ class LiveRig:
 
     def process_ids(self) -> list[int]:
         """Return the ids of all processes that run for this rig, its launcher included."""
-        # the process that reads the nodes for all observers knows their endpoints alone
+        # The command line of the fan-out has only the endpoints of the nodes, not the folder.
         own = (str(self.out), f"ipc://{self.sockets}")
         return [process_id for process_id, words in _processes() if any(word.startswith(own) for word in words)]
 
@@ -118,7 +118,7 @@ class LiveRig:
         return "\n".join(f"== {path.name}\n" + path.read_text()[-_LOG_END:] for path in paths)
 
     def log_has(self, node: str, text: str, times: int = 1) -> bool:
-        """Return whether the log of a node has a text, or has it a number of times."""
+        """Return whether the log of a node contains a text at least `times` times."""
         path = self.out / "logs" / f"{node}.log"
         if not path.exists():
             # Nodes that share a process share its log.
@@ -130,12 +130,12 @@ class LiveRig:
         return self.log_has("launcher@master", "the session is running")
 
     def wait_until(self, condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
-        """Wait until something is true of the rig.
+        """Wait until a condition is true; fail if the rig ends, or after a time.
 
         Args:
-            condition: Returns whether it is true.
-            what: What is waited for, in words, for the failure.
-            patience_s: How long [s].
+            condition: Returns whether the condition is true.
+            what: Description of the condition for the failure.
+            patience_s: The time after which to fail [s].
         """
         end = time.monotonic() + patience_s
         while time.monotonic() < end:
@@ -146,7 +146,7 @@ class LiveRig:
         raise AssertionError(f"waited in vain for: {what}\n{self.logs()}")
 
     def close(self) -> None:
-        """Take down what still runs and leave no socket behind."""
+        """End all processes of the rig, and remove its sockets."""
         if self.process is not None:
             if self.process.poll() is None:
                 self.process.terminate()
@@ -156,7 +156,7 @@ class LiveRig:
                 self.process.kill()
                 self.process.communicate()
             except ValueError:
-                # the pipes were read to their end and closed by `finish`
+                # `finish` has read the pipes to their end and closed them.
                 self.process.wait()
         shutil.rmtree(self.sockets, ignore_errors=True)
 

@@ -1,4 +1,4 @@
-"""Recordings for tests: of a session of both sites in virtual time, made once for all tests that read it."""
+"""Recordings for tests: sessions of both sites in virtual time, made once for all tests, and made-up files."""
 
 import fcntl
 import json
@@ -18,7 +18,7 @@ from telenano.virtual import record_session
 from telenano.wire import encode
 from telenano.wire.messages import Array
 
-# of the scan lines of `rich_recording`, times the number of the message [m]
+# Heights in the scan lines of `rich_recording`, which are these times the number of the message [m].
 HEIGHTS_M = np.array([1e-9, -2.5e-10, 3e-12])
 
 
@@ -35,13 +35,13 @@ def record_fig12(
     """Record the beginning of Fig. 12 in virtual time: real nodes of both sites, the link and the recorder.
 
     Args:
-        folder: The folder of the recording, which is made.
+        folder: The folder of the recording, which is created.
         law: The law.
-        settings: What else of the scenario is changed, as `--set` takes it.
-        delay_s: The delay of the link in either direction [s].
+        settings: Further settings of the scenario, in the form of `--set`.
+        delay_s: The delay of the link in each direction [s].
         seed: The seed of all delays on the sites.
-        programme_s: After how long the programme of the hand ends [s]; the whole takes 8 s.
-        duration_s: How long the nodes run, of which 0.3 s lie before the programme [s].
+        programme_s: The length of the programme of the hand [s]; the whole one takes 8 s.
+        duration_s: The time for which the nodes run, including 0.3 s before the programme [s].
 
     Returns:
         The path of the recording.
@@ -54,17 +54,17 @@ def record_fig12(
 
 
 def recording_with(folder: Path, name: str, make: Callable[[Path], Path]) -> Path:
-    """Return a recording that is made when it is first asked for, by whichever process of a test run comes first.
+    """Return the path of a recording, which the first process of a test run that needs it makes.
 
     Args:
         folder: The folder of all recordings of the run.
-        name: The name of its own folder.
-        make: Makes the recording in the folder that it is given.
+        name: The name of the recording's folder.
+        make: Makes the recording in a given folder.
     """
     path = folder / name / "session.mcap"
     folder.mkdir(exist_ok=True)
     with (folder / f"{name}.lock").open("w") as lock:
-        # another worker may be making it
+        # Another worker may be making it now.
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
             made = folder / f"{name}.made"
@@ -101,7 +101,7 @@ def rich_recording(folder: Path) -> Path:
 
 
 def hand_recording(folder: Path, messages: int) -> Path:
-    """Write the hand at 100 Hz in chunks of 8 kB."""
+    """Write a recording of a number of messages of the hand at 100 Hz, in chunks of 8 kB."""
     from telenano.testing.messages import EPOCH_NS, hand_state
 
     writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder, chunk_size_bytes=8192))
@@ -114,7 +114,7 @@ def hand_recording(folder: Path, messages: int) -> Path:
 
 
 def foreign_recording(path: Path, attachments: Mapping[str, bytes]) -> Path:
-    """Write a recording of a stranger: a topic that nobody here knows, and attachments of any name."""
+    """Write a recording of a foreign program: an unknown topic, and attachments of any name."""
     facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
     with CopyWriter(path) as writer:
         channel = RawChannel("new/topic", "msgpack", facts, None)

@@ -1,4 +1,4 @@
-"""Two processes that change a shared file at the same moment, and a disk that has room for a number of pages."""
+"""Tests of shared files: two processes that change a file at the same time, and a disk with room for some pages."""
 
 import multiprocessing
 import os
@@ -12,16 +12,16 @@ from typing import NamedTuple
 from telenano.wire.errors import TelenanoError
 
 _DISK_BYTES = 256 << 10
-# Two processes that wait for one another for longer than this [s] never will.
+# Time after which two processes that wait for one another are given up [s].
 _LONGEST_S = 60.0
 
 
 @contextmanager
 def disk_of(folder: Path, size: str | int) -> Iterator[Path]:
-    """Yield a folder that is a small disk of its own."""
+    """Mount a small disk at a folder, and yield it; skip the test if that is not possible."""
     folder.mkdir(exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size},mode=700", "tmpfs", str(folder)]
-    # pytest is no requirement of the wheel
+    # Imported here because pytest is no requirement of the wheel.
     import pytest
 
     if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode != 0:
@@ -35,8 +35,8 @@ def disk_of(folder: Path, size: str | int) -> Iterator[Path]:
 class Shared(NamedTuple):
     """A kind of shared file.
 
-    `prepare` makes what is there before; `change` is what the writer 0 or 1 does in a round; `lost` returns what is
-    missing of the rounds that succeeded for each writer.
+    `prepare(folder)` makes the initial file; `change(folder, who, round)` is the change by writer 0 or 1 in a round;
+    `lost(folder, done)` returns the missing changes, given the successful rounds of each writer.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Shared(NamedTuple):
 
 
 def race(shared: Shared, folder: Path, rounds: int) -> list[set[int]]:
-    """Let two processes change a file at the same moment, once a round; return the rounds in which each succeeded."""
+    """Let two processes change a file at the same time in each round; return the rounds in which each succeeded."""
     context = multiprocessing.get_context("fork")
     barrier, answers = context.Barrier(2), context.SimpleQueue()
 
@@ -76,7 +76,7 @@ def race(shared: Shared, folder: Path, rounds: int) -> list[set[int]]:
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
-    """Mount a small disk at a folder; yield what leaves a number of its pages free."""
+    """Mount a small disk at a folder; yield a function that fills it up to a number of free pages."""
     filler, page = folder / "filler", os.sysconf("SC_PAGE_SIZE")
 
     def leave(pages: int) -> None:
@@ -89,7 +89,7 @@ def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
 
 
 class SharedFiles:
-    """The tests of shared files, for a class that has them as the parameter `shared`; `rounds`: of a race."""
+    """Tests of shared files, for a test class with the parameter `shared`; `rounds`: number of rounds of a race."""
 
     rounds = 12
 
@@ -107,9 +107,9 @@ class SharedFiles:
 
 
 def fill_at_each_write(shared: Shared, disk: Path) -> int:
-    """Change a file while 0, 1, 2 … pages of the disk are free; return how often that was refused.
+    """Change a file while 0, 1, 2 … pages of the disk are free; return the number of refusals.
 
-    Each refusal has to be an error of the project that names a path on the disk, and has to leave the file as it was.
+    Each refusal must be an error of the project that names a path on the disk, and must leave the file unchanged.
     """
     refused = 0
     with small_disk(disk) as leave:

@@ -1,4 +1,4 @@
-"""The launcher of one site on real sockets, for what another site asks of it."""
+"""The launcher of one site on real sockets, for tests of requests from another site."""
 
 import os
 import threading
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
 
 class _NoChildren:
-    """Stands for the processes of a site that has none."""
+    """The processes of a site that has none: every method returns an empty dict."""
 
     def __getattr__(self, name: str) -> Callable[..., dict[str, int]]:
         return lambda *arguments, **named: {}
 
 
 class SiteLauncher:
-    """The launcher of the slave's site, without nodes, in a thread that stands still while `runs` is not set.
+    """The launcher of the slave's site, without nodes, in a thread that stops while `runs` is not set.
 
     Args:
         book: The endpoints of the rig.
         folder: The folder of its recordings.
-        sender: What sends pieces of them, as the entry of a package makes it.
+        sender: The object that sends pieces of them, as made by the entry of a package.
     """
 
     def __init__(self, book: "AddressBook", folder: Path, sender: Any) -> None:

@@ -1,4 +1,4 @@
-"""The bytes and the schemas that a package's messages are held to, beside its tests: golden bytes, and `schemas/`."""
+"""Checks of a package's messages against golden bytes and committed schemas (`schemas/`), stored beside its tests."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from telenano.wire.topics import register_topic
 
 
 def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:
-    """Return the golden vectors of a file, after the topics of a package are taken up."""
+    """Register the topics of a package, and return the golden vectors of a file."""
     for row in rows:
         register_topic(row)
     vectors: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
@@ -19,12 +19,12 @@ def vectors_of(path: Path, *rows: Topic) -> list[dict[str, Any]]:
 
 
 def case_of(vector: dict[str, Any]) -> str:
-    """Return the name of a test of a vector."""
+    """Return the name of the test case of a vector."""
     return f"{vector['topic']}-{vector['case']}"
 
 
 def assert_same_bytes(vector: dict[str, Any]) -> None:
-    """Read the bytes of a vector and write them again."""
+    """Check that the bytes of a vector decode to its message and fields, and encode to the same bytes."""
     payload = bytes.fromhex(vector["hex"])
     message = decode(vector["topic"], payload)
     assert type(message).__name__ == vector["message"]
@@ -34,7 +34,7 @@ def assert_same_bytes(vector: dict[str, Any]) -> None:
 
 
 def assert_same_schema(folder: Path, row: Topic) -> None:
-    """Compare the schema of a message with the one that clients in other languages have."""
+    """Check that the schema of a message equals the committed one, which clients in other languages use."""
     committed = json.loads((folder / f"{row.model.__name__}.json").read_text(encoding="utf-8"))
     schema = json_schema(row.model)
     assert (committed["x-topic"], committed["x-version"]) == (row.name, row.model.version)

@@ -1,4 +1,4 @@
-"""A test that waits for what another thread or process does, and the ports at which they are found."""
+"""Functions for tests: wait for another thread or process, and find free ports."""
 
 import contextlib
 import itertools
@@ -9,17 +9,17 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
-# Far beyond what is expected: it only keeps what is broken from holding up the suite.
+# Far longer than expected: it only keeps a broken test from blocking the suite [s].
 PATIENCE_S = 30.0
-# below the ports that a system gives to clients, and others in every process, because tests run side by side
+# Below the ports that a system gives to clients, and different in every process, because tests run in parallel.
 _PORTS = itertools.cycle(range(10_000 + 20 * (os.getpid() % 1000), 10_000 + 20 * (os.getpid() % 1000) + 2000))
 
 
 def until(condition: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
-    """Wait until something is true, and return it.
+    """Wait until the value of `condition` is true, and return that value.
 
     Raises:
-        TimeoutError: It was not within `patience_s`.
+        TimeoutError: It was not true within `patience_s` [s].
     """
     end = time.monotonic() + patience_s
     while not (value := condition()):
@@ -30,7 +30,7 @@ def until(condition: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
 
 
 def free_ports(count: int) -> list[int]:
-    """Return ports of this machine that nobody has."""
+    """Return this number of free TCP ports of this machine."""
     ports: list[int] = []
     while len(ports) < count:
         port = next(_PORTS)

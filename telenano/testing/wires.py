@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from telenano.devices.afm import modbus_line
 from telenano.devices.afm.tcp_driver import TcpDriver
 
-# the frames between a host and the handle
+# The frames between a host and the handle.
 from telenano.devices.hand import wire as handle_wire
 
 if TYPE_CHECKING:
@@ -17,15 +17,15 @@ _MS = 1_000_000
 
 
 class RequestLine:
-    """A connection over a network, with an emulated instrument at its end; time passes in `pass_ms`.
+    """A network connection with an emulated instrument at its end; time passes in `pass_ms`.
 
-    A driver is given `clock`, which has this connection and its time in the place of real ones. The line to one kind
-    of instrument may set `model`, whose `pass_time` is called with the time [ns], and `driver`, for `follow`. A test
-    makes the wire bad while it runs: `latency_ms` delays answers, `to_host` replaces their bytes, and the instrument is
-    not `reachable`, does not run (`running`), or is not `accepting` what is sent to it.
+    The driver gets `clock`, with this connection and its time instead of real ones. The line to one kind of instrument
+    may set `model`, whose `pass_time` is called with the time [ns], and `driver`, for `follow`. A test can disturb the
+    line at any time: `latency_ms` delays answers, `to_host` replaces their bytes, and the instrument may not be
+    `reachable`, not be `running`, or not be `accepting` requests.
 
     Args:
-        respond: What the instrument says to a request, None where it says nothing.
+        respond: Returns the instrument's answer to a request, or None for none.
     """
 
     resolved = True
@@ -42,7 +42,7 @@ class RequestLine:
         self._waiting: list[tuple[int, bytes]] = []
 
     def send(self, request: bytes) -> None:
-        """Bring a request to the instrument, and what it says on its way back."""
+        """Pass a request to the instrument, and send its answer; raise OSError if it is not reachable."""
         if not self.reachable:
             raise OSError(104, "Connection reset by peer")
         if self.running and (said := self._respond(request)) is not None:
@@ -59,7 +59,7 @@ class RequestLine:
         return self.accepting
 
     def answer(self, sent: bytes) -> int:
-        """Have an answer arrive when the latency has passed; give when that is [ns]."""
+        """Let an answer arrive after the latency; return the time of arrival [ns]."""
         due_ns = self.now_ns + round(self.latency_ms * _MS)
         self._waiting.append((due_ns, self.to_host(sent)))
         return due_ns
@@ -82,10 +82,10 @@ class RequestLine:
                 self.model.pass_time(self.now_ns)
 
     def guard(self) -> None:
-        """Do what is due in between."""
+        """Do the periodic work of the line; called each millisecond before the model."""
 
     def follow(self, base_m: float, count: int) -> Any:
-        """Have the driver follow to a place for a number of periods, and return the last sample."""
+        """Let the driver move the base to a position [m] for `count` periods of 1 ms, and return the last sample."""
         for _ in range(count):
             self.pass_ms(1)
             sample = self.driver.exchange(base_m)
@@ -93,7 +93,7 @@ class RequestLine:
 
     @property
     def clock(self) -> dict[str, Any]:
-        """Return what a driver gets in the place of the real clock and the real network."""
+        """The arguments with which a driver uses this line instead of the real clock and network."""
         return {
             "connect": self.connect,
             "now_ns": lambda: self.now_ns,
@@ -102,7 +102,7 @@ class RequestLine:
 
 
 def shorten_waits(monkeypatch: "pytest.MonkeyPatch", retry_ms: int, step_ms: int) -> None:
-    """Let the drivers of instruments on a network try again, and give a step up, after shorter times in a test."""
+    """Shorten the times after which drivers of network instruments retry, and give up a step, to these [ms]."""
     monkeypatch.setattr(modbus_line, "RETRY_NS", retry_ms * _MS)
     for owner in (modbus_line, TcpDriver):
         monkeypatch.setattr(owner, "STEP_NS", step_ms * _MS)

@@ -1,4 +1,4 @@
-"""A page of the server as far as its web socket goes, over the test client of its framework."""
+"""The web socket side of a page of the server, over the test client of the web framework."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -13,7 +13,7 @@ HEADERS = {"origin": "http://testserver"}
 
 
 class BusPage:
-    """A page that keeps every byte that it was sent."""
+    """A page that stores every byte that it receives."""
 
     def __init__(self, stack: ExitStack, client: Any, token: str = ACCESS.operator_token, **hello: Any) -> None:
         self.traffic = b""

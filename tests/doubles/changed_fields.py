@@ -1,10 +1,10 @@
-"""Recordings in which fields of messages are what they may be: absent, nil, the least and the greatest that fits.
+"""Recordings with extreme fields in messages: absent, nil, and the least and greatest possible value.
 
     for case in cases_of(path):
         write_changed(path, target, [case])
 
-A case names a message and one of its fields. What a field may be is read from the model of its message, so that a field
-that is added has its cases. What no model allows is a case as well: such a message is none, and has to be told apart.
+A case names a message and one of its fields. The values follow from the model of the message, so new fields have cases
+too. There are also values that the model does not allow: readers must recognise such a message as invalid.
 """
 
 import functools
@@ -26,12 +26,12 @@ from telenano.wire.nodes import site_of
 
 Path_ = tuple[str | int, ...]
 _ABSENT = object()
-# what begins a message is kept: another sender, or an older version, is another message
+# Keys that are not changed, because another sender or an older version would make another message.
 _KEPT = ("src", "v")
 
 
 class Case(NamedTuple):
-    """A change: of the message at a place in the file, the field that a path leads to, what it becomes, in words."""
+    """A change of a message: its index in the file, topic, path of the field, and name and value of the change."""
 
     place: int
     topic: str
@@ -41,12 +41,12 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The field and what it becomes."""
+        """The field and the name of its new value."""
         return f"{self.topic}.{'.'.join(map(str, self.path))} {self.word}"
 
 
 def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
-    """Return the cases of a recording: for each value that each field of each channel may have, some messages of it."""
+    """Return the cases of a recording: `of_each` messages for each extreme value of each field of each channel."""
     dice = random.Random(seed)
     places: dict[tuple[str, str], list[int]] = {}
     payloads: list[tuple[str, bytes]] = []
@@ -57,7 +57,7 @@ def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
     for (channel, _), own in places.items():
         topic = payloads[own[0]][0]
         seen: set[tuple[Path_, str]] = set()
-        # a field of a map, or one that may be absent, is in some of the messages
+        # Sample several messages, because a field of a map, or an optional one, is only in some of them.
         for place in dice.sample(own, min(len(own), 40)):
             fields = msgpack.unpackb(payloads[place][1], use_list=True)
             for where, word, value in _changes(topic, fields):
@@ -71,7 +71,7 @@ def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
 
 
 def with_examples(source: Path, target: Path) -> Path:
-    """Write a recording again with an ordinary message of each topic that it lacks, half a second after its start."""
+    """Copy a recording, with an example message added for each missing topic, half a second after the start."""
     whole = Recording(source)
     has = {channel.topic for channel in whole.channels}
     at_ns = whole.span_ns[0] + 500_000_000
@@ -96,7 +96,7 @@ def with_examples(source: Path, target: Path) -> Path:
 
 
 def is_valid(path: Path, cases: Sequence[Case]) -> list[bool]:
-    """Return of each case whether the message is one that a recording may have, with the number that it had."""
+    """Return for each case whether the changed message is valid and has its number unchanged."""
     raw = list(Recording(path).raw())
     found = []
     for case in cases:
@@ -113,7 +113,7 @@ def is_valid(path: Path, cases: Sequence[Case]) -> list[bool]:
 
 
 def write_changed(source: Path, target: Path, cases: Sequence[Case]) -> Path:
-    """Write a recording again with the cases in it; the record of a message says what the message does."""
+    """Copy a recording with changed messages; the record of a message gets the message's stamp and number."""
     wanted: dict[int, list[Case]] = {}
     for case in cases:
         wanted.setdefault(case.place, []).append(case)
@@ -142,7 +142,7 @@ def _set(fields: Any, path: Path_, value: Any) -> None:
 
 
 def _changes(topic: str, fields: Mapping[str, Any]) -> Iterator[tuple[Path_, str, Any]]:
-    """Yield the paths of the fields of a message, each with what it becomes."""
+    """Yield the path of each field of a message with the name of a new value, and that value."""
     model = model_of(topic)
     declared = {} if model is None else _declared(model)
     for key in dict.fromkeys((*fields, *declared)):
@@ -172,7 +172,7 @@ def _declared(model: type) -> dict[str, Any]:
 
 
 def _choices(kind: Any) -> list[Any]:
-    """Return the kinds that a field may have, without nil."""
+    """Return the types that a field may have, without nil."""
     while isinstance(kind, msgspec.inspect.Metadata):
         kind = kind.type
     kinds = kind.types if isinstance(kind, msgspec.inspect.UnionType) else [kind]
@@ -194,7 +194,7 @@ def _parts_of(kind: Any) -> dict[Any, Any]:
 
 
 def _extremes(kind: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the least and the greatest value of a kind, by its own bounds and by those of its form."""
+    """Yield names and values of the extremes of a type, by its own bounds and by those of its encoding."""
     for one in _choices(kind):
         if isinstance(one, msgspec.inspect.FloatType):
             yield from (("least", float(one.ge)),) if one.ge is not None else ()

@@ -1,4 +1,4 @@
-"""The files that a change touches: those that differ from the commit at which this branch left main."""
+"""The files changed on this branch: those that differ from the commit at which it left main."""
 
 import functools
 import subprocess
@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def git(*words: str) -> str | None:
-    """Return what git says here, None where there is no git or it fails."""
+    """Return the output of git in this repository; None if git is missing or fails."""
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
@@ -18,16 +18,16 @@ def git(*words: str) -> str | None:
 
 @functools.cache
 def base() -> str | None:
-    """Return the commit at which this branch left main, None where there is no main."""
+    """Return the commit at which this branch left main; None if there is no main."""
     found = git("merge-base", "HEAD", "main")
     return found if found is None else found.strip()
 
 
 @functools.cache
 def changed() -> frozenset[str]:
-    """Return the paths that differ from that commit, and those that git does not know yet; without main only these.
+    """Return the paths that differ from that commit (from HEAD without main), and the untracked ones.
 
-    A file that was only moved, or moved with the imports that name its new place, is none of them.
+    A moved file is not included, even if its imports were adapted.
     """
     listed = (
         git("diff", "--name-only", "--diff-filter=r", base() or "HEAD"),
@@ -37,7 +37,7 @@ def changed() -> frozenset[str]:
 
 
 def touches(*places: str) -> bool:
-    """Return whether the change touches one of some files, or a file in one of some folders, whose names end in /."""
+    """Return whether a changed file is one of the places, or lies in one of them that is a folder (written with /)."""
     return any(
         path == place or (place.endswith("/") and path.startswith(place)) for path in changed() for place in places
     )

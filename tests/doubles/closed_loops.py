@@ -1,13 +1,13 @@
-"""How tests run the closed loop of `telenano.lockstep`: compiled where a law would be noticed, else as plain Python."""
+"""Fixture that runs the closed loop of `telenano.lockstep` compiled or as plain Python, to limit compilations."""
 
 import pytest
 
 
 @pytest.fixture
 def loop(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compile the closed loop for each law over the sample and for one law on a spring; the other laws run plain there.
+    """Compile the closed loop for each law over the sample, and for one law on a spring; others on a spring run plain.
 
-    So a law or an environment that cannot be compiled is noticed, and no pair of them costs a compilation of its own.
+    So a law or an environment that cannot be compiled is noticed, without a compilation for each pair of both.
     """
     monkeypatch.setattr("telenano.lockstep.lockstep.PLAIN_TICKS", 0)
     given = request.node.callspec.params

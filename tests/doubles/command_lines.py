@@ -1,4 +1,4 @@
-"""Every command of the project and its packages as typer has it, what it needs beside an option, and how it ends.
+"""Every command of the project and its packages, as an object of typer, and the arguments that it needs.
 
 for words, command in commands():
     end = ended([*words, *needed(words, command), "--site-file", "nosuch.yaml"], most_s=2.0)
@@ -12,7 +12,7 @@ import typer
 from telenano.cli.root import app
 from telenano.settings import DEMO_RECORDING
 
-# What a command is given beside the option that is tried, where it needs more than recordings and folders.
+# Arguments of a command in addition to the option under test, if it needs more than recordings and folders.
 WORDS = {
     "up": "--scenario fig12",
     "session": "mark",
@@ -56,7 +56,7 @@ def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
 
 
 def needed(words: tuple[str, ...], command: Any, left_out: Collection[str] = ()) -> list[str]:
-    """Return what a command must have besides the parameters that are left out."""
+    """Return the required arguments of a command, without the parameters in `left_out`."""
     if given := WORDS.get(" ".join(words)):
         return given.split()
     found = []

@@ -1,4 +1,4 @@
-"""The list of commands in docs/cli.md, from their options."""
+"""The list of commands in docs/cli.md, made from their options."""
 
 import re
 from collections import Counter
@@ -13,16 +13,16 @@ from telenano.cli.root import app
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 START, END = "<!-- commands: written by make regenerate -->\n", "<!-- end of commands -->\n"
-# An option that so many commands have, with the same words but for its default, is described once.
+# An option that at least this many commands have, with the same text except for its default, is described once.
 SHARED = 2
-# A range of an option, which `--help` has.
+# The range of an option in its text, which only `--help` shows.
 _RANGE = re.compile(r"; (?:above )?[-0-9.e+]+ (?:to (?:below )?[-0-9.e+]+|or more)$")
-# What typer adds to the text of an option.
+# Text that typer adds to the text of an option.
 _ADDED = re.compile(r"\s*\[(?:default: ([^];]*)[^]]*|[^]]*[<>]=[^]]*|required)\]$")
 
 
 def commands() -> dict[str, Any]:
-    """Return the commands of the core by their words, groups included; packages describe theirs."""
+    """Return the commands of the core by their words, including groups; packages describe their own."""
     found = dict([next(_with_inner(typer.main.get_command(app), "telenano"))])
     for name in LAZY_COMMANDS:
         found.update(_with_inner(load(name), f"telenano {name}"))
@@ -30,7 +30,7 @@ def commands() -> dict[str, Any]:
 
 
 def groups(found: dict[str, Any]) -> set[str]:
-    """Return the words after which another has to follow."""
+    """Return the words of groups, after which another word must follow."""
     return {
         path
         for path, command in found.items()
@@ -45,7 +45,7 @@ def page() -> str:
         del found[path]
     written = {path: [_line(command, option) for option in options(command)] for path, command in found.items()}
     times = Counter(about for lines in written.values() for about, _ in lines)
-    # the rarer first, so that of two texts of one option the more frequent stays
+    # The rarer first, so that of two texts of one option the more frequent one is kept.
     often = {_flag(about): about for about, count in reversed(times.most_common()) if count >= SHARED}
     defaults = {about: _most(written.values(), about) for about in often.values()}
     shared = sorted(defaults)
@@ -101,7 +101,7 @@ def _flags(command: Any, option: Any) -> str:
 
 
 def _line(command: Any, option: Any) -> tuple[str, str]:
-    """Return an option with its text, and its default apart."""
+    """Return an option with its text, and separately its default."""
     _, text = option.get_help_record(_context(command))
     added, about = _ADDED.search(text), _ADDED.sub("", text)
     about, _, default = about.removesuffix(".").rpartition("; default: ") if "; default: " in about else (about, "", "")

@@ -1,9 +1,9 @@
-"""Both halves of every law at the corners of their inputs and settings, in a process of its own.
+"""Checks of both halves of every law at the corners of their inputs and settings, in a separate process.
 
     python corners.py SEED CASES
 
-It runs the steps as the nodes do, as plain Python: there, unlike in compiled code, some of what is too large is an
-exception. It prints what was no number, one line each.
+It runs the steps like the nodes, but as plain Python: there, unlike in compiled code, some overflows raise exceptions.
+It prints a line for each case with NaN or infinity.
 """
 
 import sys

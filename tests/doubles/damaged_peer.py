@@ -1,8 +1,8 @@
-"""One end of a rig's network for a test that may end it: publishes as a node, reads another, and says what it received.
+"""One end of a rig's network as a process: publishes as a node, reads another node, and counts received messages.
 
 python damaged_peer.py BOOK MACHINE KEYS NODE READS HEARD
 
-It goes on until its standard input ends, and makes the file HEARD once it has received a message.
+It runs until its standard input ends, and creates the file HEARD when it has received a message.
 """
 
 import json
@@ -23,7 +23,7 @@ _TURN_S = 0.002
 
 
 def main(book_file: str, machine: str, keys: str, node: str, read: str, heard: str) -> None:
-    """Publish and read until standard input ends, and print a line of JSON."""
+    """Publish and read until standard input ends, then print the counts as a line of JSON."""
     book, clock = AddressBook.load(Path(book_file)), SystemClock()
     context = open_context(serves_network=True)
     network = Transport(context, clock, book, machine, Keyring(Path(keys)))

@@ -1,9 +1,9 @@
-"""A cable of TCP that alters, cuts, delays, repeats and floods what passes it, in handshakes and in streams, by a seed.
+"""A TCP forwarder that alters, cuts, delays and repeats data in handshakes and streams, and floods, from a seed.
 
     with DamagingCable({port: target_port}, seed=1) as cable: ...
 
-It stands between two ends of ZeroMQ on this machine: who connects to one of its ports is connected to the target. What
-it alters arrives behind a right checksum, as from a machine on the path. `cable.done` counts what it did.
+It stands between two ends of ZeroMQ on this machine: a connection to one of its ports is forwarded to the target.
+Altered data arrive with a right TCP checksum, as from a machine on the path. `cable.done` counts its actions.
 """
 
 import asyncio
@@ -16,11 +16,11 @@ from collections.abc import Mapping
 
 from loop_thread import LoopThread
 
-# Greeting, handshake and the first messages of a connection are within these bytes of a direction.
+# Greeting, handshake and first messages of a connection are within this number of bytes of a direction.
 _HANDSHAKE_BYTES = 700
-# What is altered later is altered within so many bytes more, which is a second of a stream.
+# Greatest distance of a later alteration from the previous one [bytes], a second of a stream.
 _STREAM_BYTES = 60_000
-# A connection lives for so long before it is cut, at most [s].
+# Longest time after which a connection is cut [s].
 _LONGEST_S = 3.0
 _GREETING = bytes((0xFF, 0, 0, 0, 0, 0, 0, 0, 1, 0x7F, 3, 1))
 _MECHANISMS = (b"CURVE", b"NULL", b"PLAIN", b"GSSAPI", bytes(20))
@@ -37,16 +37,16 @@ _COMMANDS = (
 
 
 class DamagingCable(LoopThread):
-    """Carries the connections to some ports, and damages them, while the block runs."""
+    """Forwards connections from some ports to others, and damages them, while the block runs."""
 
     def __init__(self, targets: Mapping[int, int], seed: int, *, early: float = 0.2, flood_per_s: float = 20.0) -> None:
-        """Stand before ports (the targets) at other ports.
+        """Prepare to forward.
 
         Args:
-            targets: The port of the target by the port to which others connect.
-            seed: What is drawn.
-            early: Share of the directions that are altered in their handshake.
-            flood_per_s: Connections of its own with garbage to each target [1/s].
+            targets: The target port for each listening port.
+            seed: The seed of all random draws.
+            early: The share of the directions that are altered in their handshake.
+            flood_per_s: The rate of additional connections with garbage to each target [1/s].
         """
         super().__init__()
         self.done: Counter[str] = Counter()
@@ -56,7 +56,7 @@ class DamagingCable(LoopThread):
         self._open: list[asyncio.StreamWriter] = []
 
     async def begin(self) -> None:
-        """Stand before the ports."""
+        """Listen at the ports, and start the floods."""
         self.servers += [
             await asyncio.start_server(lambda near, out, port=target: self._join(near, out, port), "127.0.0.1", port)
             for port, target in self._targets.items()
@@ -68,7 +68,7 @@ class DamagingCable(LoopThread):
         """Abort every connection."""
         for writer in self._open:
             writer.transport.abort()
-        # What was aborted is closed in the next round.
+        # Aborted connections are closed in the next round of the event loop.
         await asyncio.sleep(0.05)
 
     async def _join(self, near: asyncio.StreamReader, to_near: asyncio.StreamWriter, target: int) -> None:
@@ -86,7 +86,7 @@ class DamagingCable(LoopThread):
             await asyncio.gather(*ways)
         for writer in (to_near, to_far):
             if self._draw.random() < 0.5:
-                # It ends by a reset, with what waits unsent.
+                # End it by a reset, with pending data unsent.
                 end = writer.get_extra_info("socket")
                 with contextlib.suppress(OSError):
                     end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -125,7 +125,7 @@ class DamagingCable(LoopThread):
         return piece[:at] + draw.randbytes(draw.choice((1, 9, 300))) + piece[at:]
 
     async def _flood(self, target: int) -> None:
-        """Connect to a target over and over, and send what begins as a peer of ZeroMQ and goes on as none."""
+        """Connect to a target repeatedly, and send data that begin like a ZeroMQ peer's and continue with garbage."""
         draw = self._draw
         while True:
             await asyncio.sleep(draw.expovariate(self._flood_per_s))

@@ -1,4 +1,4 @@
-"""The command lines in the code blocks of all documents, and which test runs each of them."""
+"""The command lines in the code blocks of all documents, and the test that runs each of them."""
 
 import re
 import shlex
@@ -11,12 +11,12 @@ import numpy as np
 import yaml
 
 ROOT = Path(__file__).parents[2]
-# kinds of lines that tests/stack/test_documents_run.py runs as they stand
+# Kinds of lines that tests/stack/test_documents_run.py runs unchanged.
 ALONE, RIG, BESIDE, KEYS, PYTHON = "alone", "rig", "beside", "keys", "python"
-# what tests/stack/test_pictures.py runs, because a picture of the page comes of it
+# Lines that tests/stack/test_pictures.py runs, because they make a picture of the page.
 PICTURE = "picture"
 KINDS = (ALONE, RIG, BESIDE, KEYS, PYTHON, PICTURE)
-# what is run beside a rig, each for a moment where it would not end by itself
+# Commands that are run beside a rig, with arguments that end a command which would not end by itself.
 FOR_A_MOMENT = {
     "session": (), "estop": (), "status": (), "link": (), "topic": (), "bridge": ("--duration", "1", "--port", "0"),
 }  # fmt: skip
@@ -25,7 +25,7 @@ _SHELL = ("sh", "bash", "console")
 
 
 class Rule(NamedTuple):
-    """The test that runs a line, or why none does."""
+    """The test that runs lines of a page with a beginning, or the reason why none does."""
 
     page: str
     beginning: str
@@ -43,7 +43,7 @@ RULES = _rules()
 
 
 class Line(NamedTuple):
-    """A command of a document as it stands there, or a block of Python or MATLAB as a whole."""
+    """A command line of a document, or a whole block of Python or MATLAB."""
 
     page: str
     block: int  # number of the block in its page
@@ -58,7 +58,7 @@ class Line(NamedTuple):
 
     @property
     def out(self) -> str:
-        """What `--out` names, empty without it."""
+        """The value of `--out`; empty without it."""
         words = self.words if self.language in _SHELL else []
         return words[words.index("--out") + 1] if "--out" in words else ""
 
@@ -91,14 +91,14 @@ def lines() -> tuple[Line, ...]:
         "proto/*.md",
     )
     found = {path for place in places for path in ROOT.glob(place)}
-    # A folder telenano-NAME at the root is a package that `telenano new` has made for the person who works here.
+    # A folder telenano-NAME at the root is a package that a developer has made here with `telenano new`.
     pages = sorted(path for path in found if not path.relative_to(ROOT).parts[0].startswith("telenano-"))
     return tuple(line for page in pages for line in _lines_of(page))
 
 
 @cache
 def pictures() -> tuple[Picture, ...]:
-    """Return the pictures of the documents that a command makes."""
+    """Return the pictures of the documents that are made by a command."""
     return tuple(
         Picture(str(page.relative_to(ROOT)), *found)
         for page in sorted(ROOT.glob("docs/*.md"))
@@ -107,25 +107,25 @@ def pictures() -> tuple[Picture, ...]:
 
 
 def makes(line: Line, file: str) -> bool:
-    """Return whether a line writes a file: into its `--out`, or as a block of Python that names it."""
+    """Return whether a line writes a file: in its `--out`, or by a block of Python that names it."""
     if line.language == "python":
         return f'"{file}"' in line.text
     return bool(line.out) and (file == line.out or file.startswith(f"{line.out}/"))
 
 
 def of_kind(*kinds: str) -> list[Line]:
-    """Return the lines that a kind of test runs."""
+    """Return the lines of some kinds."""
     return [line for line in lines() if runner_of(line) in kinds]
 
 
 def rule_of(line: Line) -> Rule | None:
-    """Return what is said of a line beside its kind."""
+    """Return the explicit rule for a line, the most specific one; None if there is none."""
     found = [rule for rule in RULES if line.page.endswith(rule.page) and line.text.startswith(rule.beginning)]
     return max(found, key=lambda rule: len(rule.beginning), default=None)
 
 
 def runner_of(line: Line) -> str:
-    """Return the kind of a line, the test that runs it, or why none does; empty where nobody has said."""
+    """Return the kind of a line, the test that runs it, or the reason why none does; empty if that is undefined."""
     if rule := rule_of(line):
         return rule.test or rule.reason
     if line.language == "python":
@@ -147,13 +147,13 @@ def _lines_of(page: Path) -> Iterator[Line]:
         if language not in _SHELL:
             continue
         for line in text.replace("\\\n", " ").splitlines():
-            # a block of a console has what the command printed as well
+            # A console block also contains the output of the command.
             if line.strip().startswith("$ ") if language == "console" else shlex.split(line, comments=True):
                 yield Line(name, number, language, line.strip().removeprefix("$ "))
 
 
 def differing(made: Path, shipped: Path) -> float:
-    """Return the share of the pixels of two pictures that differ in shade, 1 where the pictures differ in size."""
+    """Return the share of pixels of two pictures that differ in brightness; 1 if the pictures differ in size."""
     from PIL import Image
 
     now, then = (np.asarray(Image.open(path).convert("L"), dtype=float) for path in (made, shipped))

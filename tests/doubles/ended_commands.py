@@ -1,9 +1,9 @@
-"""A command of telenano in a process of its own, from the beginning of its command line, and how it ends.
+"""A command of telenano in a forked process, with its whole command line, and how it ends.
 
     end = ended(["scenario", "check", "fig12"], most_s=2.0)
     assert not isinstance(end, str) and end.code == 0
 
-A forked child has the modules of this process already, so that one more command costs a tenth of a second.
+A forked child has the modules of this process already, so another command takes only a tenth of a second.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from telenano.cli.app import main
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: its exit code, what it printed, and the traceback of what it let pass, empty for none."""
+    """The end of a command: exit code, output, and the traceback of an unhandled exception, empty if there is none."""
 
     code: int
     output: str
@@ -33,10 +33,10 @@ class Ended:
 
 
 def ended(words: Sequence[str], most_s: float) -> Ended | str:
-    """Run a command in a child; return how it ended, or where it stands if it takes more than a time.
+    """Run a command in a child; return how it ended, or its output and stack if it takes longer than `most_s` [s].
 
-    The time is that of the processor; on the clock it has four times as much, for a command that waits takes none of
-    the processor. A forked child has all modules already, and can be killed in the middle of compiled code.
+    That is processor time; the limit on the clock is four times as long, for a command that only waits. A forked child
+    has all modules already, and can be killed in the middle of compiled code.
     """
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as stands:
         child = os.fork()
@@ -58,7 +58,7 @@ def ended(words: Sequence[str], most_s: float) -> Ended | str:
 
 
 def _limit(most_s: float, stands: int) -> None:
-    """End this process where it takes more than a time; where it stands then is written to a file."""
+    """End this process if it takes longer than a time [s]; its stack is then written to a file descriptor."""
     faulthandler.enable(stands)
     faulthandler.register(signal.SIGXCPU, stands, all_threads=False, chain=True)
     faulthandler.dump_traceback_later(4.0 * most_s, file=stands, exit=True)
@@ -67,7 +67,7 @@ def _limit(most_s: float, stands: int) -> None:
 
 
 def _run(words: Sequence[str], output: int) -> NoReturn:
-    """Run a command as this process, from the beginning of the command line, and end with its code."""
+    """Run a command as this process, with its whole command line, and end with its exit code."""
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(output, 1)
     os.dup2(output, 2)
@@ -81,7 +81,7 @@ def _run(words: Sequence[str], output: int) -> NoReturn:
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    # What a command lets pass is what the test is about.
+    # The test is about exceptions that a command does not handle.
     except BaseException:  # noqa: BLE001
         code = 1
         traceback.print_exc()

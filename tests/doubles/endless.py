@@ -1,6 +1,6 @@
-"""A law in closed loop for an hour: an arm or a force that presses now more, now less, over a link, on a spring.
+"""A law in closed loop for an hour: an arm or a force that presses a spring over a link, with a periodic swing.
 
-The device is ideal: the hand is where the law wants it. Readers take the newest signal of a tick, as on the bus.
+The device is ideal: the hand is at the law's reference. Readers use the newest signal of a tick, as on the bus.
 """
 
 import functools
@@ -16,17 +16,17 @@ from telenano.sections.controller_section import LAWS, ControllerConfig
 
 PERIOD_S = 1e-3
 CYCLE_S = 2.0
-# ten cycles and a hold
+# A block has ten cycles and a hold.
 BLOCK_S, SWING_S = 25.0, 20.0
 POSITION_SCALE, FORCE_SCALE = 1.5e-6, 1e8
-# a sample so soft that 1 N would take the hand to the end of its travel is pressed with less
+# A sample so soft that 1 N would move the hand further than this is pressed with less force [m].
 _FARTHEST_M = 8e-3
 Array = npt.NDArray[Any]
 
 
 class Block(NamedTuple):
-    """Of ten cycles and a hold: half the swing of the force in the tenth cycle and the force in the hold, as shares of
-    the force that is intended, and where the hand is on average in the tenth cycle and in the hold [m]."""
+    """Results of ten cycles and a hold: half the swing of the force in the tenth cycle and the mean force in the hold,
+    as shares of the intended force, and the mean positions of the hand in the tenth cycle and in the hold [m]."""
 
     swing: float
     hold: float
@@ -35,7 +35,7 @@ class Block(NamedTuple):
 
 
 class Endless(NamedTuple):
-    """The first block and the last, the least energy in the two-port [J] and the greatest share of the force.
+    """The first and last block, the least energy in the two-port [J], and the greatest share of the intended force.
 
     master, slave: the states of the halves at the end.
     """

@@ -1,15 +1,15 @@
-"""What is wrong with the layout of a figure: text cut off at its edge, labels over one another, ticks alike."""
+"""Faults in the layout of a figure: text cut off at its edge, overlapping labels, equal ticks."""
 
 from collections.abc import Iterator
 from itertools import combinations
 from typing import Any, NamedTuple
 
-# what rounding to whole dots may take
+# Tolerance for rounding to whole dots.
 _SLACK_DOTS = 1.5
 
 
 class Placed(NamedTuple):
-    """A text or a legend of a figure: what it is, its box in dots, and the legend that it belongs to."""
+    """A text or a legend of a figure: its description, its box in dots, and the legend that it belongs to."""
 
     what: str
     box: Any
@@ -33,12 +33,12 @@ def faults(figure: Any) -> list[str]:
 
 
 def arrows(axes: Any) -> dict[str, tuple[float, float]]:
-    """Return the place that the arrow of each label of a panel points to, by the lines of the labels."""
+    """Return the place to which the arrow of each label of a panel points, by the lines of the labels."""
     return {line: tuple(map(float, text.xy)) for text in axes.texts for line in text.get_text().splitlines()}
 
 
 def _across_frame(axes: Any) -> list[str]:
-    """Return the texts inside of a panel that its frame goes through."""
+    """Return a sentence for each text in a panel that its frame crosses."""
     frame = axes.get_window_extent()
     shown = [text for text in axes.texts if text.get_visible() and text.get_text().strip()]
     boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
@@ -56,7 +56,7 @@ def _labels(figure: Any) -> Iterator[Placed]:
         if axes.get_visible() and axes.axison:
             texts += [axes.title, axes._left_title, axes._right_title, axes.xaxis.label, axes.yaxis.label]
             texts += [axis.get_offset_text() for axis in (axes.xaxis, axes.yaxis)]
-    # a title of the figure is one of its texts as well
+    # A title of the figure is also one of its texts, so drop duplicates.
     for text in dict.fromkeys(texts):
         if text is not None and text.get_visible() and text.get_text().strip():
             yield Placed(repr(text.get_text()), text.get_window_extent())
@@ -74,7 +74,7 @@ def _legends(figure: Any) -> Iterator[Placed]:
 
 
 def _ticks(axis: Any) -> list[str]:
-    """Return what is wrong with the labels of an axis that are drawn."""
+    """Return a sentence for each fault of the visible tick labels of an axis."""
     low, high = sorted(axis.get_view_interval())
     slack = 1e-9 * (high - low)
     labels = [
@@ -94,7 +94,7 @@ def _ticks(axis: Any) -> list[str]:
 
 
 def _beyond(inner: Any, outer: Any) -> float:
-    """Return by how many dots a box reaches out of another."""
+    """Return the number of dots by which a box exceeds another; negative if it lies inside."""
     return float(max(outer.x0 - inner.x0, outer.y0 - inner.y0, inner.x1 - outer.x1, inner.y1 - outer.y1))
 
 

@@ -1,7 +1,7 @@
-"""Made files of other makers and lines of other kinds, as text, with what is true of each.
+"""Made-up text files in the formats of other programs, with the true values in each.
 
-Layouts are those that the programs named write, made from their public descriptions; the numbers are drawn. A kind is a
-function of a generator that returns the name of the file, its bytes and the truth.
+The layouts are those of the named programs, made from their public descriptions; the numbers are random. A kind is a
+function of a random generator that returns the name of the file, its bytes and the true values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,12 +16,12 @@ POINTS = 300
 
 
 class Made(NamedTuple):
-    """Name and content of a file; what it is ("curve", "spectrum", "sensitivity" or "line"), and what is true of it.
+    """Name and content of a file; its kind ("curve", "spectrum", "sensitivity" or "line"), and its true values.
 
-    truth: of a curve the pull-off and the greatest force [N] and the span of the height [m]; of a spectrum the first
-    and last line [Hz] and the density in the peak [V^2/Hz, m^2/Hz]; of a sensitivity nm/V; of a line the count of its
-    messages, how many are lost, the median delay [s], the period [s] and whether delays are round trips.
-    asked: options that a person has to give, by the message that asks for it.
+    truth: for a curve the pull-off and the greatest force [N] and the span of the height [m]; for a spectrum the first
+    and last line [Hz] and the density in the peak [V^2/Hz, m^2/Hz]; for a sensitivity nm/V; for a line the numbers of
+    messages and lost messages, the median delay [s], the period [s] and whether delays are round trips.
+    asked: options that a person must give, by the message that asks for them.
     """
 
     name: str
@@ -36,7 +36,7 @@ def force(height_m: Array, pull_n: float) -> Array:
 
 
 def ways(draw: np.random.Generator) -> tuple[Array, Array, Array, dict[str, float]]:
-    """Return heights of an approach, its forces and those of the retraction at the same heights, and the truth."""
+    """Return heights [m] of an approach, forces [N] of approach and retraction there, and the true values."""
     deep = draw.uniform(30e-9, 90e-9)
     height = np.linspace(draw.uniform(150e-9, 300e-9), -deep, POINTS)
     pull = draw.uniform(4e-9, 12e-9)
@@ -106,7 +106,7 @@ def french_table(draw: np.random.Generator) -> Made:
 
 
 def utf16_table(draw: np.random.Generator) -> Made:
-    """What a spreadsheet saves as Unicode text: UTF-16 with its mark, CRLF, tabs, quoted heads."""
+    """The Unicode text of a spreadsheet: UTF-16 with byte order mark, CRLF, tabs, quoted heads."""
     height, there, back, truth = ways(draw)
     z, f = np.concatenate([height, height[::-1]]), np.concatenate([there, back[::-1]])
     text = '"Z, measured [nm]"\t"Force, vertical [nN]"\n' + rows((1e9 * z, 1e9 * f), form="{:.5f}")
@@ -114,7 +114,7 @@ def utf16_table(draw: np.random.Generator) -> Made:
 
 
 def two_heads(draw: np.random.Generator) -> Made:
-    """Two rows of heads: the way above the names, and a row of units behind them."""
+    """Two rows of heads, approach or retract above the names, and a row of units after them."""
     height, there, back, truth = ways(draw)
     text = "approach;approach;retract;retract\nz;F;z;F\nnm;nN;nm;nN\n"
     text += rows((1e9 * height, 1e9 * there, 1e9 * height, 1e9 * back), ";", "{:.5f}")
@@ -122,7 +122,7 @@ def two_heads(draw: np.random.Generator) -> Made:
 
 
 def deflection_by_stiffness(draw: np.random.Generator) -> Made:
-    """A deflection in mV beside a force per volt in the head, which is no unit of a column."""
+    """A deflection in mV, with a force per volt in the head, which is not the unit of a column."""
     height, there, back, truth = ways(draw)
     z, f = np.concatenate([height, height[::-1]]), np.concatenate([there, back[::-1]])
     text = "# InvOLS: 50 nm/V\n# Conversion: 25 nN/V\nZ sensor/nm,Deflection/mV\n"
@@ -131,7 +131,7 @@ def deflection_by_stiffness(draw: np.random.Generator) -> Made:
 
 
 def unit_row_at_the_end(draw: np.random.Generator) -> Made:
-    """A row of units behind the numbers, as some sheets have a foot."""
+    """A row of units after the numbers, like the footer of some sheets."""
     height, there, back, truth = ways(draw)
     z, f = np.concatenate([height, height[::-1]]), np.concatenate([there, back[::-1]])
     text = "z,force\n" + rows((1e9 * z, 1e9 * f), ",", "{:.5f}") + "nm,nN\n"
@@ -185,7 +185,7 @@ def asylum_thermal(draw: np.random.Generator) -> Made:
 
 
 def transposed(draw: np.random.Generator) -> Made:
-    """A spectrum with its lines in two rows, as a transposed sheet has them."""
+    """A spectrum with its lines in two rows, as in a transposed sheet."""
     frequency, density, truth = thermal(draw)
     text = "".join(
         f"{name};{';'.join(f'{value:.6e}' for value in values)}\n"
@@ -203,7 +203,7 @@ def magnitude_and_phase(draw: np.random.Generator) -> Made:
 
 
 def hard_curve(draw: np.random.Generator) -> Made:
-    """A curve on a hard sample whose lateral and vertical signals both are volts."""
+    """A curve on a hard sample with both the lateral and the vertical signal in volts."""
     nm_per_v = draw.uniform(20.0, 150.0)
     way = np.linspace(0.0, 400.0, 400)
     volts = np.maximum(way - 150.0, 0.0) / nm_per_v
@@ -213,7 +213,7 @@ def hard_curve(draw: np.random.Generator) -> Made:
 
 
 def trips(draw: np.random.Generator, count: int = 600) -> tuple[Array, Array]:
-    """Return round trips [ms] of packets, and which of them are lost, the first two and last two never."""
+    """Return round trips [ms] of packets, and whether each is lost; the first two and last two never are."""
     ms = np.round(draw.uniform(8.0, 60.0) + draw.gamma(2.0, 1.5, count), 1)
     lost = draw.random(count) < 0.05
     lost[[0, 1, -2, -1]] = False
@@ -244,7 +244,7 @@ def macos_ping(draw: np.random.Generator) -> Made:
 
 
 def ping6_dated(draw: np.random.Generator) -> Made:
-    """Ping of IPv6 with -D and -O: a stamp, hop limit, and lines of what is not answered yet."""
+    """Ping of IPv6 with -D and -O: a time stamp, hop limit, and a line for each packet not answered yet."""
     ms, lost = trips(draw)
 
     def each(n: int, one: float, gone: bool) -> str:
@@ -315,7 +315,7 @@ def mtr_csv(draw: np.random.Generator) -> Made:
 
 
 def traceroute(draw: np.random.Generator) -> Made:
-    """Traceroute: three times a hop, which is no log of messages."""
+    """Traceroute: three times per hop, which is no log of messages."""
     text = "traceroute to 1.1.1.1 (1.1.1.1), 30 hops max, 60 byte packets\n" + "".join(
         f" {n}  10.0.{n}.1 (10.0.{n}.1)  {n}.123 ms  {n}.456 ms  {n}.789 ms\n" for n in range(1, 20)
     )
@@ -342,7 +342,7 @@ def starlink(draw: np.random.Generator) -> Made:
 
 
 def irtt_table(draw: np.random.Generator) -> Made:
-    """A sheet of irtt's round trips: nanoseconds since an epoch, lost as words."""
+    """A sheet of irtt's round trips: nanoseconds since an epoch, and a column for losses."""
     ms, lost = trips(draw)
     text = "seqno,send_wall_ns,rtt_ns,lost\n" + "".join(
         f"{n},{1_760_000_000_000_000_000 + 100_000_000 * n},{'' if gone else round(1e6 * one)},{int(gone)}\n"
@@ -362,7 +362,7 @@ def one_way(draw: np.random.Generator) -> Made:
 
 
 def dated_ping(draw: np.random.Generator) -> Made:
-    """A shell loop that puts a date before each line of ping, whose time-outs are words of another language."""
+    """A shell loop that puts a date before each line of ping, with time-outs in another language."""
     ms, lost = trips(draw)
 
     def each(n: int, one: float, gone: bool) -> str:

@@ -1,4 +1,4 @@
-"""The payloads that a handle answers with, packed as its firmware packs them."""
+"""The payloads of a handle's answers, packed as by its firmware."""
 
 from telenano.devices.hand import wire
 

@@ -1,4 +1,4 @@
-"""Relations of the instrument's models that tests judge these by."""
+"""Theoretical relations by which tests judge the models of the instrument."""
 
 import math
 
@@ -13,7 +13,7 @@ def base_for(plant: Plant, distance_m: float, contact: bool, meniscus: bool) -> 
 
 
 def drive_work_j(plant: DynamicPlant, drive_m: float, in_phase_m: float, quadrature_m: float) -> float:
-    """Return the energy that the shaken base gives in a period of steady vibration [J].
+    """Return the work of the driven base in a period of steady vibration [J].
 
     The base exerts k zeta + 2 m b zeta' and moves by x_d; only the part of zeta at the drive's frequency does work.
     """

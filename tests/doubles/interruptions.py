@@ -1,4 +1,4 @@
-"""Commands that are interrupted by a signal, as processes of their own, and what they leave."""
+"""Commands that are interrupted by a signal, as separate processes, and the files that they leave."""
 
 import os
 import re
@@ -24,7 +24,7 @@ class Ended:
 
 
 def environment() -> dict[str, str]:
-    """Return an environment in which a terminal of 200 columns is assumed, and nothing is coloured."""
+    """Return an environment with a terminal of 200 columns and without colours."""
     return {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
 
 
@@ -33,14 +33,14 @@ def interrupted(
 ) -> Ended:
     """Run a command in a folder and send it a signal, `delay_s` [s] after it began to catch signals.
 
-    Parameters: group, send it to its children too, as a terminal does.
+    Parameters: group, whether to send it to the children too, as a terminal does.
     """
     process = subprocess.Popen(
         [sys.executable, "-m", "telenano", *arguments], cwd=folder, env=environment(), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
         preexec_fn=as_at_a_terminal,
     )  # fmt: skip
-    # before it does a signal ends it as it ends any process, without a word
+    # Before the command catches signals, one would end it without a message, as any process.
     while process.poll() is None and not _catches(process.pid, signal.SIGTERM):
         time.sleep(0.01)
     try:
@@ -52,7 +52,7 @@ def interrupted(
 
 
 def as_at_a_terminal() -> None:
-    """Let a process answer to SIGINT: one that a shell has in the background ignores it, and so do its children."""
+    """Restore the reaction to SIGINT: background processes of a shell ignore it, and so do their children."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -62,6 +62,6 @@ def _catches(process: int, number: signal.Signals) -> bool:
 
 
 def files_below(folder: Path) -> list[str]:
-    """Return what is in a folder and below it, without the journals and sessions that a study goes on from."""
+    """Return the files in a folder and below it, without the journals from which a study continues."""
     found = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return sorted(name for name in found if not name.endswith("journal.jsonl"))

@@ -1,8 +1,8 @@
-"""The notebooks of docs/notebooks, which keep what their cells print and draw.
+"""The notebooks of docs/notebooks, which are stored with the outputs of their cells.
 
 `python tests/doubles/kept_notebooks.py [TABLES]` runs them and writes their outputs again; look at the pictures before
 you commit them. TABLES is the folder `analysis` of an experiment; without it the experiment is run first.
-`tests/examples/test_notebooks.py` compares what is kept with a fresh run.
+`tests/examples/test_notebooks.py` compares the stored outputs with a fresh run.
 """
 
 import base64
@@ -20,7 +20,7 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-# variables that name what a notebook reads; without the second it is the recording of telenano
+# Environment variables with the inputs of a notebook; without the second, it reads the recording of telenano.
 _EXPERIMENT, _RECORDING = "TELENANO_EXPERIMENT", "TELENANO_RECORDING"
 _COLOURS = 64  # of a kept picture
 _LONGEST_S = 280.0  # of an experiment or a notebook
@@ -29,7 +29,7 @@ Document = dict[str, Any]
 
 
 def experiment_in(folder: Path) -> Path:
-    """Run the experiment of the documents in simulated time, and return the folder of its tables."""
+    """Run the experiment of the documentation in simulated time, and return the folder of its tables."""
     out = folder / "experiment"
     telenano = [sys.executable, "-m", "telenano", "experiment"]
     for words in (["run", "delay_and_law", "--apparatus", "lockstep", "--out", str(out)], ["analyse", str(out)]):
@@ -41,12 +41,12 @@ def executed(path: Path, folder: Path, experiment: Path) -> Document:
     """Run a copy of a notebook in a folder and return it with its outputs.
 
     Raises:
-        RuntimeError: A cell fails; the message is what nbconvert says of it.
+        RuntimeError: A cell fails; the message has the output of nbconvert.
     """
     environment = {name: value for name, value in os.environ.items() if name not in ("MPLBACKEND", _RECORDING)}
     environment[_EXPERIMENT] = str(experiment.resolve())
     shutil.copy(path, folder)
-    # What a kernel says stays on sockets of the user, which are made in the folder that it is started in.
+    # The kernel communicates over sockets of the user, which are created in the folder in which it is started.
     command = [sys.executable, "-m", "nbconvert", "--to", "notebook", "--execute", "--inplace", path.name]
     command += ["--KernelManager.transport=ipc", f"--ExecutePreprocessor.startup_timeout={_LONGEST_S:.0f}"]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=_LONGEST_S)
@@ -61,7 +61,7 @@ def document_of(path: Path) -> Document:
 
 
 def text_of(cell: Document) -> str:
-    """Return what a cell prints and what its last line shows, without pictures."""
+    """Return the printed text and the shown result of a cell, without pictures."""
     shown = [output.get("text", output.get("data", {}).get("text/plain", "")) for output in cell.get("outputs", ())]
     return "".join(part for text in shown for part in text)
 
@@ -73,7 +73,7 @@ def pictures_of(cell: Document) -> list[bytes]:
 
 
 def keep(path: Path, made: Document) -> None:
-    """Write the outputs of a run into a notebook: with small pictures, without times and what the machine adds."""
+    """Write the outputs of a run into a notebook: with small pictures, without times and facts on the machine."""
     document = document_of(path)
     for cell, ran in zip(document["cells"], made["cells"], strict=True):
         if cell["cell_type"] == "code":
@@ -92,7 +92,7 @@ def _small(output: Document) -> Document:
 
 
 def _joined(outputs: list[Document]) -> list[Document]:
-    """Join what a stream brought in pieces, which depend on the moment."""
+    """Join successive outputs of a stream, whose division depends on timing."""
     joined: list[Document] = []
     for output in outputs:
         if joined and output.get("name") and output.get("name") == joined[-1].get("name"):

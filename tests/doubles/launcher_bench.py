@@ -1,4 +1,4 @@
-"""A session in virtual time, whose nodes answer the commands that they know unless a test makes them silent."""
+"""A session of the launcher in virtual time, whose nodes answer their commands unless a test makes them silent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -113,7 +113,7 @@ class Bench:
         self.bus = FakeBus(self.clock, key)
         self.children = FakeChildren()
         self.context = NodeContext(key, self.clock, self.bus, StructuredLog(key))
-        # every line that the view has shown
+        # Every line that the launcher has reported.
         self.reports: list[str] = []
 
     def begin(self, node: RigNode) -> None:
@@ -149,7 +149,7 @@ class Bench:
             self.after_tick()
 
     def after_tick(self) -> None:
-        """Do what the nodes of the rig do in a tick."""
+        """Do the work of the rig's nodes in a tick."""
 
 
 class Rig(Bench):
@@ -167,7 +167,7 @@ class Rig(Bench):
         recording = ExternalRecording(self.clock, recorder) if recorder else None
         self.silent: set[str] = set()
         self.refusing: set[str] = set()
-        # whether the tip says that it is placed when it was armed
+        # Whether the tip reports that it is placed after it was armed.
         self.places = True
         self.answered = 0
         self.rig_nodes = [*own, *others]
@@ -185,7 +185,7 @@ class Rig(Bench):
         self.receive_health(*self.rig_nodes)
 
     def tick_alive(self, count: int = 1, missing: Sequence[str] = ()) -> None:
-        """Let time pass with reports of every node but the missing ones."""
+        """Let time pass with reports of every node except the missing ones."""
         for _ in range(count):
             self.receive_health(*(node for node in self.rig_nodes if node not in missing))
             self.tick()
@@ -195,7 +195,7 @@ class Rig(Bench):
         for control in controls[self.answered :]:
             named = {control.target + "@slave", control.target + "@master"}
             known = {"arm": named, "estop": named, "set": {control.target}}
-            # a pattern reaches the hand, which alone ends its programme by one
+            # Only the hand obeys a `stop` to a pattern, by which it ends its programme.
             known["stop"] = {"haptic_node@master"} if control.target == "*" else named
             concerned = known.get(control.command, {"haptic_node@master"}) & set(self.rig_nodes)
             for node in concerned - self.silent:

@@ -1,18 +1,18 @@
-"""The programs of examples/ that have a rig: of each, the texts and figures that it prints, whatever the moment."""
+"""The programs of examples/ that use a rig, with the texts and numbers that each must print in every run."""
 
 import re
 from typing import NamedTuple
 
 
 class Printed(NamedTuple):
-    """What a line begins with, the figure after it, and how far it may be off."""
+    """The beginning of a line (a regular expression), the number after it, and the tolerance of that."""
 
     beginning: str
     figure: float
     tolerance: float
 
 
-# One rig, whose hand presses with 1 N, runs beside each of these.
+# Programs that run beside a rig whose hand presses with 1 N.
 BESIDE_A_RIG: dict[str, tuple[Printed, ...]] = {
     "bare_client": (Printed("greatest_nn", 9.524, 0.2),),
     "live_plot": (
@@ -20,7 +20,7 @@ BESIDE_A_RIG: dict[str, tuple[Printed, ...]] = {
         Printed("afm/state messages [0-9]+ greatest_n", 0.9524, 0.02),
     ),
 }
-# These start a rig of their own.
+# Programs that start a rig themselves.
 WITH_A_RIG: dict[str, tuple[Printed, ...]] = {
     "own_device": (
         Printed("from_s 3 scaled_tip_force_n", 0.9524, 0.02),
@@ -30,7 +30,7 @@ WITH_A_RIG: dict[str, tuple[Printed, ...]] = {
 
 
 def assert_printed(printed: str, expected: tuple[Printed, ...]) -> None:
-    """Check that each figure stands once behind what its line begins with, and is as expected."""
+    """Check that each number appears once after the beginning of its line, and is within its tolerance."""
     for line in expected:
         (found,) = re.findall(rf"^{line.beginning} (-?[\d.]+)", printed, re.MULTILINE)
         assert abs(float(found) - line.figure) <= line.tolerance, (line, found)

@@ -1,4 +1,4 @@
-"""An event loop in a thread of its own, for servers that stand beside a test.
+"""An event loop in a separate thread, for servers that run beside a test.
 
 class Server(LoopThread):
     async def begin(self) -> None: ...
@@ -27,7 +27,7 @@ class LoopThread:
         raise NotImplementedError
 
     async def ended(self) -> None:
-        """Close what is left after all tasks have ended."""
+        """Close the remaining resources after all tasks have ended."""
 
     def __enter__(self) -> Self:
         self._thread.start()

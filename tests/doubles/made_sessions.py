@@ -1,4 +1,4 @@
-"""Recordings of sessions that are made up: Fig. 12 as a law would hold it, with clocks, ways and losses of choice."""
+"""Made-up recordings of sessions: Fig. 12 as with a perfect law, with chosen clocks, delays, losses and faults."""
 
 import functools
 import math
@@ -26,7 +26,7 @@ MS, NS = 1_000_000, 1_000_000_000
 STEP_S = 5e-3
 SESSION_S = 8.0
 FORCE_SCALE = 1e8
-# what the hand does, from the scenario
+# Force profile of the hand, from the scenario.
 HAND_TIMES_S, HAND_FORCES_N = (0.8, 1.2, 2.6, 2.9, 4.5, 4.6), (0.0, 1.0, 1.0, 2.0, 2.0, 0.0)
 
 
@@ -43,21 +43,21 @@ def hand_force_n(time_s: float) -> float:
 
 @dataclass
 class Made:
-    """What is made: the slave's clock and the ways between the sites; what the tip does; what is left out.
+    """The properties of a made-up session; all times are session times [s].
 
     ahead_s, drift: the slave's clock is ahead by ahead_s when the session begins, and gains drift; there_s, back_s: the
-    ways [s], with jitter_s; tip_n: alpha_f F_s at a session time [N], the hand's force of one way ago if None; mode,
-    in_contact: of the instrument at a session time; without: topic and session time of what the recorder did not get;
-    answers: until when the hand gets answers [s]; events: session time and data of what the instrument reports;
-    incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
-    programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
-    second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s];
-    blocked_s: from when to when UDP is blocked from the slave to the master [s]; hand_mode: of the device at a session
-    time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
-    run, until anew_s if that is given; set_back_s: when the one clock of both sites is set back, and by how much, both
-    in [s]; silent: topic and session time of what is not sent at all; anew_tip_s: when the process of the instrument is
-    another one, whose numbers begin anew [s]; longer_s: when the way there becomes longer for good, and by how much,
-    both in [s], which the link of two machines tells.
+    delays of both directions [s], with jitter_s; tip_n: alpha_f F_s at a time [N], by default the hand's force there_s
+    ago; mode, in_contact: those of the instrument at a time; without: whether the recorder missed messages of a topic
+    at a time; answers: time until which the hand gets answers; events: times and data of the instrument's reports;
+    incidents: times and texts of the slave's launcher; end_s: end of the recording, None if the programme ended
+    normally; set_s: time at which the tip acknowledged a setting; queue_s: growth of the forward delay per second [s];
+    told_s: error of the offset that the link reports [s]; full_s: constant queue of the backward direction [s];
+    blocked_s: begin and end of a time in which UDP is blocked from the slave to the master; hand_mode: mode of the
+    device at a time; killed_s: time at which the hand's process is killed: its numbers then restart, and its programme
+    does not run, or restarts at anew_s; set_back_s: time at which the one clock of both sites is set back, and by how
+    much; silent: whether messages of a topic are not sent at a time; anew_tip_s: time at which the instrument's process
+    is restarted, so that its numbers restart; longer_s: time and amount of a permanent increase of the forward delay,
+    which the link of two machines reports.
     """
 
     ahead_s: float = 0.0
@@ -95,11 +95,11 @@ class Made:
         return session_s, hand_force_n(session_s) if session_s >= 0.0 else 0.0
 
     def slave_ns(self, time_s: float) -> int:
-        """Return what the slave's clock shows at a session time [ns]."""
+        """Return the time on the slave's clock at a session time [ns]."""
         return BEGAN_NS + round((time_s + self.ahead_s + self.drift * time_s) * NS)
 
     def write(self, folder: Path, site: str = "master") -> Path:
-        """Write the recording of a site's recorder, which receives what the slave sends after the way back."""
+        """Write the recording of a site's recorder, which receives messages of the other site after their delay."""
         dice = random.Random(5)
         name = "session.mcap" if site == "master" else f"{site}.mcap"
         writer = RecordingWriter.create(f"recorder@{site}", FileSettings(directory=folder, file_name=name))
@@ -196,7 +196,7 @@ class Made:
         return writer.path
 
     def _set_back(self, value: Any) -> Any:
-        """Return a stamp, and each within a message, as the clock that is set back has it."""
+        """Return a time stamp, or a message with all its time stamps, by the clock that is set back."""
         assert self.set_back_s is not None
         at_s, by_s = self.set_back_s
         if isinstance(value, dict):
@@ -204,7 +204,7 @@ class Made:
         return value - round(by_s * NS) if isinstance(value, int) and value >= BEGAN_NS + round(at_s * NS) else value
 
     def _clock(self, add: Callable[..., None], dice: random.Random) -> None:
-        """Add what the link measures of the other clock, ten times a second, by the link's own filter."""
+        """Add the link's reports on the other clock, ten times a second, computed by the link's own filter."""
         found = OffsetFilter(64)
         for tenth in range(-3, round(10 * (SESSION_S + 0.3))):
             asked_s = 0.1 * tenth - 0.08 - self.there_s - self.back_s
@@ -224,18 +224,18 @@ class Made:
             clock = msgspec.structs.replace(example("link/status").clock, **told)
             clock = clock if self.longer_s is None else found.report()
             answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns}
-            # an earlier version tells no answers
+            # An earlier version does not report the answers.
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
             if self.full_s is not None and tenth % 5 == 0:
                 counts = {"sent": 50 * (tenth + 10), "settled": 50 * tenth + 200, "lost": 5 * tenth + 20}
                 line = {"queue_s": self.full_s, "queue_low_s": 0.8 * self.full_s, "queue_high_s": 1.2 * self.full_s}
                 line |= {"capacity_bit_per_s": 1_000_000, "capacity_low_bit_per_s": 900_000}
-                # Both ways are delayed as much, and the slave alone takes its own for full.
+                # Both directions have the same queue, but only the slave reports its own as full.
                 for source, way, sends in ((LINK, "backward", "free"), ("controller@slave", "forward", "full")):
                     add("link/network", source, 0.1 * tenth, direction=way, **counts, **line, line=sends)
             if self.blocked_s is not None and tenth % 5 == 0:
                 begin_s, end_s = self.blocked_s
                 since = {"blocked_since_ns": BEGAN_NS + round(begin_s * NS)} if begin_s < 0.1 * tenth < end_s else {}
-                # Nothing is known of a queue where no datagram was ever answered.
+                # The queue is unknown if no datagram was ever answered.
                 unknown = {"queue_s": None, "capacity_bit_per_s": None, "line": "free"}
                 add("link/network", LINK, 0.1 * tenth, direction="backward", **{**unknown, **since})

@@ -1,4 +1,4 @@
-"""A rig without nodes for the server of the page: a test puts in each message, and the server takes it from there."""
+"""A source without a rig for the page's server: a test adds the messages that the server shows."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -9,7 +9,7 @@ from services.viz_node.source import NoTransport
 
 
 class MadeSource(NoTransport):
-    """Shows what is in `waiting`, once; the server may take from it while the test fills it."""
+    """Returns each message in `waiting` once; the server may read while the test adds messages."""
 
     def __init__(self, name: str = "test") -> None:
         self.name = name

@@ -1,4 +1,4 @@
-"""Machines of a rig within one process: a context, a folder of keys and a clock each, real sockets between them."""
+"""Machines of a rig within one process: each has a context, a folder of keys and a clock; real sockets connect them."""
 
 import select
 import time
@@ -18,13 +18,13 @@ PATIENCE_S = 30.0
 TURN_NS = 20_000_000
 AFM, CONTROLLER, LINK = "afm_node@slave", "controller@slave", "delay_node@slave"
 BOTH: tuple[Role, ...] = ("data", "control")
-# what each node publishes in every turn
+# Topic that each node publishes in every turn.
 TOPIC_OF = {AFM: "afm/state", CONTROLLER: "teleop/backward", LINK: "teleop/forward"}
 SOURCE_OF = {LINK: "controller@master"}
 
 
 def two_machine_book(folder: Path, **more: Any) -> AddressBook:
-    """Three nodes that publish over a network: the link at the master, two at the slave."""
+    """Return the address book of three nodes that publish over a network: the link at the master, two at the slave."""
     hosts = {AFM: "slave", CONTROLLER: "slave", LINK: "master"}
     nodes = {
         node: {"local": f"ipc://{folder}/{node}", "network": f"tcp://{{{host}}}:{port}"}
@@ -35,7 +35,7 @@ def two_machine_book(folder: Path, **more: Any) -> AddressBook:
 
 
 def port_of(book: AddressBook, node: str) -> int:
-    """Return the port of a node."""
+    """Return the network port of a node."""
     return int((book.network_endpoint(node) or "").rpartition(":")[2])
 
 
@@ -78,7 +78,7 @@ class Machine:
         return self
 
     def turn(self) -> None:
-        """Publish one message at each publisher, process connection events and take what has come."""
+        """Publish one message at each publisher, and process connection events and received messages."""
         self.clock.advance_ns(TURN_NS)
         for node, publisher in self.publishers.items():
             topic = TOPIC_OF.get(node, "session/event")
@@ -89,25 +89,25 @@ class Machine:
             self.received += subscriber.receive()
 
     def received_from(self, src: str) -> int:
-        """Return how many messages of a source have been received."""
+        """Return the number of messages received from a source."""
         return sum(received.message.src == src for received in self.received)
 
     @property
     def changes(self) -> list[ConnectionEvent]:
-        """What happened to connections, without the reminders of those that are not there yet.
+        """The events of connections, without the reminders of missing ones.
 
-        The clock advances by more than the real time of a turn, and so a reminder may come before a connection.
+        The clock advances faster than real time, so a reminder may come before a connection.
         """
         return [event for event in self.events if event.data.get("connection") != "unreached"]
 
     def texts(self, connection: str, peer: str | None = None) -> list[str]:
-        """Return the texts of a kind of event on connections."""
+        """Return the texts of one kind of connection events, of all peers or one."""
         return [
             n.text for n in self.events if n.data.get("connection") == connection and peer in (None, n.data.get("peer"))
         ]
 
     def close(self) -> None:
-        """Close as a node does."""
+        """Close everything, like a node."""
         for each in (*self.subscribers, *self.publishers.values()):
             each.close()
         self.subscribers.clear()
@@ -137,7 +137,7 @@ def until(condition: Callable[[], object], *machines: Machine) -> None:
 
 
 def receives_more(machine: Machine, src: str, count: int = 5) -> Callable[[], bool]:
-    """Return the condition that a machine receives more of a source than it has so far."""
+    """Return the condition that a machine receives `count` more messages from a source."""
     before = machine.received_from(src)
     return lambda: machine.received_from(src) >= before + count
 

@@ -1,4 +1,4 @@
-"""What may stand at a path in the place of a file, and the names that a path may have, for tests of who opens one."""
+"""Objects that may stand at a path instead of a file, and odd names of paths, for tests of code that opens files."""
 
 import os
 import socket
@@ -15,7 +15,7 @@ _HUGE = 1 << 36
 
 def _socket(path: Path) -> None:
     before = Path.cwd()
-    # The address of a socket has fewer letters than a path may have.
+    # The address of a socket may be shorter than the path, so use a relative one.
     os.chdir(path.parent)
     try:
         with socket.socket(socket.AF_UNIX) as bound:
@@ -27,7 +27,7 @@ def _socket(path: Path) -> None:
 def _device(path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("only root can make a device")
-    # that of /dev/zero, which has no end
+    # The device of /dev/zero, which has no end.
     os.mknod(path, 0o600 | stat.S_IFCHR, os.makedev(1, 5))
 
 
@@ -46,7 +46,7 @@ PLACES: dict[str, Callable[[Path], Any]] = {
     "device": _device,
     "file too large": _huge,
 }
-# Each is a name below the folder in which a test runs.
+# Names below the folder in which a test runs.
 NAMES = {
     "empty": "",
     "line break": "a\nb` c",

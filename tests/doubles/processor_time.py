@@ -1,4 +1,4 @@
-"""What work costs beside other work in the same minute, on a machine that others use as well."""
+"""Comparison of the processor times of two pieces of work, on a machine that others use as well."""
 
 import gc
 import time
@@ -9,10 +9,10 @@ ROUNDS = 20
 
 
 def ratio_of_costs(work: Callable[[], object], reference: Callable[[], object], *, below: float) -> float:
-    """Return the ratio of the least processor times of both, in turns until it is below a bound, at most 20 times.
+    """Return the ratio of the least processor times of both; repeat both until it is below a bound, at most 20 times.
 
-    A processor that others share has cold caches and page tables, which costs more and never less: one quiet turn
-    shows what work takes. The collector is off, as in a node: it takes longer the more tests there have been.
+    On a shared processor, cold caches and page tables only increase the time, so one undisturbed run shows the cost.
+    The garbage collector is off, as in a node, because its time grows with the number of tests run before.
     """
     costs: tuple[list[float], list[float]] = ([], [])
     with _without_collector():

@@ -1,4 +1,4 @@
-"""A transport that a stranger could have written from docs/extending.md: samples over plain UDP, for a test."""
+"""A transport as an outside developer could write it from docs/extending.md: samples over plain UDP, for a test."""
 
 import contextlib
 import socket
@@ -19,7 +19,7 @@ class RadioSettings(Settings):
 
 
 class Radio:
-    """One end, which sends every sample of the loop and takes those of the other one."""
+    """One end, which sends every sample of the loop and receives those of the other end."""
 
     shared = False
     drained = True
@@ -59,7 +59,7 @@ class Radio:
 
 
 class MyRadio(LinkTransport):
-    """The transport, of which every process reads the settings."""
+    """The transport; every process reads its settings."""
 
     settings = RadioSettings
 

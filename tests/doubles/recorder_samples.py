@@ -1,4 +1,4 @@
-"""Messages to record; a module of its own, because other folders have a conftest too."""
+"""Messages to record; a separate module instead of a conftest, because other folders have a conftest too."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The graph of a rig: which node publishes a topic, who reads it, and how often it is sent."""
+"""The graph of a rig: the publisher of each topic, its readers, and its rate."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from telenano.wire.nodes import LINK, START_ORDER, VIEW, name_of, site_of
 from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import Topic
 
-# Every node sends these topics, and only people and the launcher read them; they would hide the loop.
+# Topics that every node sends, and only people and the launcher read; they would hide the loop.
 _EVERYBODY = ("node/health", "session/event", "node/journal", "session/control")
 _INPUTS = {
     "haptic_node@master": HAPTIC_INPUTS,
@@ -20,7 +20,7 @@ _INPUTS = {
 
 
 class Edge(NamedTuple):
-    """A topic from its publisher to a reader; rate_hz is None for one that is sent on change."""
+    """A topic from its publisher to a reader; rate_hz is None for a topic that is sent on change."""
 
     source: str
     reader: str
@@ -41,7 +41,7 @@ def edges() -> list[Edge]:
                     for source in _sources(topic)
                     for pair in _way(topic, source, reader)
                 ]
-    # a node that reads its own topic means the same topic of the other site
+    # A node that reads a topic that it also publishes reads that of the other site.
     return [edge for edge in dict.fromkeys(found) if edge.source != edge.reader]
 
 
@@ -51,10 +51,10 @@ def _sources(topic: Topic) -> list[str]:
 
 
 def _way(topic: Topic, source: str, reader: str) -> list[tuple[str, str]]:
-    """Return the pairs that a topic passes from its source to a reader: through the link to the other site."""
+    """Return the hops of a topic from its source to a reader; to the other site it passes through the link."""
     link = f"{LINK}@master"
     if name_of(source) == LINK:
-        # the link has an endpoint at each site, which is the same process
+        # The link has an endpoint at each site, but is one process.
         return [(link, reader)] if source == f"{LINK}@{site_of(reader)}" else []
     if site_of(source) == site_of(reader):
         return [(source, reader)]

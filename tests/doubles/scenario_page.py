@@ -7,7 +7,7 @@ from typing import Any
 from telenano.launcher.scenario_keys import Key, all_keys
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
-# sections beside one another that have a key with the same words are named in one line
+# A key that at least this many sibling sections have, with the same text, is described in one line.
 SHARED = 2
 _LONGEST_DEFAULT = 40
 _HEAD = """# Every key of a scenario
@@ -52,7 +52,7 @@ def _without_twins(keys: list[Key]) -> tuple[list[Key], dict[str, str]]:
 
 
 def _shared(keys: list[Key]) -> list[tuple[str, str]]:
-    """Return name and text of each key; one line for a key that several sections beside one another have."""
+    """Return name and text of each key; one line for a key that several sibling sections have."""
     alike: dict[tuple[str, str, str], list[str]] = {}
     for key in keys:
         above, own, leaf = _split(key.name)
@@ -75,7 +75,7 @@ def _split(name: str) -> tuple[str, str, str]:
 
 
 def _merged(lines: list[tuple[str, str]]) -> Iterable[str]:
-    """Yield one line for keys of one section that follow one another with the same text."""
+    """Yield one line for successive keys of a section with the same text."""
     names: list[str] = []
     for number, (name, about) in enumerate(lines):
         names.append(f"`{name}`" if not names else f"`{name.rpartition('.')[2]}`")
@@ -92,7 +92,7 @@ def _about(key: Key) -> str:
         least, most = ("" if bound is None else f"{bound:g}" for bound in (key.least, key.most))
         allowed = f"{least}…{most}"
     else:
-        # what the text explains one by one is not listed before it
+        # Choices that the text explains one by one are not listed before it.
         allowed = "" if all(f"{choice}:" in text for choice in choices) else "|".join(choices)
     given = ", ".join(part for part in (_default(key.default), allowed) if part)
     return f" ({given}): {text}" if given else f": {text}"

@@ -1,8 +1,8 @@
-"""Build the documents as a site: `python tests/doubles/site_pages.py FOLDER`.
+"""Build the documentation as a site: `python tests/doubles/site_pages.py FOLDER`.
 
 Zensical reads pages and the navigation of mkdocs.yml from a folder that is written here: docs/, the other documents of
-the repository with their pictures, the notebooks with what is kept in them, and the gallery of delay. A link or a
-picture that is not there ends the build.
+the repository with their pictures, the notebooks with their stored outputs, and the gallery of delay. A missing link
+target or picture ends the build.
 """
 
 import json
@@ -20,7 +20,7 @@ from nbconvert import MarkdownExporter
 from telenano_lab.studies.pages.gallery import FOLDER, fragment_of
 
 ROOT = Path(__file__).resolve().parents[2]
-# documents beside docs/, which its pages link to; a package that `telenano new` made here is none
+# Documents outside docs/ to which its pages link, without packages that `telenano new` made here.
 _FOLDERS = ("", "services/", "telenano/", "packages/", "packages/telenano-devices/telenano_devices/handle/firmware/")
 _BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md", "packages/*/docs/*.md")
 _OTHERS = {
@@ -30,15 +30,15 @@ _OTHERS = {
     if path.parent not in (ROOT / "docs", ROOT / "out")
     and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
-# the pictures of such a document
+# Pictures of these documents.
 _PICTURES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("examples/*.png"))}
 _PREFIX = "repository/"
-# pages whose pictures need the place of the table of contents
+# Pages whose pictures need the space of the table of contents.
 _WIDE = {"index.md": ["navigation", "toc"], "gallery.md": ["toc"], "unstable.md": ["toc"]}
-# the picture in whose place the site has the gallery of delay itself
+# The picture that the site replaces by the interactive gallery of delay.
 _STILL = re.compile(r"^!\[[^\]]*\]\(view/gallery\.png\)$", re.MULTILINE)
 _SLIDER = "<!-- the gallery of delay -->"
-# a link that is called as the repository calls its file, which a reader of the site does not know
+# Text of a link that is the name of a file of the repository, which readers of the site do not know.
 _FILE_NAME = re.compile(r"[\w./-]+\.md")
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\](?:\([^)]*\))?)*)\]\(([^)\s]+)((?:\s+\"[^\"]*\")?)\)")
@@ -48,13 +48,13 @@ def build(out: Path) -> None:
     """Build the site into a folder, which is replaced.
 
     Raises:
-        subprocess.CalledProcessError: A page has a link or a picture that is not there.
+        subprocess.CalledProcessError: A page has a link or a picture whose target is missing.
     """
     with tempfile.TemporaryDirectory() as name:
         source = Path(name)
         write_pages(source / "docs")
         navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-        # the modules of the reference are those of the repository
+        # The reference documents the modules of the repository.
         settings = navigation.replace("paths: [.]", f"paths: [{json.dumps(str(ROOT))}]")
         (source / "mkdocs.yml").write_text(settings, encoding="utf-8")
         subprocess.run([sys.executable, "-m", "zensical", "build", "--strict", "--clean"], cwd=source, check=True)
@@ -87,7 +87,7 @@ def write_pages(folder: Path) -> None:
 
 
 def page_of(markdown: str, uri: str) -> str:
-    """Return a document as the site has it: links to its own pages, wide pages without a table of contents."""
+    """Return a document adapted for the site: links to its pages, wide pages without a table of contents."""
     head = f"---\nhide: [{', '.join(_WIDE[uri])}]\n---\n" if uri in _WIDE else ""
     if uri == "unstable.md":
         markdown = _STILL.sub(_SLIDER, markdown)
@@ -98,7 +98,7 @@ def page_of(markdown: str, uri: str) -> str:
 
 
 def linked(found: re.Match[str], uri: str) -> str:
-    """Return a link of a document as the site has it: text alone where it leads to a file that is no document."""
+    """Return a link of a document adapted for the site; only its text if it leads to a file that is no document."""
     image, text, target, title = found.groups()
     if re.match(r"[a-z]+:|#", target):
         return found[0]
@@ -118,7 +118,7 @@ def linked(found: re.Match[str], uri: str) -> str:
 
 @cache
 def title_of(document: str) -> str:
-    """Return the title of a document by its path in the repository, empty where it has none."""
+    """Return the title of a document at a path in the repository; empty if it has none."""
     path = ROOT / document
     text = path.read_text(encoding="utf-8") if document.endswith(".md") and path.is_file() else ""
     found = re.search(r"^# (.+)$", text, re.MULTILINE)
@@ -126,10 +126,10 @@ def title_of(document: str) -> str:
 
 
 def converted(path: Path) -> tuple[str, dict[str, bytes]]:
-    """Return a notebook as Markdown with what its cells printed, and its figures by file name."""
+    """Return a notebook as Markdown with the outputs of its cells, and its figures by file name."""
     notebook = nbformat.read(path, as_version=4)
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": path.stem})
-    # a table of pandas looks as every other table of the site
+    # Remove the style of pandas tables, so that they look like every other table of the site.
     text = re.sub(r"<style scoped>.*?</style>", "", text, flags=re.DOTALL).replace(' border="1" class="dataframe"', "")
     file = f'<a href="{path.name}" download>a notebook</a>'
     link = f"This is {file}, with what it printed. `pip install -e '.[notebooks]'` brings Jupyter."

@@ -1,4 +1,4 @@
-"""A recorded session whose hand feels a spring far softer than it is: a swing under passivity control."""
+"""A recorded session in which the hand feels a spring much too soft: a swing under passivity control."""
 
 import json
 import math

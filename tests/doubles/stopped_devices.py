@@ -1,4 +1,4 @@
-"""Both device nodes in virtual time, stopped, killed and armed by the client of the project and by others."""
+"""Both device nodes in virtual time; tests stop, kill and arm them with the project's client and with others."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -32,7 +32,7 @@ from telenano.wire.topics import TOPICS
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)
 MS = 1_000_000
-# below the 50 ms from which a process counts as held up
+# Step of the world, shorter than the 50 ms after which a process counts as stalled.
 STEP_NS = 40 * MS
 SECOND_NS = 1000 * MS
 _DEADLINE_NS = 50 * MS
@@ -45,7 +45,7 @@ class _Log(StructuredLog):
 
 
 class _Bus:
-    """The bus of one device: what waits for it, at its inlet and elsewhere; its answers go to the world."""
+    """The bus of one device: messages that wait at its inlet and elsewhere; its answers go to the world."""
 
     def __init__(self, world: "World", key: str) -> None:
         self._world, self._key = world, key
@@ -90,7 +90,7 @@ class _Bus:
 
 
 class Device:
-    """A process of a device: it runs, stands still (SIGSTOP), or is dead until it is started again."""
+    """The process of a device: it runs, stands still (SIGSTOP), or is dead until it is started again."""
 
     def __init__(self, world: "World", key: str) -> None:
         self._world, self.key = world, key
@@ -122,7 +122,7 @@ class Device:
             self.loop.turn()
 
     def _commands(self) -> list[Received]:
-        """Return the command of the law as of now: for the tip of the hand's newest sample, while they are linked."""
+        """Return the present command of the law; the tip's one descends from the hand's newest sample, if linked."""
         now_ns = self._world.clock.now_ns()
         if self.key == TIP and not self._world.is_linked:
             return []
@@ -151,7 +151,7 @@ def _node(context: NodeContext) -> Node:
 
 
 class _Stop(NamedTuple):
-    """A `telenano estop` that is not over: it goes to the inlets until all have answered, or it gives up."""
+    """A running `telenano estop`, which is sent to the inlets until all have answered, or it gives up."""
 
     control: SessionControl
     until_ns: int
@@ -159,21 +159,21 @@ class _Stop(NamedTuple):
 
 
 class World:
-    """Two devices, those who command them, and the way between."""
+    """Two devices, the programs that command them, and the delay between these."""
 
     def __init__(self, folder: Path, *, way_ns: int = 0, inlet_first: bool = True, hears_stops: bool = True) -> None:
         """Begin with both devices, not armed.
 
-        Parameters: way_ns, from those who command to the devices, and back [ns]; inlet_first, whether a device reads
-        its inlet before its other sockets; hears_stops, whether those who command hear what answers an emergency stop.
+        Parameters: way_ns, delay of commands and of answers [ns]; inlet_first, whether a device reads its inlet before
+        its other sockets; hears_stops, whether the commanding programs receive the answers to an emergency stop.
         """
         self._hears_stops = hears_stops
         self.folder, self.way_ns, self.inlet_first = folder, way_ns, inlet_first
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_NS)
         self.no_position = False
-        # when the hand was sampled last [ns], and whether it was armed then; whether its samples reach the tip
+        # Time of the hand's last sample [ns], and whether it was armed then; whether its samples reach the tip.
         self.hand_sample, self.is_linked = (EPOCH_NS, False), True
-        # when the hand was last armed and running [ns]
+        # Time at which the hand was last armed and running [ns].
         self._armed_ns = -SECOND_NS
         self.answers: list[tuple[int, SessionEvent]] = []
         self._coming: list[tuple[int, SessionControl]] = []
@@ -182,7 +182,7 @@ class World:
         self._stops: list[_Stop] = []
         self.heard: list[SessionEvent] = []
         self.devices = {key: Device(self, key) for key in DEVICES}
-        # until there is a position to follow
+        # Run until there is a position to follow.
         self.run(5 * STEP_NS)
 
     def message(self, topic: str, src: str, **fields: Any) -> Received:
@@ -193,7 +193,7 @@ class World:
         return Received(topic, made, b"", now_ns, Arrival.NEXT)
 
     def send(self, src: str) -> Callable[..., None]:
-        """Give the way by which a console or the launcher publishes commands."""
+        """Return the function with which a console or the launcher publishes commands."""
 
         def publish(topic: str, **fields: Any) -> None:
             control = self.message(topic, src, **fields).message
@@ -203,7 +203,7 @@ class World:
         return publish
 
     def arm(self, *targets: str, launcher: bool = False, waited_ns: int = 0) -> CommandClient:
-        """Arm devices as a person at a console does, or as the launcher at the start of a session."""
+        """Arm devices like a person at a console, or like the launcher at the start of a session."""
         src = "launcher@master" if launcher else "console@master"
         steps = list(ARM) if launcher else [Command("arm", target, (target,)) for target in targets or DEVICES]
         options: dict[str, Any] = {"retry_ns": 5000 * MS, "releases_stops": False} if launcher else {}
@@ -212,7 +212,7 @@ class World:
         return self.clients[-1]
 
     def arm_naively(self, duration_ns: int) -> None:
-        """Arm as a program does that sends a new command all the time and quotes nothing."""
+        """Arm like a simple program that sends a new command in each step, and quotes nothing."""
         self._naive.append((self.clock.monotonic_ns() + duration_ns, "*"))
 
     def withdraw(self) -> None:
@@ -221,7 +221,7 @@ class World:
         )
 
     def stop(self, repeated_ns: int) -> None:
-        """Stop both devices as `telenano estop` does, which gives up after `repeated_ns` [ns]."""
+        """Stop both devices like `telenano estop`, which gives up after `repeated_ns` [ns]."""
         fields = {"id": os.urandom(8).hex(), "command": "estop", "target": "*", "parameters": {}}
         control = self.message("session/control", "estop@slave", **fields).message
         assert isinstance(control, SessionControl)
@@ -238,7 +238,7 @@ class World:
             self.step()
 
     def step(self) -> None:
-        """Let a step of time pass: everybody sends, what has arrived is taken."""
+        """Let a step of time pass: all programs send, and the devices process arrived messages."""
         now_ns = self.clock.monotonic_ns()
         self.clients = [client for client in self.clients if not client.advance()]
         for until_ns, target in self._naive:
@@ -258,7 +258,7 @@ class World:
         self.clock.advance_ns(STEP_NS)
 
     def _judge(self, now_ns: int) -> None:
-        """Assert that the tip follows no hand but one that is armed, or was a deadline and a turn ago."""
+        """Assert that the tip follows only a hand that is armed, or was so within a deadline and two steps."""
         hand, tip = self.devices[HAND], self.devices[TIP]
         assert isinstance(hand.loop.node, HapticNode)
         if hand.runs and hand.loop.node._memory.guard.armed:
@@ -268,7 +268,7 @@ class World:
 
     def _send_stops(self, now_ns: int) -> None:
         for stop in list(self._stops):
-            # only a process that runs completes a connection, and only then is anything sent on it
+            # Only a running process completes a connection, before which nothing is sent on it.
             for key in [key for key in stop.missing if self.devices[key].runs]:
                 self.devices[key].bus.inlet.append(
                     Received("session/control", stop.control, b"", self.clock.now_ns(), Arrival.NEXT)
@@ -287,12 +287,12 @@ class World:
             for client in self.clients if self._hears_stops or event.data.get("command") != "estop" else ():
                 client.on_event(event)
         for stop in self._stops:
-            # whoever stops reads the sockets of the devices themselves
+            # The stopping program reads the sockets of the devices directly.
             answered = {event.src for event in due if event.id == stop.control.id and event.kind == "ack"}
             stop.missing.difference_update(answered)
 
     def go_on(self) -> None:
-        """Let every process run."""
+        """Start dead processes, and let all run."""
         for device in self.devices.values():
             if device.is_dead:
                 device.start()

@@ -1,4 +1,4 @@
-"""A cable of TCP within this machine that can fall silent: nothing passes, and neither end is told.
+"""A TCP forwarder within this machine that can fall silent: nothing passes, and neither end gets an error.
 
 with TcpForwarder({port: target_port}) as cable: cable.silent = True
 """
@@ -13,17 +13,17 @@ _LOOK_S = 0.01
 
 
 class TcpForwarder(LoopThread):
-    """Carries the connections to some ports, as long as it is not `silent`."""
+    """Forwards connections from some ports to others, as long as it is not `silent`."""
 
     def __init__(self, targets: Mapping[int, int]) -> None:
-        """Stand before ports (the targets) at other ports."""
+        """Prepare to forward; `targets` maps each listening port to its target port."""
         super().__init__()
         self.silent = False
         self._targets = dict(targets)
         self._open: list[asyncio.StreamWriter] = []
 
     async def begin(self) -> None:
-        """Stand before the ports."""
+        """Listen at the ports."""
         self.servers += [
             await asyncio.start_server(lambda near, out, port=target: self._join(near, out, port), "127.0.0.1", port)
             for port, target in self._targets.items()

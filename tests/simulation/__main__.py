@@ -4,9 +4,9 @@
     python -m tests.simulation --replay failure.json
     python -m tests.simulation --seed 7 --planted
 
-The first prints the tables of invariants and situations, and shrinks each failure to a file and the command that
-repeats it. `--replay` runs one schedule and prints what it breaks and a digest of all that was sent and recorded.
-`--planted` plants one fault after the other, and prints how many schedules found each.
+The first prints the tables of invariants and situations, reduces each failure, writes it to a file, and prints the
+command that repeats it. `--replay` runs one schedule, and prints the broken invariants and a digest of all messages
+sent and recorded. `--planted` plants one fault after the other, and prints the number of schedules that found each.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from telenano.recording.reader import Recording
 
 
 def main() -> int:
-    """Do what the command line asks for; return 1 where an invariant is broken."""
+    """Run the program; return 1 if an invariant is broken, or a planted fault is not found."""
     parser = argparse.ArgumentParser(prog="python -m tests.simulation", description=__doc__.partition("\n")[0])
     parser.add_argument("--seed", type=int, default=1, help="the first seed; each schedule has the next one")
     parser.add_argument("--hours", type=float, default=0.05, help="simulated hours")
@@ -53,7 +53,7 @@ def _replay(path: Path, keep: Path | None) -> int:
     with campaign.session_folder() as scratch:
         folder = keep or scratch
         campaign.keep(schedule, folder)
-        # What a file has besides its messages tells of its folder and of the machine.
+        # The other content of a file depends on its folder and on the machine.
         bits.update((folder / "ledger.msgpack").read_bytes())
         for part in sorted([*folder.glob("session*.mcap"), *folder.glob("far/*.mcap")]):
             for message in Recording(part).raw():
@@ -126,7 +126,7 @@ def _plant(seed: int, names: list[str], most: int, rounds: int) -> int:
 
 
 def found_by(fault: Fault, first_seed: int, most: int) -> tuple[int, float, set[str]] | None:
-    """Return how many schedules and simulated hours it took to find a planted fault, and what broke; None if not."""
+    """Return the schedules and simulated hours that found a planted fault, and the broken invariants; None if not."""
     passed_s = 0.0
     with fault.planted():
         for number in range(most):

@@ -1,6 +1,6 @@
-"""Schedules one after the other: run, reported, judged, counted.
+"""Campaigns of schedules: each is run, reported, judged and counted.
 
-result = tried(Schedule.drawn(7), Path("out"))
+result = tried(Schedule.drawn(7))
 result.breaks
 """
 
@@ -24,25 +24,25 @@ from telenano.api import RecordedSession
 from telenano.recording.session_folder import SessionFolder
 from telenano.wire.errors import TelenanoError
 
-# The report of a session, which takes about as long as its simulation, is made of this share of the schedules.
+# Share of the schedules for which the report is made, because that takes about as long as the simulation.
 REPORTED = 0.5
 
 
-# Each is a sentence of docs/reliability.md, which the judge may find broken.
+# Invariants that the judge checks; each is a sentence of docs/reliability.md.
 INVARIANTS = (
     "nothing_late", "stop_is_last", "safe_in_time", "felt_hand", "recorded_as_sent", "law_not_blamed",
     "praised_was_held", "energy_granted", "delivered_was_sent", "counters_agree", "stop_kept", "goes_on",
 )  # fmt: skip
 
 
-# What is known to be open is counted and told, and fails no test, until it is mended.
+# Known open faults, which are counted and reported, but fail no test until they are corrected.
 KNOWN = {
     "law_not_blamed": "a single disturbance late in a hold can be judged as motion that grows (docs/reliability.md)",
 }
 
 
 class Tried(NamedTuple):
-    """What became of a schedule: what it broke, which situations were reached, how long it was and took [s]."""
+    """Result of a schedule: broken invariants, situations reached, simulated and processor time [s], if reported."""
 
     schedule: Schedule
     breaks: tuple[Break, ...]
@@ -54,20 +54,20 @@ class Tried(NamedTuple):
 
 @contextmanager
 def session_folder() -> Iterator[Path]:
-    """Give a folder for the files of a session, in memory where the machine has room for it."""
+    """Yield a folder for the files of a session, in memory if the machine has /dev/shm."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="simulation-", dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder) / "session"
 
 
 def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
-    """Run a schedule and judge its files."""
+    """Run a schedule and judge its files; with `reports`, also the report on it."""
     begun_s = time.process_time()
     with session_folder() as folder:
         try:
             run(schedule, folder)
         except Exception as error:  # noqa: BLE001
-            # A launcher that fails is a rig that does not go on, whatever has raised.
+            # A failed launcher means that the rig does not go on, whatever the error.
             text = f"the launcher has failed: {type(error).__name__}: {error}"
             found = (Break("goes_on", 0.0, text),)
             return Tried(schedule, found, frozenset(), 0.0, time.process_time() - begun_s, reported=False)
@@ -79,7 +79,7 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
 
 
 def report(folder: Path, *, is_made: bool = True) -> None:
-    """Write beside the files of a session what its report says; where none is made, that."""
+    """Write the statements of the report into verdict.json of a session; without a report, the reason for that."""
     said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": "no report was made"}
     if is_made:
         try:
@@ -99,7 +99,7 @@ def _report_of(folder: Path) -> dict[str, Any]:
 
 
 class Tally(NamedTuple):
-    """What was counted over many schedules."""
+    """Counts over many schedules."""
 
     schedules: list[Tried]
 
@@ -125,7 +125,7 @@ def campaign(
     *,
     processor_s: float | None = None,
 ) -> Tally:
-    """Try the schedules of one seed after the other, for so many simulated hours, or at most so long [s]."""
+    """Run the schedules of successive seeds until a number of simulated hours, or a processor time [s] if given."""
     tally, begun_s, seed = Tally([]), time.process_time(), first_seed
     while tally.simulated_h < hours and (processor_s is None or time.process_time() - begun_s < processor_s):
         one = tried(Schedule.drawn(seed), reports=seed % 2 == 0 or REPORTED >= 1.0)
@@ -136,7 +136,7 @@ def campaign(
 
 
 def speed(tally: Tally) -> str:
-    """Return how fast it went, in a sentence."""
+    """Return a sentence on the speed of a campaign."""
     rate = tally.simulated_h / max(tally.processor_h, 1e-9)
     return (
         f"{len(tally.schedules)} schedules, {tally.simulated_h:.3f} simulated hours at {RATE_HZ} Hz in "
@@ -145,7 +145,7 @@ def speed(tally: Tally) -> str:
 
 
 def keep(schedule: Schedule, folder: Path) -> None:
-    """Run a schedule once more and leave its files in a folder."""
+    """Run a schedule again, and leave its files in a folder, which is replaced."""
     shutil.rmtree(folder, ignore_errors=True)
     run(schedule, folder)
     report(folder)

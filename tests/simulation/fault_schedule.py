@@ -3,18 +3,18 @@
     schedule = Schedule.drawn(7)
     Schedule.of(json.loads(schedule.text())) == schedule
 
-Each event is a mapping with `at_s`, the time since the processes were started [s], `kind`, and what that kind needs:
+Each event is a mapping with `at_s`, the time since the processes were started [s], `kind`, and the keys of that kind:
 
 | kind | keys |
 |---|---|
-| delay | forward_s, backward_s: what the network takes from now on |
+| delay | forward_s, backward_s: delays of the network from now on |
 | line | direction, loss, duplicate, reorder, corrupt, jitter_s, for_s |
 | partition | direction (both, forward, backward), for_s |
 | narrow | direction, bytes_per_s, for_s |
 | clock | ahead_s, drift_ppm of the slave's site, from its first start on |
 | site_restart | ahead_s: the slave's processes are ended and started with a clock that was set meanwhile |
 | disk | site, fault (full, slow, gone), for_s |
-| kill | node; after: the number of messages that its process still sends; torn: the part of what was not flushed that \
+| kill | node; after: number of messages that its process still sends; torn: share of the data not flushed that \
 reaches the disk |
 | stall | node, for_s |
 | device | device (hand, tip), fault (lost, late, repeating, range), for_s |
@@ -24,8 +24,8 @@ reaches the disk |
 | law | law |
 | link | delay_s, loss: settings of the link |
 
-What follows the last event is always the same: a person stops what is going on, arms both devices and starts the force
-profile, so that a rig that can go on has to.
+The end is always the same: after the last event a person arms both devices, and starts the force profile again if it
+was stopped, so that a rig that can go on must do so.
 """
 
 import json
@@ -39,9 +39,9 @@ HALVES = ("controller@master", "controller@slave")
 RECORDERS = ("recorder@master", "recorder@slave")
 NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
 LAWS = ("wave", "virtual_impedance")
-# Faults begin from the start of the processes on, and end before the calm.
+# Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
-# After the last fault nothing happens for this time; then a person arms, and after this time again the rig has to work.
+# Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
 CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
@@ -50,8 +50,8 @@ SESSION_S = 8.5
 class Schedule(NamedTuple):
     """A session with its faults.
 
-    seed: of all delays on the sites; law: at the start; delay_s: what the network takes each way; link_s: what the link
-    adds each way on purpose; events: by time.
+    seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
+    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time.
     """
 
     seed: int
@@ -62,7 +62,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def drawn(cls, seed: int) -> "Schedule":
-        """Draw a schedule."""
+        """Return the random schedule of a seed."""
         dice = random.Random(f"schedule {seed}")
         events: list[Event] = []
         if dice.random() < 0.4:
@@ -77,7 +77,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
-        """Return a schedule from its document; ValueError says what is wrong with it."""
+        """Return a schedule from its document; raise ValueError if that is invalid."""
         if missing := set(cls._fields) - set(document):
             raise ValueError(f"the schedule has no {', '.join(sorted(missing))}")
         events = tuple(document["events"])
@@ -96,7 +96,7 @@ class Schedule(NamedTuple):
 
     @property
     def calm_s(self) -> float:
-        """When the last fault is over [s]."""
+        """Time at which a person arms: `CALM_S` after the end of the last fault [s]."""
         ends = (one["at_s"] + one.get("for_s", 0.0) for one in self.events)
         return max([*ends, 1.0]) + CALM_S
 
@@ -158,7 +158,7 @@ def _people(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _meeting(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw two faults of any kind that begin within 0.1 s, which a draw of single ones seldom gives."""
+    """Draw two faults of different groups that begin within 0.1 s, which is rare in single draws."""
     draws = [_network, _process, _people, _disk, _device]
     return [event for draw in dice.sample(draws, 2) for event in draw(dice, round(at_s + dice.uniform(0.0, 0.1), 3))]
 
@@ -168,7 +168,7 @@ def _restart(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop at the instrument, an arming of what is withdrawn, and another stop while that is on its way."""
+    """Draw a stop at the instrument, an arming of the withdrawn tip, and another stop while that is in transit."""
     at_s = min(at_s, 2.5)
     arm_s = round(at_s + dice.choice([0.8, 1.6]), 3)
     press = {"kind": "press", "site": "slave", "target": "afm_node"}
@@ -188,7 +188,7 @@ def _arm(dice: random.Random, at_s: float) -> Event:
 
 
 def _few_kills(events: Sequence[Event]) -> list[Event]:
-    """Leave out what would end a process so often that its launcher gives the rig up, which is no fault of the rig."""
+    """Limit kills and site restarts to three: after more, the launcher rightly gives up the rig."""
     kept, kills = [], 0
     for event in events:
         kills += event["kind"] in ("kill", "site_restart")

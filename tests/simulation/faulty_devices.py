@@ -1,4 +1,4 @@
-"""A hand and an instrument that can be lost, late, repeating or out of range, around the simulated ones."""
+"""A hand and an instrument that can be lost, late, repeating or out of range; they wrap the simulated ones."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,14 +6,14 @@ from typing import Any
 from telenano.extend.hands import HapticReport
 from telenano.extend.instruments import AfmReport
 
-# A late sample is by this number of steps older.
+# Number of steps by which a late sample is older.
 _LATE_STEPS = 5
 _PERIOD_S = 4e-3
 _STATUS = {"lost": "lost", "late": "stale", "repeating": "stale"}
 
 
 class _Faulty:
-    """A device whose samples are those of the simulated one, as a fault lets them through."""
+    """A device that returns the samples of a simulated one, changed by the present fault."""
 
     def __init__(self, device: Any, fault: Callable[[], str]) -> None:
         self._device, self._fault = device, fault
@@ -50,7 +50,7 @@ class _Faulty:
 
 
 class FaultyHand(_Faulty):
-    """The operator's device. Out of range, it cannot be believed, and reports itself lost."""
+    """The operator's device. Out of range, its readings are invalid, and it reports itself as lost."""
 
     def read(self, session_time_s: float, dt_s: float) -> Any:
         reading = self._passed(self._device.read(session_time_s, dt_s))
@@ -64,7 +64,7 @@ class FaultyHand(_Faulty):
 
 
 class FaultyTip(_Faulty):
-    """The instrument. Out of range, its force is no number for the guard."""
+    """The instrument. Out of range, it reports its force as invalid to the guard."""
 
     def exchange(self, base_m: float) -> Any:
         return self._passed(self._device.exchange(base_m))

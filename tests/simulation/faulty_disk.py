@@ -1,4 +1,4 @@
-"""Disks of the two recorders in memory: they can be full, slow, without their folder, or cut in a write."""
+"""Disks of the two recorders, in memory: they can be full or slow, lose their folder, or be cut in a write."""
 
 import errno
 import io
@@ -10,7 +10,7 @@ from telenano.recording.disk import Identity
 
 
 class _File(io.BytesIO):
-    """A file: what is flushed outlasts its process, and of the rest what a kill leaves."""
+    """A file: flushed data outlast the process, and a part of the other data if the process is killed."""
 
     def __init__(self, disk: "FaultyDisk", site: str, number: int) -> None:
         super().__init__()
@@ -20,7 +20,7 @@ class _File(io.BytesIO):
 
     def write(self, data: Any) -> int:
         if self._disk.is_full(self.site):
-            # The last write to a full disk is cut where the room ends.
+            # The last write to a full disk is incomplete.
             super().write(bytes(data)[: len(data) // 2])
             raise OSError(errno.ENOSPC, "No space left on device")
         return super().write(data)
@@ -37,7 +37,7 @@ class _File(io.BytesIO):
         super().close()
 
     def torn(self, part: float) -> None:
-        """Keep what was flushed and a part of the rest, as a kill does."""
+        """Keep the flushed data and a part (0 to 1) of the rest, as after a kill."""
         whole = self.bytes_now()
         self.kept = whole[: self.flushed + round(part * (len(whole) - self.flushed))]
         super().close()
@@ -47,17 +47,17 @@ class _File(io.BytesIO):
 
 
 class FaultyDisk:
-    """The disks of both machines: files in the folder `far` are those of the slave's."""
+    """The disks of both machines; files in the folder `far` are on the slave's machine."""
 
     def __init__(self, now_s: Callable[[], float], stall: Callable[[str, float], None]) -> None:
-        """Begin sound; `stall` lets the recorder of a site stand still for a time [s]."""
+        """Begin without faults; `stall(node, time)` lets a recorder stand still for a time [s]."""
         self._now_s, self._stall = now_s, stall
         self.files: dict[Path, _File] = {}
         self._made = 0
         self._until_s: dict[tuple[str, str], float] = {}
 
     def begin(self, site: str, fault: str, for_s: float) -> None:
-        """Begin a fault; where the folder goes, its files go with it."""
+        """Begin a fault at a site for a time [s]; if the folder disappears, so do its files."""
         self._until_s[site, fault] = max(self._until_s.get((site, fault), 0.0), self._now_s() + for_s)
         if fault == "gone":
             for path in [path for path in self.files if _site(path) == site]:
@@ -67,12 +67,12 @@ class FaultyDisk:
         return self._has(site, "full")
 
     def wait_for(self, site: str) -> None:
-        """Let the recorder wait for a slow disk."""
+        """Let the recorder of a site wait if its disk is slow."""
         if self._has(site, "slow"):
             self._stall(f"recorder@{site}", 0.15)
 
     def tear(self, site: str, part: float) -> None:
-        """Cut the files that the recorder of a site had open when it was killed."""
+        """Cut the open files of a site's recorder that was killed."""
         for path, file in self.files.items():
             if _site(path) == site and not file.closed:
                 file.torn(part)
@@ -102,7 +102,7 @@ class FaultyDisk:
         return 0, file.number
 
     def sync(self, stream: IO[bytes]) -> None:
-        """Do nothing: what is flushed stays."""
+        """Do nothing: flushed data are permanent."""
 
     def remove(self, path: Path) -> None:
         self.files.pop(path.absolute(), None)
@@ -114,7 +114,7 @@ class FaultyDisk:
         return 0 if self.is_full(_site(path)) else 1 << 34
 
     def write_out(self) -> None:
-        """Write the files where they are read after the session."""
+        """Write the files to the real disk, where they are read after the session."""
         for path, file in self.files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.bytes_now())

@@ -1,23 +1,24 @@
-"""The network between the machines of a rig in virtual time: what becomes of each message that crosses it.
+"""The network between the machines of a rig in virtual time: the fate of each message that crosses it.
 
-What a reader takes the newest of crosses as datagrams, which may be lost, doubled, late or damaged. All else crosses as
-a stream: it keeps its order, waits while the network is cut, and is lost with its connection where that takes long.
+Topics of which readers use only the newest message cross as datagrams, which may be lost, doubled, late or damaged. All
+other messages cross as a stream: it keeps its order, waits while the network is cut, and is lost with its connection
+after a long cut.
 """
 
 import random
 from typing import Any, NamedTuple
 
-# A stream whose connection has carried nothing for so long is given up, and what waited in it is lost [s].
+# Length of a cut after which the connection of a stream is given up, and its waiting messages are lost [s].
 STREAM_S = 5.0
-# A stream sends what was lost again after this time [s].
+# Time after which a stream sends lost data again [s].
 AGAIN_S = 0.2
-# A queue in front of a narrow line holds so much [s].
+# Capacity of the queue in front of a narrow line [s].
 QUEUE_S = 1.0
 WAYS = ("forward", "backward")
 
 
 class Arrival(NamedTuple):
-    """A copy that arrives: how much later than it was sent [ns], and whether it is damaged."""
+    """A copy that arrives: the time since it was sent [ns], and whether it is damaged."""
 
     after_ns: int
     damaged: bool = False
@@ -27,7 +28,7 @@ class Way:
     """One direction of the network."""
 
     def __init__(self, seed: int, name: str, delay_s: float) -> None:
-        """Begin without a fault; every draw comes from the seed."""
+        """Begin without a fault; the seed determines all random draws."""
         self._dice = random.Random(f"network {seed} {name}")
         self.delay_s = delay_s
         self._line: dict[str, float] = {}
@@ -36,21 +37,21 @@ class Way:
         self._bytes_per_s = 0.0
 
     def spoil(self, event: dict[str, Any], now_s: float) -> None:
-        """Lose, double, delay or damage datagrams for a while."""
+        """Lose, double, delay or damage datagrams for a time, as the event says."""
         self._line, self._line_until_s = event, now_s + event["for_s"]
 
     def cut(self, now_s: float, for_s: float) -> None:
-        """Let nothing through for a while."""
+        """Let nothing through for a time [s]."""
         if now_s >= self._cut_until_s:
             self._cut_since_s = now_s
         self._cut_until_s = max(self._cut_until_s, now_s + for_s)
 
     def narrow(self, now_s: float, for_s: float, bytes_per_s: float) -> None:
-        """Carry no more than a rate for a while."""
+        """Limit the rate [bytes/s] for a time [s]."""
         self._bytes_per_s, self._narrow_until_s, self._free_s = bytes_per_s, now_s + for_s, now_s
 
     def arrivals(self, now_s: float, size_bytes: int, *, is_stream: bool) -> list[Arrival]:
-        """Return the copies of a message that arrive; none where it is lost."""
+        """Return the copies of a message that arrive; empty if it is lost."""
         after_s = self.delay_s
         if now_s < self._narrow_until_s:
             self._free_s = max(self._free_s, now_s) + size_bytes / self._bytes_per_s

@@ -1,9 +1,9 @@
-"""A rig of two sites in virtual time to which a schedule of faults happens, recorded at both sites.
+"""A rig of two sites in virtual time under a schedule of faults, recorded at both sites.
 
     outcome = run(Schedule.drawn(7), Path("out"))
 
-The folder then has what the judge reads: the recordings of both sites, the schedule, a history of what was done from
-outside (`history.json`), and a ledger of every message that was sent (`ledger.msgpack`).
+The folder then contains the input of the judge: the recordings of both sites, the schedule, a history of outside
+actions (`history.json`), and a ledger of every message sent (`ledger.msgpack`).
 """
 
 import contextlib
@@ -49,25 +49,25 @@ _KILLED = -9
 _PERSON_NS = 20_000_000
 _STOP_NS = 50_000_000
 _STOP_PATIENCE_NS = 5_000_000_000
-# The end of a session that does not come; a launcher waits a minute for nodes that are not ready.
+# Time after which a session that does not end is ended; a launcher waits a minute for nodes that are not ready.
 _LONGEST_S = 90.0
-# A node that takes so many turns in a row while no time passes would do so for ever.
+# Number of successive turns of a node without progress of time after which it would go on forever.
 _MOST_TURNS = 1000
 _PROFILE = [(0.4, 0.0), (0.7, 1.0), (3.7, 1.0), (4.0, 1.6), (7.6, 1.6), (7.9, 0.0)]
-# The stops that are kept stand in this folder of the session, which is the working directory while it runs.
+# Folder of the kept stops, in the folder of the session, which is the working directory while it runs.
 KEPT = Path("kept")
 
 
 class Killed(BaseException):
-    """A process ends where it stands, and nothing of its own comes after."""
+    """Ends a process at once, without any cleanup."""
 
 
 class StandsStillError(Exception):
-    """A node takes turn after turn, and no time passes."""
+    """A node takes turn after turn without progress of time."""
 
 
 class MachineClock:
-    """The clock of a machine, which is ahead of that of the rig and drifts against it."""
+    """The clock of a machine, with an offset and a drift against that of the rig."""
 
     def __init__(self, base: VirtualClock, ahead_ns: int = 0, drift_ppm: float = 0.0) -> None:
         """Begin now; `base` is the clock of the rig."""
@@ -83,7 +83,7 @@ class MachineClock:
         return self.monotonic_ns() + self.epoch_offset_ns
 
     def on_rig_ns(self, time_ns: int) -> int:
-        """Return a time of this monotonic clock on that of the rig [ns], rounded up."""
+        """Convert a time on this monotonic clock to that of the rig, rounded up [ns]."""
         if self._rate == 1.0 or time_ns >= NEVER_NS:
             return time_ns
         return self._begun_ns + int(-(-(time_ns - self._begun_ns) // self._rate)) + 1
@@ -91,19 +91,19 @@ class MachineClock:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _KeepingWiring(VirtualWiring):
-    """The wiring of a node that finds the stop that is kept for it."""
+    """The wiring of a node, with the path of the stop that is kept for it."""
 
     def kept_stop(self) -> Path | None:
         return kept_path(self.key) if self.key in KEEPERS else None
 
 
 def kept_path(key: str) -> Path:
-    """Return where a stop for a node is kept, below the folder of the session."""
+    """Return the path of the stop kept for a node, below the folder of the session."""
     return KEPT / f"{key}.estop.kept"
 
 
 class PersonNode(Node):
-    """A console of a person, who gives commands and reads the answers."""
+    """The console of a person who gives commands and reads the answers."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/event", "node/health")
     period_s = _PERSON_NS * 1e-9
@@ -140,7 +140,7 @@ class PersonNode(Node):
 
 
 class _Press(NamedTuple):
-    """An emergency stop that is sent until each device has answered: its id, target, devices and when it began [ns]."""
+    """An emergency stop that is sent until each device has answered: its id, target, devices and time of begin [ns]."""
 
     id: str
     target: str
@@ -149,7 +149,7 @@ class _Press(NamedTuple):
 
 
 class StopNode(Node):
-    """What `telenano estop` does at a site: it keeps a stop in files, and sends it until the devices have answered."""
+    """Acts like `telenano estop` at a site: keeps a stop in files, and sends it until the devices have answered."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/event",)
     period_s = _STOP_NS * 1e-9
@@ -161,7 +161,7 @@ class StopNode(Node):
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _STOP_NS)
 
     def press(self, target: str) -> None:
-        """Stop what a target means: here, and from the operator's site through the link."""
+        """Stop the devices that a target addresses: at this site, and from the master's site also through the link."""
         site = site_of(self.context.key)
         devices = frozenset(
             node for node in (HAND, TIP) if is_meant(node, target) and (site == "master" or site_of(node) == site)
@@ -195,13 +195,13 @@ class StopNode(Node):
                 self._send(press)
 
     def make_safe(self) -> None:
-        """Do nothing: it moves no device."""
+        """Do nothing: this node moves no device."""
 
     def _send(self, press: _Press) -> None:
         self.publish("session/control", id=press.id, command="estop", target=press.target, parameters={})
 
     def _keep(self, press: _Press) -> list[str]:
-        """Keep a stop for the devices of this site, and at the link for that of the other; return what has it."""
+        """Keep a stop for devices of this site, and at the link for the tip; return the nodes that have it."""
         site = site_of(self.context.key)
         keepers = [node for node in press.devices if site_of(node) == site]
         if TIP in press.devices and site == "master":
@@ -214,13 +214,13 @@ class StopNode(Node):
 
 
 class FaultyRig(SimulatedRig):
-    """A session of a plan to which a schedule happens."""
+    """A session of a plan under a schedule of faults."""
 
     def __init__(self, plan: Plan, schedule: Schedule) -> None:
-        """Prepare the session; `kept_stop` files stand in the working directory."""
+        """Prepare the session; files of kept stops are in the working directory."""
         self.schedule = schedule
         self.history: list[dict[str, Any]] = []
-        # Every message that was sent: its publisher, topic, number, stamp, the time of the rig, and a checksum.
+        # Every message sent: its publisher, topic, number, stamp, the time of the rig, and a checksum.
         self.ledger: list[tuple[str, str, int, int, int, int]] = []
         self.ways = {name: Way(schedule.seed, name, schedule.delay_s) for name in ("forward", "backward")}
         self._machines: dict[str, MachineClock] = {}
@@ -249,7 +249,7 @@ class FaultyRig(SimulatedRig):
         return (self.clock.monotonic_ns() - BEGIN_NS) * 1e-9
 
     def note(self, what: str, **facts: Any) -> None:
-        """Write into the history what was done from outside, or what a person was answered."""
+        """Add an outside action, or an answer to a person, to the history."""
         self.history.append({"t_ns": self.clock.monotonic_ns() - BEGIN_NS, "what": what, **facts})
 
     def clock_of(self, key: str) -> Clock:
@@ -268,12 +268,12 @@ class FaultyRig(SimulatedRig):
         return _KeepingWiring(**{field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)})
 
     def fault_of(self, device: str) -> str:
-        """Return the fault of a device now, empty for none."""
+        """Return the present fault of a device; empty if there is none."""
         fault, until_s = self._faults.get(device, ("", 0.0))
         return fault if self.now_s < until_s else ""
 
     def run_schedule(self) -> Outcome:
-        """Run the session to its end, with what the schedule lets happen to it."""
+        """Run the session to its end, with the events of the schedule."""
         self.plan.prepare_folder()
         loop = self.loops[LAUNCHER]
         collects = gc.isenabled()
@@ -303,7 +303,7 @@ class FaultyRig(SimulatedRig):
         for event in sorted(self.schedule.events, key=lambda one: one["at_s"]):
             yield event["at_s"], lambda event=event: self._happen(event)  # type: ignore[misc]
         calm_s = self.schedule.calm_s
-        # A force profile goes on, unless it was stopped, or its process was.
+        # A force profile continues, unless it or its process was stopped.
         stopped = any(one["kind"] == "stop" or one.get("node") == HAND for one in self.schedule.events)
         again = (ARM_HAND, PLACE_TIP, *([START] if stopped else []))
         yield calm_s, lambda: self.people["console@master"].give(again, "recover")
@@ -333,7 +333,7 @@ class FaultyRig(SimulatedRig):
             way.narrow(self.now_s, event["for_s"], event["bytes_per_s"])
 
     def _on_clock(self, event: Event) -> None:
-        """Do nothing: the clock of the slave's site was so from its start on."""
+        """Do nothing: the slave's clock has this offset from its start on."""
 
     def _on_site_restart(self, event: Event) -> None:
         before = self._machines.get("slave")
@@ -408,7 +408,7 @@ class FaultyRig(SimulatedRig):
         self._processes.died(key, _KILLED)
 
     def start(self, key: str, takes_ns: int = 0, **options: Any) -> Node:
-        """Start a process, whose endpoints begin anew."""
+        """Start a process, with new endpoints."""
         if key == LINK:
             self._endpoints.pop(LINK_ENDPOINT, None)
         self.note("started", node=key)
@@ -454,7 +454,7 @@ class FaultyRig(SimulatedRig):
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
         if topic == "session/control" and payload not in self.messages and payload not in self._older:
-            # A copy of a stop that the link has kept is a message of its own.
+            # A copy of a stop kept by the link is a new message.
             seq, t_ns, src = read_header(topic, payload)
             self._enter(topic, payload, src, seq, t_ns, self.clock.monotonic_ns())
         super().forward(endpoint, topic, payload)
@@ -465,7 +465,7 @@ class FaultyRig(SimulatedRig):
         return self.ways[way].arrivals(at_s, len(payload), is_stream=is_stream)
 
     def _record(self, src: str, topic: str, payload: bytes, sent_ns: int) -> None:
-        """Bring a message to the recorders; to that of the slave's site what leaves the link comes by the network."""
+        """Deliver a message to the recorders; messages of the link reach the slave's recorder over the network."""
         if src != LINK_ENDPOINT:
             super()._record(src, topic, payload, sent_ns)
             return
@@ -511,7 +511,7 @@ def _as_received(way: RecorderWay) -> RecorderWay:
 
 
 def scenario_of(schedule: Schedule) -> dict[str, Any]:
-    """Return the scenario of a session: a hand that presses twice and lets go."""
+    """Return the scenario of a session: a hand presses with two forces and lets go."""
     points = [{"time_s": time_s, "force_n": force_n} for time_s, force_n in _PROFILE]
     return {
         "name": "faults",
@@ -526,7 +526,7 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
 
 
 def run(schedule: Schedule, folder: Path) -> Outcome:
-    """Run a schedule in an empty folder, and leave there what the judge reads."""
+    """Run a schedule in an empty folder, and leave the input of the judge there."""
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.absolute()
     scenario = folder / "given.yaml"
@@ -555,7 +555,7 @@ def run(schedule: Schedule, folder: Path) -> Outcome:
 
 @contextlib.contextmanager
 def _faulty_devices(rig: FaultyRig) -> Iterator[None]:
-    """Put a device that can fail around each simulated one that is built."""
+    """Wrap each simulated device that is built in one that can fail."""
     make_hand, make_tip = haptic_process.device_of, afm_process.driver_of
 
     def hand(*given: Any) -> Any:

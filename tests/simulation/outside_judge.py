@@ -1,9 +1,9 @@
-"""A judge that knows nothing of the project: it reads the files of a session and says which invariants they break.
+"""A judge independent of the project's code: it reads the files of a session, and reports the broken invariants.
 
     python tests/simulation/outside_judge.py FOLDER
 
-It reads the recordings of both sites, the schedule, the history of what was done from outside, the ledger of all that
-was sent, and what the report said of the session (`verdict.json`). Times are those of the rig since its start [s].
+It reads the recordings of both sites, the schedule, the history of outside actions, the ledger of all messages sent,
+and the statements of the report (`verdict.json`). Times are those of the rig since its start [s].
 """
 
 import contextlib
@@ -26,22 +26,22 @@ from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
-# A command is valid for this time, and a tip without one is held for the second time before it is withdrawn [s].
+# Validity of a command, and time for which a tip without one is held before it is withdrawn [s].
 DEADLINE_S, HOLD_S = 0.05, 0.2
-# Two periods of the loop, and a turn that is 3 ms late [s].
+# Tolerance: two periods of the loop, and a turn that is 3 ms late [s].
 GRAIN_S = 0.0115
-# A tip stops following within this time of the last answer that its hand has felt, beyond the round trip [s].
+# Time, in addition to the round trip, within which a tip stops following after the hand last felt an answer [s].
 UNFELT_S = 0.5
-# A line that has become longer or shorter is known after this time [s].
+# Time after which the link knows a change of the line's delay [s].
 KNOWN_S = 3.0
-# A person who presses a stop waits for so long [s].
+# Time for which a person who presses a stop waits [s].
 PATIENCE_S = 6.2
 VISITORS = ("launcher", "console", "view", "estop", "recorder")
 Fields = dict[str, Any]
 
 
 class Seen(NamedTuple):
-    """A message of a file: its channel and fields, when it was sent [s], and whether it is as it was sent."""
+    """A message of a file: its channel and fields, the time of sending [s], and whether it is unchanged."""
 
     channel: str
     topic: str
@@ -56,7 +56,7 @@ class Seen(NamedTuple):
 
 
 class Break(NamedTuple):
-    """An invariant that is broken: its name, when [s], and how."""
+    """A broken invariant: its name, the time [s], and a sentence."""
 
     invariant: str
     at_s: float
@@ -72,7 +72,8 @@ class Session:
         self.verdict: Fields = json.loads((folder / "verdict.json").read_text())
         self.acts: list[Fields] = [{**act, "at_s": act["t_ns"] * 1e-9} for act in self.history["acts"]]
         self.epoch_ns: int = self.history["epoch_ns"]
-        # by publisher, topic, number and stamp when each message was sent, and its checksum; and by publisher and topic
+        # Time of sending and checksum of each message, by publisher, topic, number and stamp; and the times, numbers
+        # and stamps of all messages by publisher and topic.
         self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
         self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
         for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
@@ -82,7 +83,7 @@ class Session:
         self.statistics: list[tuple[str, int, int]] = []
         for site, place in (("master", folder), ("slave", folder / "far")):
             for path in sorted(place.glob("session*.mcap")):
-                # A file that was cut is read up to there.
+                # A cut file is read up to the cut.
                 with contextlib.suppress(McapError, EOFError, ValueError, ZstdError, struct.error):
                     self._read(site, path)
         self.direct: dict[tuple[str, str], list[Seen]] = defaultdict(list)
@@ -115,7 +116,7 @@ class Session:
 
     def transit_s(self, way: str, at_s: float) -> float:
         steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
-        # What the link may still take for the present: all since the newest that is known by now.
+        # Delays that the link may consider as present: all since the newest one that it must know by now.
         known = max(number for number, (begun, _) in enumerate(steps) if number == 0 or begun <= at_s - KNOWN_S)
         return float(max(delay for begun, delay in steps[known:] if begun <= at_s))
 
@@ -155,7 +156,7 @@ def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
 
 
 def judge_tip(session: Session) -> Iterator[Break]:
-    """No command past its deadline moves the tip; it is held and withdrawn in time; it follows a hand that feels."""
+    """Check: no late command moves the tip; it is held and withdrawn in time; it follows only a hand that feels."""
     states = session.direct[TIP, "afm/state"]
     commands = session.direct["controller@slave", "afm/command"]
     armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
@@ -188,7 +189,7 @@ def judge_tip(session: Session) -> Iterator[Break]:
 
 
 def judge_hand(session: Session) -> Iterator[Break]:
-    """The hand is let go when its newest command, or the sample that it answers, is too old."""
+    """Check: the hand is released when its newest command, or the sample that it answers, is too old."""
     commands = Newest(session.direct["controller@master", "haptic/command"])
     lost = session.missing("controller@master", "haptic/command")
     for one in session.direct[HAND, "haptic/state"]:
@@ -204,7 +205,7 @@ def judge_hand(session: Session) -> Iterator[Break]:
 
 
 def judge_stops(session: Session) -> Iterator[Break]:
-    """After a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
+    """Check: after a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
     given = {act["sender"]: (act["at_s"], act["name"]) for act in session.acts if act["what"] == "command"}
     presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
     acks: set[tuple[str, str]] = set()
@@ -219,7 +220,7 @@ def judge_stops(session: Session) -> Iterator[Break]:
             if one.topic == topic:
                 moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
                 if pressed_s is not None and moves and suspect is None:
-                    # The answer to an arming follows the state that it has changed.
+                    # The answer to an arming comes after the state that it has changed, so wait for it.
                     suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after a stop")
             elif said["kind"] == "ack" and said["data"].get("command") == "estop":
                 acks.add((said["id"], device))
@@ -268,7 +269,7 @@ def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
 
 
 def judge_recordings(session: Session) -> Iterator[Break]:
-    """Nothing recorded is altered, what is lost is said, silence is no loss, and what was delivered was sent."""
+    """Check: recorded messages are unaltered, losses are reported, silence is no loss, delivered messages were sent."""
     corrupt = any(one["corrupt"] for one in session.events("line"))
     said: dict[tuple[str, str], list[Fields]] = defaultdict(list)
     for one in session.seen:
@@ -306,7 +307,7 @@ def judge_recordings(session: Session) -> Iterator[Break]:
 
 
 def judge_counters(session: Session) -> Iterator[Break]:
-    """What publishers, link and files count agrees with what there is."""
+    """Check: the counters of publishers, link and files agree with the messages."""
     for name, counted, read in session.statistics:
         if counted != read:
             yield Break("counters_agree", 0.0, f"{name} says {counted} messages and has {read}")
@@ -328,7 +329,7 @@ def judge_counters(session: Session) -> Iterator[Break]:
 
 
 def judge_verdict(session: Session) -> Iterator[Break]:
-    """A verdict blames no law for what the schedule did, and a hold that is praised was held."""
+    """Check: the verdict blames no law for effects of the schedule, and a hold judged stable was held."""
     if session.verdict["kind"] in ("limit_cycle", "diverged") and session.laws == {"wave"}:
         yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
     hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
@@ -344,12 +345,12 @@ def judge_verdict(session: Session) -> Iterator[Break]:
 
 
 def judge_energy(session: Session) -> Iterator[Break]:
-    """Through wave variables no energy comes out of both ports that has not entered."""
+    """Check: with wave variables, no more energy leaves both ports than has entered."""
     if session.schedule["law"] != "wave":
         return
     tips = session.direct[TIP, "afm/state"]
     first_s = next((one.sent_s for one in tips if one.fields["mode"] == "follow"), 0.0)
-    # What a guard or a device moves is not the motion of the law: the first stretch in which nothing intervenes counts.
+    # Motions by a guard or a device are not caused by the law, so only the first stretch without them counts.
     ends = [one["at_s"] for one in session.events("law", "device", "kill", "site_restart", "stall")]
     ends += [one.sent_s for one in tips if one.fields["mode"] != "follow"]
     ends += [one.sent_s for one in session.direct[HAND, "haptic/state"] if one.fields["mode"] == "off"]
@@ -365,11 +366,11 @@ def judge_energy(session: Session) -> Iterator[Break]:
 
 
 def judge_going_on(session: Session) -> Iterator[Break]:
-    """A rig that can go on goes on: after the last fault a person arms it, and hand and tip follow."""
+    """Check: a rig that can go on does so: after the last fault a person arms it, and hand and tip follow."""
     said = [one.fields["text"] for one in session.direct["launcher@master", "session/event"]]
     stops = [one["at_s"] for one in session.events("press", "kill", "site_restart", "device", "arm")]
     if failure := session.history["failure"]:
-        # A stop, or the end of a device, makes the arming void with which a session begins: a person begins it again.
+        # A stop, or the end of a device, cancels the arming at the start of a session, which a person must repeat.
         if "the session is running" in said or not any(at_s < session.end_s for at_s in stops):
             yield Break("goes_on", session.end_s, f"the rig has ended: {failure[:300]}")
         return
@@ -388,7 +389,7 @@ FILES = judge_recordings, judge_counters, judge_verdict, judge_energy
 
 
 def judged(session: Session) -> list[Break]:
-    """Return the first break of each invariant by the files of a session."""
+    """Return the first break of each broken invariant, from the files of a session."""
     found = [one for judge in (*TIPS_AND_HANDS, *FILES) for one in judge(session)]
     return list({one.invariant: one for one in reversed(found)}.values())
 

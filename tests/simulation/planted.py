@@ -3,7 +3,8 @@
     with PLANTED["a stop that is not kept"].planted():
         tried(Schedule.drawn(7)).breaks
 
-Most were in the product once, and were mended. Each is a patch of today's code at run time; none changes a file.
+Most of them were real faults of the product, now corrected. Each patches the present code at run time, without changing
+a file.
 """
 
 import contextlib
@@ -33,7 +34,7 @@ Patch = contextlib.AbstractContextManager[Any]
 
 
 class Fault(NamedTuple):
-    """A planted fault: what it does, what it breaks, how it is planted, and the events of a schedule that shows it."""
+    """A planted fault: its effect, the invariants that it breaks, its patches, and the events that show it."""
 
     about: str
     breaks: frozenset[str]
@@ -47,12 +48,12 @@ class Fault(NamedTuple):
 
     @property
     def is_of_report(self) -> bool:
-        """Whether only the report of a session can show it."""
+        """Whether the report of a session is needed to show the fault."""
         return bool(self.breaks & {"praised_was_held", "law_not_blamed", "recorded_as_sent"})
 
     @contextlib.contextmanager
     def planted(self) -> Iterator[None]:
-        """Plant the fault for a time."""
+        """Plant the fault while the block runs."""
         with contextlib.ExitStack() as stack:
             for patch in self.patches():
                 stack.enter_context(patch)
@@ -68,7 +69,7 @@ def _at(at_s: float, kind: str, **facts: Any) -> Event:
 
 
 def _instead(owner: Any, name: str, make: Callable[[Any], Any]) -> Callable[[], Patch]:
-    """Return what puts something in the place of a function, made from it."""
+    """Return a function that makes a patch, which replaces a function of `owner` by `make` of it."""
     return lambda: mock.patch.object(owner, name, make(getattr(owner, name)))
 
 

@@ -1,6 +1,6 @@
-"""Situations that schedules have to reach, each told by what the files show and not by what was intended.
+"""Situations that schedules must reach, recognised in the files of a session and not by its schedule.
 
-A situation that a night never reaches is a fault of the generator.
+If a night of schedules never reaches a situation, the generator is at fault.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ def _states(session: Session, device: str) -> list[Seen]:
 
 
 def _down(session: Session, node: str) -> list[Stretch]:
-    """Return when there was no process of a node: from its kill to its next start [s]."""
+    """Return the times without a process of a node: from each kill to the next start [s]."""
     stretches = []
     for act in session.acts:
         if act["what"] == "killed" and act["node"] == node:
@@ -26,7 +26,7 @@ def _down(session: Session, node: str) -> list[Stretch]:
 
 
 def _silent(session: Session, device: str, least_s: float) -> list[Stretch]:
-    """Return when a device sent nothing for longer than a time [s], by the stamps of its states."""
+    """Return the times in which a device sent nothing for longer than `least_s`, by the stamps of its states [s]."""
     times = [one.sent_s for one in _states(session, device)]
     return [pair for pair in pairwise(times) if pair[1] - pair[0] > least_s]
 
@@ -45,7 +45,7 @@ def _within(times: list[float], stretches: list[Stretch], late_s: float = 0.0) -
 
 
 def _holds(session: Session) -> list[Stretch]:
-    """Return when the hand pressed evenly with hand and tip coupled [s]."""
+    """Return the times in which the hand pressed steadily, with hand and tip coupled [s]."""
     tips = Newest(_states(session, TIP))
     inside = []
     for one in _states(session, HAND):
@@ -57,14 +57,14 @@ def _holds(session: Session) -> list[Stretch]:
 
 
 def _changes(session: Session, device: str, *modes: str) -> list[float]:
-    """Return when a device went from one mode to another [s]."""
+    """Return the times at which a device changed from one mode to another [s]."""
     states = _states(session, device)
     pairs = pairwise(states)
     return [after.sent_s for before, after in pairs if (before.fields["mode"], after.fields["mode"]) == modes]
 
 
 def _partitions(session: Session) -> list[Stretch]:
-    """Return when samples of the hand were sent and none arrived, or answers, for more than 30 ms [s]."""
+    """Return the times of more than 30 ms in which samples of the hand, or answers, were sent and none arrived [s]."""
     stretches = []
     for topic, sender in (("teleop/forward", "controller@master"), ("teleop/backward", "controller@slave")):
         site = "slave" if topic.endswith("forward") else "master"
@@ -83,7 +83,7 @@ def _recordings(session: Session, state: str) -> list[float]:
 
 
 def _law_changes(session: Session) -> list[Stretch]:
-    """Return when one half had changed to another law and waited for the other [s]."""
+    """Return the times in which one half had changed to another law and waited for the other half [s]."""
     return [
         (one.sent_s - 0.02, one.sent_s + 0.02)
         for half in ("controller@master", "controller@slave")
@@ -102,7 +102,7 @@ def _two_at_once(session: Session) -> bool:
 
 
 def _jumps(session: Session) -> Iterator[float]:
-    """Yield when the age of the hand's sample that the tip obeys changed by more than 8 ms in a step [s]."""
+    """Yield the times at which the age of the hand's sample that the tip obeys changed by over 8 ms in a step [s]."""
     states = [one for one in _states(session, TIP) if one.fields["mode"] == "follow"]
     ages = [(one.sent_s, one.sent_s - (one.fields["hand_t_ns"] - session.epoch_ns) * 1e-9) for one in states]
     for before, after in pairwise(ages):

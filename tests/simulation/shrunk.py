@@ -1,21 +1,21 @@
-"""A schedule that breaks an invariant, made smaller: fewer events, which break the same one (delta debugging)."""
+"""Reduction of a schedule that breaks an invariant to few events that break the same one (delta debugging)."""
 
 from collections.abc import Callable, Sequence
 
 from fault_schedule import Event, Schedule
 
-# A failure is told by so many events at most.
+# Greatest number of events with which a failure should be reported.
 MOST_EVENTS = 5
 Breaks = Callable[[Schedule], bool]
 
 
 def shrunk(schedule: Schedule, breaks: Breaks, *, most_tries: int = 60) -> Schedule:
-    """Return a schedule with as few events as still break it.
+    """Return the schedule with a minimal set of events that still breaks the invariant.
 
     Args:
-        schedule: A schedule that breaks.
-        breaks: Whether one does.
-        most_tries: After so many tries the smallest so far is returned.
+        schedule: A schedule that breaks it.
+        breaks: Returns whether a schedule breaks it.
+        most_tries: The number of tries after which the smallest schedule so far is returned.
     """
     tries = [0]
 
@@ -27,7 +27,7 @@ def shrunk(schedule: Schedule, breaks: Breaks, *, most_tries: int = 60) -> Sched
 
 
 def _fewest(events: list[Event], still: Callable[[Sequence[Event]], bool]) -> list[Event]:
-    """Return a smallest part that still breaks: halves first, then smaller parts left out, each alone at last."""
+    """Return a minimal subset that still breaks: leave out halves first, then smaller parts, at last single events."""
     parts = 2
     while len(events) >= 2:
         size = max(1, -(-len(events) // parts))

@@ -1,4 +1,4 @@
-"""Sessions to which faults happen: the same by a seed, judged from outside, and every planted fault is found."""
+"""Sessions with faults: a seed reproduces them, an outside judge checks them, and every planted fault is found."""
 
 import datetime
 import json
@@ -22,7 +22,7 @@ SEED_OF_THE_DAY = datetime.datetime.now(datetime.UTC).date().toordinal() * 1000
 
 
 def unexpected(one: Tried) -> list[str]:
-    """Return what a schedule breaks besides what is known to be open, as the command that repeats it."""
+    """Return a line for each broken invariant that is not a known open fault, with the command that repeats it."""
     command = f"python -m tests.simulation --seed {one.schedule.seed} --hours 0.001"
     return [f"{found.invariant}: {found.text}; {command}" for found in one.breaks if found.invariant not in KNOWN]
 

@@ -1,1 +1,1 @@
-"""Teleoperation laws beside those of telenano, one a module."""
+"""Teleoperation laws in addition to those of telenano, one per module."""

@@ -1,12 +1,12 @@
-"""Draws that try to break a promise of energy: `python -m telenano_laws.adversary`.
+"""Random draws that try to violate the energy bound of a law: `python -m telenano_laws.adversary`.
 
 A draw has a line (delays, jitter, losses in bursts, outages that drop or hold, repeated messages), a sample (a spring
-that pulls, a wall, or tip and sample of the paper with a cantilever of another stiffness, which may drift), a hand (a
-course of forces, or an arm of any stiffness moving along a path) and, for `bounded_model`, a model that is wrong
-from the beginning: first stiffness, memory, rate and lag terms. Everything follows from the number of the draw.
+that also pulls, a wall, or tip and sample of the paper with another cantilever stiffness, which may drift), a hand (a
+force profile, or an arm of any stiffness moving along a path) and, for `bounded_model`, wrong parameters of the model:
+first stiffness, memory, rate and lag terms. The number of the draw determines everything.
 
-What is judged are the sums of docs/laws.md, "Passivity in discrete time": the force that is held over each step of the
-hand's reference, and the trapezoid at the tip.
+The energies judged are the sums of docs/passivity.md, "Passivity in discrete time": the force held over each step of
+the hand's reference, and the trapezoidal rule at the tip.
 """
 
 import argparse
@@ -21,16 +21,20 @@ import numpy as np
 import telenano
 
 LAW = "bounded_model"
-# the stiffest sample that the law tolerates over a line that loses signals, which are most of those drawn [N/m]
+# Stiffest sample that the law tolerates over a line that loses signals, as most drawn lines do [N/m].
 STIFFEST_N_PER_M = 175.0
-# The length of an ordinary draw.
+# Length of an ordinary draw.
 _SHORT_S = 20.0
-# The length of the draws that the option --hours counts.
+# Length of the long draws, whose number is the option --hours.
 _HOUR_S = 3600.0
 
 
 class JudgedDraw(NamedTuple):
-    """A draw: number, least energy at the law's ports and at the device [J], greatest forces [N], verdict, settings."""
+    """Number, verdict and settings of a draw, least energies and greatest forces.
+
+    least_j, least_at_device_j: least energy at the law's ports, and with the hand's work counted at its device [J];
+    pressed_n: greatest force of the tip, at the hand's scale [N]; hand_n: greatest magnitude of the hand's force [N].
+    """
 
     number: int
     least_j: float
@@ -42,7 +46,7 @@ class JudgedDraw(NamedTuple):
 
 
 def drawn(number: int, law: str = LAW, duration_s: float = _SHORT_S) -> dict[str, Any]:
-    """Return the settings of a scenario, by dotted key, that follow from the number of a draw."""
+    """Return the scenario settings of a draw, by dotted key; the same number gives the same settings."""
     rng = random.Random(f"adversary {number}")
     settings: dict[str, Any] = {"delay_node.seed": number, "delay_node.profile": "clean"}
     for way in ("forward", "backward"):
@@ -121,7 +125,7 @@ def _model(rng: random.Random) -> dict[str, float]:
 
 
 def judged(number: int, law: str = LAW, duration_s: float = _SHORT_S) -> JudgedDraw:
-    """Run a draw in lockstep and return the least energies of its ports."""
+    """Run a draw in lockstep for `duration_s` [s], and return its result."""
     settings = drawn(number, law, duration_s)
     operator = settings.pop("haptic_node.operator")
     session = telenano.simulate(law=law, operator=operator, duration_s=duration_s, settings=settings)

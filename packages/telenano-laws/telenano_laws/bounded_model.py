@@ -1,24 +1,25 @@
 """A contact that is rendered at the hand from a bounded model, and pressed at the tip with the hand's own force.
 
-In free motion the base follows the hand's position. In contact it is a force servo to the hand's force, whatever the
-hand's position is, and the hand touches a model of the contact at its own site: no loop is closed through the link.
+In free motion the base follows the hand's position. In contact it is a servo of the hand's force, independent of the
+hand's position, and the hand touches a model of the contact at its own site: no loop is closed through the link.
 
     hand   (M_v + M_e) x'' + (B_v + B_e) x' = F_m - F(y),   F(y) = K (y - y_0) down to -F_a, and 0 outside of that
     base   B_g x_s' = F_m(t - T) - F_s in contact,          B_a x_s' <= max(F_m(t - T), 0) + F_0 - F_s outside
 
-y is the tip's reference. The model's line goes through the newest pair (x_s, F_s) that came back, with the slope of the
-pairs over the last way of `memory_m`. The idea is that of model-mediated teleoperation (B. Hannaford 1989; P. Mitra,
-G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derived here:
+y is the tip's reference. The model's line goes through the newest returned pair (x_s, F_s), with the slope of the pairs
+over about the last `memory_m` of motion. The idea is that of model-mediated teleoperation (B. Hannaford 1989; P. Mitra,
+G. Niemeyer 2008, as in telenano's model_mediated). The following additions are derived here:
 
-1. One account of energy covers both ports. The model's potential V may rise only by what the dampers at the hand have
-   taken (Z), and the tip may get only E_0 and what the hand has sent from Z; the work that the tip got is measured. So
-   a wrong or late model costs force or motion, and makes no energy (docs/bounded-model.md, "Why it is passive").
-2. Hand and tip move at one time. The tip does at t what the hand's force was at t - T, so a hand that moves at once
-   is ahead of it. M_e = c_2 K tau^2 and B_e = c_1 K tau - B_v, with tau = T + B_g / K, hold the hand back by about tau:
-   exp(s tau) = 1 + s tau + s^2 tau^2 / 2 ... is the impedance K of a contact that is tau late, and these two terms of
-   it are passive. They fade in while the model agrees with what came back.
-3. A surface is met late. The hand is then beyond it, the model begins under the hand without force, and goes to its
-   place no faster than the dampers pay for and with no more than `update_margin_n` over the force at the tip.
+1. One energy account covers both ports. The model's potential V may rise only by the energy that the dampers at the
+   hand have dissipated (Z), and the tip may get only E_0 and the energy that the hand has sent from Z; the work of the
+   tip is measured. So a wrong or late model costs force or motion, and generates no energy (docs/bounded-model.md, "Why
+   it is passive").
+2. Hand and tip move together. The tip responds at t to the hand's force at t - T, so a hand that responds at once is
+   ahead of it. M_e = c_2 K tau^2 and B_e = c_1 K tau - B_v, with tau = T + B_g / K, hold the hand back by about tau:
+   K exp(s tau) = K (1 + s tau + s^2 tau^2 / 2 ...) is the impedance of a contact K that is tau late, and these two
+   terms of it are passive. They fade in while the model agrees with the tip's answers.
+3. A surface is met late. The hand is then beyond it, so the model begins under the hand without force, and moves to its
+   place only as fast as the dampers pay for, with a force of at most `update_margin_n` more than that of the tip.
 """
 
 import math
@@ -71,28 +72,28 @@ from telenano_laws.ports import (
     tank,
 )
 
-# A longer lag holds the hand back no more than this one.
+# Greatest lag that holds the hand back [s].
 _LONGEST_LAG_S = 1.0
-# The time constant of the mean of the lag.
+# Time constant of the mean lag [s].
 _LAG_S = 1.0
-# The time constant of fading.
+# Time constant with which the terms of the lag fade in and out [s].
 _FADE_S = 0.1
-# the model agrees with what came back where their forces at the hand differ by less than this [N]
+# The model agrees with the answers if their forces at the hand differ by less than this [N].
 _AGREES_N = 0.5
-# A device that follows is behind its reference by less than this [m].
+# A device that follows lags behind its reference by less than this [m].
 _LONGEST_LEAD_M = 2e-3
-# A drift is seen where the force changes by less than this [N/s].
+# The force counts as constant if it changes by less than this [N/s].
 _STANDS_N_PER_S = 0.2
-# No sample is taken to drift faster, at the tip [m/s].
+# Greatest possible drift of a sample, at the tip [m/s].
 _FASTEST_DRIFT_M_PER_S = 5e-10
-# a part of `memory_m` over which the slope is the one assumed beforehand
+# Share of `memory_m` with which the first slope is weighted, so that it holds until the tip has moved that far.
 _UNKNOWN_SHARE = 0.1
-# The tip asks for energy where less than this part of E_0 is left.
+# The tip requests energy if less than this share of E_0 is left.
 _LEAST_SHARE = 0.25
 
 
 class BoundedModelParams(NamedTuple):
-    """Constants of the law; lengths at the hand's scale, and shares of a period."""
+    """Constants of the law; lengths are at the hand's scale, and shares are those of a period."""
 
     mass: MassParams
     mass_kg: float
@@ -175,12 +176,12 @@ class BoundedModelConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the tip may meet: it comes to it through the damper B_a."""
+        """Return the stiffest sample [N/m] that the tip may meet, which it approaches through the damper B_a."""
         return self.limit_of_damper(self.approach_damping_n_s_per_m, period_s)
 
 
 class Contact(NamedTuple):
-    """A line F = K (y - y_0) [N, m at the hand's scale] down to -F_a, the pull [N], and 0 outside."""
+    """The line F = K (y - y_0) [N, m at the hand's scale] down to minus the adhesion F_a [N], and 0 outside."""
 
     stiffness_n_per_m: float
     zero_m: float
@@ -188,9 +189,9 @@ class Contact(NamedTuple):
 
 
 class ContactMoments(NamedTuple):
-    """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N].
+    """Statistics of the contact: newest pair, means and mean products with fading weights, and greatest adhesion [N].
 
-    Places are less what the sample has drifted while the tip was in contact.
+    Positions exclude the drift of the sample while the tip was in contact.
     """
 
     known: bool
@@ -205,10 +206,10 @@ class ContactMoments(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store.
+    """Mass, statistics, the model and whether there is one, lag [s], share of the lag's terms, M [kg], and the store.
 
-    stood_s: for how long the device has been off [s]; device_m: where it was last [m]; ahead_j: what the hand has put
-    into the reference beyond what it has put into the device [J]; since_s: time since the newest answer [s].
+    stood_s: time for which the device has been off [s]; device_m: its last position [m]; ahead_j: work of the hand at
+    the reference minus that at the device [J]; since_s: time since the newest answer [s].
     """
 
     mass: Mass
@@ -226,7 +227,7 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """Base reference [m], last measurement (at the hand's scale) [m, N], and the store; `coupled`: it counts."""
+    """Base reference [m], last measurement at the hand's scale [m, N], and store; coupled: the hand led the base."""
 
     position_m: float
     last_m: float
@@ -237,14 +238,14 @@ class SlaveState(NamedTuple):
 
 @compiled
 def restarted(drift: Drift, place: float, force: float) -> Drift:
-    """Return what is known of the drift, where the next contact begins at this pair."""
+    """Return the estimate of the drift for a next contact that begins at this position and force."""
     d = drift
     return Drift(place, force, d.speed, d.square, d.recent, d.slow_square, d.known_s, d.gone)
 
 
 @compiled
 def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
-    """Return the drift in other units: places are multiplied by one number, and forces by the other."""
+    """Return the drift in other units: positions are multiplied by `longer`, and forces by `stronger`."""
     d, square = drift, longer * longer
     place, force, gone = longer * d.slow_place, stronger * d.slow_force, longer * d.gone
     speed, recent = longer * d.speed, longer * d.recent
@@ -253,20 +254,20 @@ def rescaled_drift(drift: Drift, longer: float, stronger: float) -> Drift:
 
 @compiled
 def nothing_seen() -> ContactMoments:
-    """Return what is known before the first contact."""
+    """Return the statistics before the first contact."""
     return ContactMoments(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0, 0.0))
 
 
 @compiled
 def contact_force(contact: Contact, y_m: float) -> float:
-    """Return the force of the model at a reference of the tip [N]."""
+    """Return the force of the model [N] at a reference of the tip [m]."""
     force = contact.stiffness_n_per_m * (y_m - contact.zero_m)
     return force if force > -contact.pull_n else 0.0
 
 
 @compiled
 def potential(contact: Contact, y_m: float) -> float:
-    """Return the work that it took to bring the hand there from outside [J], at least -F_a^2 / 2 K."""
+    """Return the work that brings the hand to a reference y [m] from outside [J], at least -F_a^2 / 2 K."""
     force, pull = contact.stiffness_n_per_m * (y_m - contact.zero_m), contact.pull_n
     return 0.5 * (force * force - pull * pull) / contact.stiffness_n_per_m if force > -pull else 0.0
 
@@ -275,10 +276,10 @@ def potential(contact: Contact, y_m: float) -> float:
 def taught(
     params: BoundedModelParams, seen: ContactMoments, measured_m: float, force_n: float, touches: bool, elapsed_s: float
 ) -> ContactMoments:
-    """Learn from a pair of the tip; out of contact it can only move the surface further away.
+    """Update the statistics with a pair of the tip; out of contact it can only move the surface further away.
 
-    A pair has a weight by the way since the one before, less the drift, so a tip that stands forgets nothing, and
-    neither does one that is carried along.
+    The weight of a pair grows with the motion since the previous one, without the drift, so nothing is forgotten while
+    the tip is at rest or moves with the sample.
     """
     drift = seen.drift
     if touches and seen.known:
@@ -324,7 +325,7 @@ def taught(
 
 @compiled
 def slope_of(params: BoundedModelParams, seen: ContactMoments) -> float:
-    """Return the slope of what was seen [N/m]: the one assumed beforehand where the tip has not moved yet."""
+    """Return the slope of the observed contact [N/m]; it is the configured first slope until the tip has moved."""
     first, unknown = params.first_n_per_m, _UNKNOWN_SHARE * params.memory_m
     slope = (seen.product_n_m + first * unknown * unknown) / (seen.square_m2 + unknown * unknown)
     return min(max(slope, 1e-3 * first), 1e3 * first)
@@ -332,7 +333,7 @@ def slope_of(params: BoundedModelParams, seen: ContactMoments) -> float:
 
 @compiled
 def goal_of(params: BoundedModelParams, seen: ContactMoments) -> Contact:
-    """Return the model that what was seen speaks for, with a well no deeper than allowed."""
+    """Return the model that fits the statistics, with a potential well no deeper than allowed."""
     slope = slope_of(params, seen)
     pull = min(seen.pull_n, math.sqrt(2.0 * slope * params.well_j))
     return Contact(slope, seen.last_m + seen.drift.gone - seen.last_n / slope, pull)
@@ -340,7 +341,7 @@ def goal_of(params: BoundedModelParams, seen: ContactMoments) -> Contact:
 
 @compiled
 def between(start: Contact, end: Contact, share: float) -> Contact:
-    """Return the model that lies a share of the way from one to another."""
+    """Return the model interpolated linearly from `start` (share 0) to `end` (share 1)."""
     return Contact(
         start.stiffness_n_per_m + share * (end.stiffness_n_per_m - start.stiffness_n_per_m),
         start.zero_m + share * (end.zero_m - start.zero_m),
@@ -352,9 +353,9 @@ def between(start: Contact, end: Contact, share: float) -> Contact:
 def updated(
     params: BoundedModelParams, contact: Contact, goal: Contact, y_m: float, tip_n: float, left_j: float
 ) -> tuple[Contact, float]:
-    """Move the model towards the goal as far as force and energy allow; return it with the energy that it took [J].
+    """Move the model towards the goal as far as force and energy allow; return it with the rise of its energy [J].
 
-    The share is halved until the limits hold, and the model stays where it gets too small.
+    The share is halved until the limits hold; after 12 trials the model is kept.
     """
     force, stored = contact_force(contact, y_m), potential(contact, y_m)
     most = max(force, tip_n + params.update_margin_n)
@@ -378,13 +379,13 @@ def _begun(params: BoundedModelParams, mass: Mass) -> MasterState:
 
 @compiled
 def master_start(params: BoundedModelParams, hand: HandSample) -> MasterState:
-    """Start with the virtual mass at rest at the hand's position, over a surface not yet known."""
+    """Start with the virtual mass at rest at the hand's position, and no known surface."""
     return _begun(params, at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: BoundedModelParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Continue with the hand's motion and the tip's reference; the contact is learnt from nothing."""
+    """Continue with the hand's motion and the tip's reference; the contact must be learnt anew."""
     return _begun(params, resumed(params.mass, hand, tip_reference_m))
 
 
@@ -392,7 +393,7 @@ def master_resume(params: BoundedModelParams, hand: HandSample, tip_reference_m:
 def master_send(
     params: BoundedModelParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return the slave's reference, the hand's force, and the energy that has been sent to the tip."""
+    """Return the slave's reference, the hand's force, and the total energy sent to the tip."""
     return state, mass_signal(params.mass, state.mass, hand, state.store.sent_j, state.mass.coupled)
 
 
@@ -400,14 +401,14 @@ def master_send(
 def _let_go(
     params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, may: AtHand, worked_j: float
 ) -> MasterState:
-    """Leave the mass with the hand, and what the model had stored in the store; after an arming all begins again."""
+    """Release the hand, and return the energy of the model to the store; while the tip must be armed, restart all."""
     p, store = params.mass, state.store
     if state.rendered:
         y = tip_reference(p, state.mass) / p.position_scale
         store = tank(store, potential(state.contact, y), params.cap_j)
     ahead = state.ahead_j
     if state.mass.coupled:
-        # The reference goes back to the device, which is a way against the hand's force that Z pays.
+        # The reference moves back to the device; Z pays for that motion against the hand's force.
         undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
         store = tank(store, min(undone_j, 0.0), params.cap_j)
         ahead += undone_j - worked_j
@@ -422,15 +423,15 @@ def _let_go(
 
 @compiled
 def _at_device(state: MasterState, hand: HandSample, may: AtHand) -> float:
-    """Return the work [J] of the hand at its device since the last sample; one that was off was moved by no law."""
+    """Return the work [J] of the hand at its device since the last sample; 0 if the law did not move the device."""
     return hand.force_n * (hand.position_m - state.device_m) if may.counts else 0.0
 
 
 @compiled
 def _first_contact(params: BoundedModelParams, goal: Contact, y_m: float, tip_m: float, left_j: float) -> Contact:
-    """Return the model as it begins: under the hand without force; or where it is, if hand and tip are at one place.
+    """Return the first model: under the hand without force, or at its place if hand and tip are at the same place.
 
-    The force that the hand begins with there is paid as well.
+    The second case needs the energy of the force with which the hand then begins.
     """
     if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= max(left_j, 0.0):
         return goal
@@ -439,7 +440,7 @@ def _first_contact(params: BoundedModelParams, goal: Contact, y_m: float, tip_m:
 
 @compiled
 def lag_terms(params: BoundedModelParams, stiffness_n_per_m: float, delay_s: float) -> tuple[float, float]:
-    """Return the mass M_e [kg] and the damper B_e [N s/m], B_v included, that hold the hand back like the tip.
+    """Return the mass M_e [kg] and the damper B_e [N s/m], including B_v, that delay the hand as much as the tip.
 
     The tip is late by the delay T of its line, K e^(sT) = K (1 + s T + s^2 T^2 / 2 ...), and by its servo, K + s B_g.
     """
@@ -452,10 +453,10 @@ def lag_terms(params: BoundedModelParams, stiffness_n_per_m: float, delay_s: flo
 def master_receive(
     params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Learn from the answer, update the model within the store, and move the mass over dt [s] on it.
+    """Learn from the answer, update the model within the energy in the store, and move the mass against it for dt [s].
 
-    The step is Euler's with the new velocity, for which the energies of a period are exact: F_m dx is the change of
-    M v^2 / 2 and V, and what mass, damper and the model's step have taken.
+    The step is Euler's with the new velocity, for which the energy balance of a period is exact: F_m dx is the change
+    of M v^2 / 2 and V plus the energy dissipated by mass, damper and the step of the model.
     """
     p, scale = params.mass, params.mass.position_scale
     may = at_hand(p, hand, signal, state.mass.coupled, state.stood_s, dt, True)
@@ -475,22 +476,22 @@ def master_receive(
     goal, held_back, force = goal_of(params, seen), state.held_back, 0.0
     before, ahead = mass.position_m, state.ahead_j - worked_j
     lead = mass.position_m - hand.position_m
-    # What it costs to undo the lead of a device that is stuck, and what only the reference has got from the hand, is
-    # not there to be spent.
+    # Two energies must not be spent: that needed to set back the reference of a stuck device, and the work that the
+    # hand has done at the reference only.
     owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), ahead, 0.0)
     if seen.known and not rendered:
         y = mass.position_m + offset
         contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j - owed), True
         store = tank(store, -potential(contact, y), params.cap_j)
     if may.stands or abs(lead) > _LONGEST_LEAD_M:
-        # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
-        # and booked like a motion.
+        # A device that is off for a moment, or at the end of its travel, stands: set its reference back, and book that
+        # like a motion.
         y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if may.acts else 0.0
         back, tip_offset = kept - lead, mass.tip_offset_m
         if rendered:
             rise = potential(contact, y + back) - potential(contact, y)
             if rise > max(store.left_j - owed, 0.0):
-                # What moved the device has not paid for a deeper model, so the model goes along.
+                # There is no energy for pressing deeper into the model, so the offset moves the model along.
                 tip_offset, rise = tip_offset - scale * back, 0.0
                 offset = tip_offset / scale
             store = tank(store, -rise, params.cap_j)
@@ -519,7 +520,7 @@ def master_receive(
         wanted = params.mass_kg + held_back * more_mass
         velocity = mass.velocity_m_per_s
         if wanted > heavy:
-            # The momentum stays while the mass grows, so that its energy falls.
+            # The momentum is kept while the mass grows, so that the kinetic energy falls.
             velocity *= heavy / wanted
         heavy = wanted
         b = params.damping_n_s_per_m
@@ -554,7 +555,7 @@ def _standing(params: BoundedModelParams, position_m: float, tip: TipMeasurement
 def slave_receive(
     params: BoundedModelParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Press with the hand's force in contact and follow its position outside, within the energy that has come.
+    """Press with the hand's force in contact and follow its position outside, within the energy that has arrived.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -574,7 +575,7 @@ def slave_receive(
     if tip.in_contact:
         way = p.period_s / params.servo_n_s_per_m * (pressed - force)
         if pressed <= 0.0:
-            # A hand that no longer presses takes the tip along.
+            # A hand that no longer presses pulls the tip back with it.
             way = min(way, due)
     else:
         allowed = max(pressed, 0.0) + params.margin_n - force
@@ -588,17 +589,17 @@ def slave_receive(
 def slave_send(
     params: BoundedModelParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Return what the tip measures, and how much energy the hand is to have sent in all: what the tip got, and some."""
+    """Return the tip's measurement, and the total energy requested from the hand: that used, plus a reserve."""
     asked = max(state.store.received_j - state.store.left_j + _LEAST_SHARE * params.start_j, 0.0)
     return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=asked)
 
 
 @compiled
 def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference, the force of the model and the mass when parameters change; Z pays a rise of V.
+    """Keep the tip's reference, the force of the model and the mass when parameters change; Z pays for a rise of V.
 
-    What was seen and the model are lengths and forces of the tip, so other scales make other numbers of them. The mass
-    becomes another one in the next period, where it keeps momentum or speed.
+    Statistics and model are lengths and forces of the tip, so they are converted to new scales. The mass changes in the
+    next period, in which it keeps momentum if it grows and speed if it falls.
     """
     longer, stronger = of_scales(old.mass, new.mass)
     seen, contact, store = state.seen, state.contact, kept_below(state.store, new.cap_j)
@@ -637,7 +638,7 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
 
 @compiled
 def slave_retune(old: BoundedModelParams, new: BoundedModelParams, state: SlaveState) -> SlaveState:
-    """Keep the last measurement, which is at the hand's scale; the store stays below the new cap."""
+    """Convert the last measurement, which is at the hand's scale, and limit the store to the new cap."""
     longer, stronger = of_scales(old.mass, new.mass)
     store = kept_below(state.store, new.cap_j)
     return SlaveState(state.position_m, longer * state.last_m, stronger * state.last_n, store, state.coupled)
@@ -645,19 +646,19 @@ def slave_retune(old: BoundedModelParams, new: BoundedModelParams, state: SlaveS
 
 @compiled
 def master_energy_account(params: BoundedModelParams, state: MasterState) -> EnergyAccount:
-    """Return what the dampers have taken and neither updates nor the tip have got, and what both ports were granted."""
+    """Return the dissipated energy that neither updates nor the tip have used, and the energy granted to both ports."""
     return EnergyAccount(state.store.left_j, 0.0, params.well_j + 2.0 * state.store.granted_j)
 
 
 @compiled
 def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> EnergyAccount:
-    """Return what the tip may still get, and what both ports were granted."""
+    """Return the energy that the tip may still get, and the energy granted to both ports."""
     return account_of(state.store)
 
 
 @compiled
 def sample_drift(params: BoundedModelParams, state: MasterState) -> tuple[float, float]:
-    """Return how fast the sample recedes, and the standard error of that [m/s]."""
+    """Return the speed at which the sample recedes, and its standard error [m/s]."""
     scale = params.mass.position_scale
     return scale * state.seen.drift.speed, scale * error_of(state.seen.drift)
 

@@ -1,10 +1,10 @@
-"""A law by the line: what the line does is measured, and the law changes to the first of a list that tolerates it.
+"""Choice of the law by the line: measure the line, and change to the first law of a list that tolerates it.
 
-What is measured is what `law/status` of the master's half and `node/health` of both halves say, so it is the line of
-the session itself and no probe. A law tolerates a line where its stated limit of stiffness (docs/laws.md, "How stiff a
-sample may be") is above the sample over such a line, and where the age of the tip's answers is below the longest one
-for which the law was found to follow. The change itself is the ordinary one, `set law=...`, in which both devices stand
-still for a round trip; so it is asked for only while the hand would not go further than `STOOD_M` in that time.
+The measurements are those in `law/status` of the master half and in `node/health` of both halves, so they describe the
+session's own line, without a probe. A law tolerates a line if its stiffness limit over such a line (docs/passivity.md,
+"How stiff a sample may be") is above the stiffness of the sample, and if the tip's answers are no older than the
+greatest age at which the law was found to follow. The change is an ordinary `set law=...`, during which both devices
+stand still for a round trip; it is requested only while the hand would move no further than `STOOD_M` in that time.
 """
 
 import math
@@ -20,32 +20,32 @@ SLAVE = "controller@slave"
 HAND = "haptic_node@master"
 TIP = "afm_node@slave"
 TOPICS = ("law/status", "node/health", "haptic/state")
-# What a half of the law receives from the other one.
+# Topic that each half of the law receives from the other one.
 _CROSSING = {MASTER: "teleop/backward", SLAVE: "teleop/forward"}
-# Two changes of law are at least this far apart.
+# Least time between two changes of law.
 DWELL_S = 10.0
-# The line is judged by what it did in this last time.
+# The line is judged by its behaviour over this time.
 WINDOW_S = 10.0
-# The way that a hand may lose by standing still [m], half of what counts as a jump.
+# Greatest motion that a hand may lose by standing still [m], half of the distance that counts as a jump.
 STOOD_M = 5e-5
-# The hand coasts to rest beside the round trip that it represents [s].
+# Time in which the hand coasts to rest, in addition to the round trip [s].
 _COASTING_S = 0.02
-# The line stands still while nothing has come for longer than this [s].
+# No change is requested while no answer has come for longer than this [s].
 STALL_S = 0.05
 # A silence of this length or more is a stall.
 SILENT_S = 0.1
 # Stalls are counted over this time.
 STALLS_S = 60.0
-# Signals whose ages differ by no more than this number of periods come after the same time.
+# Signals whose ages differ by no more than this number of periods count as equally late.
 _EVEN_PERIODS = 2.0
 
 
 class Line(NamedTuple):
-    """What a line did over a window of time.
+    """Statistics of a line over a window of time.
 
-    Times in s: floor, the least age of the hand's sample behind an answer; median, and slow and late, the ages that
-    one answer of ten and of a hundred exceeds; silence, the longest time without an answer; seen, how long it was
-    looked at. lost: share of the signals that never came, of both ways together; stalls: how many the last minute had.
+    Times in s: floor, the least age of the hand's sample that an answer responds to; median, slow and late, the 50th,
+    90th and 99th percentile of these ages; silence, the longest time without an answer; seen, the observed time.
+    lost: share of the signals that never came, in both directions together; stalls: their number in the last minute.
     """
 
     floor_s: float
@@ -59,16 +59,16 @@ class Line(NamedTuple):
 
     @property
     def spread_s(self) -> float:
-        """How much later than the least nine answers of ten come at most [s]."""
+        """Spread of the ages: the 90th percentile minus the least age [s]."""
         return self.slow_s - self.floor_s
 
     def is_even(self, period_s: float) -> bool:
-        """Return whether every signal came, after the same time within two periods [s]."""
+        """Return whether no signal was lost or stalled and delays were equal within two periods (`period_s` in s)."""
         latest_s = max(self.late_s - self.floor_s, self.silence_s)
         return self.lost == 0.0 and self.stalls == 0 and latest_s <= _EVEN_PERIODS * period_s
 
     def __str__(self) -> str:
-        """Return the line in words."""
+        """Return a description of the line for people."""
         return (
             f"floor {1e3 * self.floor_s:.3g} ms, spread {1e3 * self.spread_s:.3g} ms, longest silence"
             f" {1e3 * self.silence_s:.3g} ms, {self.stalls} stalls in a minute, {100.0 * self.lost:.2g} % lost"
@@ -76,11 +76,11 @@ class Line(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A law, and the lines over which it is wanted.
+    """A law, and the lines for which it is wanted.
 
-    longest: the median age of the answers at most [s], which a stall of some seconds does not move. It is wanted where
-    the least age is at least `shortest` and the spread at least `least_spread` [s], and where a minute has
-    `least_stalls` or more.
+    longest_s: greatest median age of the answers [s]; the median, because a stall of some seconds does not change it.
+    Within that, the law is wanted if the least age is at least `shortest_s` [s] and the spread at least
+    `least_spread_s` [s], or if the last minute had `least_stalls` or more stalls.
     """
 
     law: str
@@ -90,7 +90,7 @@ class Candidate(NamedTuple):
     least_stalls: int = 0
 
     def unwanted(self, line: Line) -> str:
-        """Return what of a line the law is not wanted for; empty where it is wanted."""
+        """Return the reason why the law is not wanted over a line; empty if it is wanted."""
         if line.median_s > self.longest_s:
             return f"answers are {1e3 * line.median_s:.3g} ms old; it is used up to {1e3 * self.longest_s:.3g} ms"
         if self.least_stalls and line.stalls >= self.least_stalls:
@@ -104,10 +104,10 @@ class Candidate(NamedTuple):
         )
 
 
-# In the order in which they are wanted. bounded_model holds the hand back by as much as the line was late, and so for
-# seconds after a stall; model_mediated does not, and has the least tracking error over lines that wander, as Starlink
-# does, or stand still every now and then. Over all others that is bounded_model, up to ages over which it has 0.35.
-# What passivity follows late, it follows late over any line.
+# In the order of preference. bounded_model holds the hand back by the delay of the line, and so for seconds after a
+# stall; model_mediated does not, and has the least tracking error over lines whose delay wanders, as that of Starlink,
+# or that stall now and then. Over all other lines bounded_model has the least, up to ages at which it has 0.35.
+# passivity is last: it follows late, but over any line.
 CANDIDATES = (
     Candidate("model_mediated", 0.2, shortest_s=0.02, least_spread_s=0.02, least_stalls=2),
     Candidate("bounded_model", 0.7),
@@ -116,29 +116,29 @@ CANDIDATES = (
 
 
 class Decision(NamedTuple):
-    """A change of law, and the reason in words."""
+    """The law to change to, and the reason as a sentence."""
 
     law: str
     reason: str
 
 
 class LineWindow:
-    """The line over the last seconds, from the reports of both halves of the law."""
+    """Observes the line over the last seconds, from the reports of both halves of the law."""
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
-        """Look back for a time [s]."""
+        """Prepare an empty window of the given length [s]."""
         self._window_s = window_s
         self._ages: deque[tuple[float, float, float]] = deque()
         self._stalls_s: deque[float] = deque()
-        # By half: time [s], signals received and lost since its start.
+        # For each half: time [s], and signals received and lost since its start.
         self._counts: dict[str, deque[tuple[float, int, int]]] = {half: deque() for half in _CROSSING}
 
     def forget(self) -> None:
-        """Forget the ages, because a half that begins again has heard nothing; its line stood still as often."""
+        """Forget the ages, because a half that restarts has heard nothing yet; the stalls of its line still count."""
         self._ages.clear()
 
     def add_age(self, time_s: float, age_s: float, silence_s: float) -> None:
-        """Take the age of the hand's sample behind the newest answer, and the time since that answer came [s]."""
+        """Add the age of the hand's sample that the newest answer responds to, and the time since that answer [s]."""
         if silence_s >= SILENT_S and (not self._ages or self._ages[-1][2] < SILENT_S):
             self._stalls_s.append(time_s)
         while self._stalls_s and self._stalls_s[0] < time_s - STALLS_S:
@@ -148,25 +148,25 @@ class LineWindow:
             self._ages.popleft()
 
     def add_counts(self, half: str, time_s: float, inputs: Sequence[Any]) -> None:
-        """Take what a half has received and missed since its start, of its `node/health`."""
+        """Add the numbers of signals that a half has received and lost since its start, from its `node/health`."""
         for row in inputs:
             if row.topic == _CROSSING[half]:
                 counts = self._counts[half]
                 if counts and time_s < counts[-1][0]:
-                    # Its clock was set back, or it was started again: nothing of before would ever be old enough to go.
+                    # The clock was set back, or the half restarted: earlier entries would never become old enough.
                     counts.clear()
                 counts.append((time_s, row.received, row.lost))
-                # The newest one that is older than the window is what the window begins with.
+                # Keep the newest entry before the window: counts within the window are differences to it.
                 while len(counts) > 1 and counts[1][0] < time_s - self._window_s:
                     counts.popleft()
 
     def line(self) -> Line | None:
-        """Return what the line did, or nothing before there is an answer."""
+        """Return the statistics of the line, or None before the first answer."""
         if not self._ages:
             return None
         ages = sorted(age for _, age, _ in self._ages)
         received = sum(counts[-1][1] - counts[0][1] for counts in self._counts.values() if counts)
-        # A node that was started again counts from nothing.
+        # A restarted node counts from zero, so the difference may be negative.
         lost = sum(max(counts[-1][2] - counts[0][2], 0) for counts in self._counts.values() if counts)
         return Line(
             floor_s=ages[0],
@@ -181,7 +181,7 @@ class LineWindow:
 
 
 class Policy:
-    """Decides from the messages of a rig which law its line is to have; it only reports it, and sends nothing."""
+    """Decides from the messages of a rig which law suits its line; it only returns decisions, and sends nothing."""
 
     def __init__(
         self,
@@ -190,13 +190,13 @@ class Policy:
         candidates: Sequence[Candidate] = CANDIDATES,
         window_s: float = WINDOW_S,
     ) -> None:
-        """Choose among laws.
+        """Prepare to choose among laws.
 
         Args:
             controller: The section of the scenario, with the parameters of the laws.
-            stiffness_n_per_m: The stiffest that the tip can meet [N/m].
+            stiffness_n_per_m: The greatest stiffness that the tip can meet [N/m].
             candidates: The laws, the most wanted first.
-            window_s: How far back the line is looked at [s].
+            window_s: The time over which the line is observed [s].
         """
         self._stiffness_n_per_m, self.candidates = stiffness_n_per_m, tuple(candidates)
         self._configs = {one.law: controller.model_copy(update={"law": one.law}) for one in candidates}
@@ -209,11 +209,11 @@ class Policy:
 
     @property
     def line(self) -> Line | None:
-        """What the line did over the window."""
+        """Statistics of the line over the window; None before the first answer."""
         return self._window.line()
 
     def doubts(self, candidate: Candidate, line: Line) -> str:
-        """Return why a law is not one for a line; empty where it is."""
+        """Return the reason why a law does not suit a line; empty if it does."""
         if text := self._refused.get(candidate.law):
             return text
         if text := candidate.unwanted(line):
@@ -226,11 +226,11 @@ class Policy:
         return f"law {candidate.law} does not tolerate {self._stiffness_n_per_m:g} N/m over this line{line_text}"
 
     def refused(self, law: str, text: str) -> None:
-        """Take note of what a node has said against a law: it is not asked for again."""
+        """Record that a node has refused a law, with its reason; the law is not requested again."""
         self._refused[law] = text
 
     def take(self, topic: str, src: str, time_s: float, message: Any) -> Decision | None:
-        """Take a message, sent at a time [s], and return what is to be changed now, if anything is."""
+        """Process a message that `src` sent at a time [s]; return a change of law that is due now, or None."""
         if topic == "haptic/state" and src == HAND:
             self._speed_m_per_s = abs(message.velocity_m_per_s[2])
         elif topic == "node/health" and src in _CROSSING:
@@ -243,12 +243,12 @@ class Policy:
 
     def _with_status(self, time_s: float, status: Any) -> Decision | None:
         if time_s < self._newest_s:
-            # Its clock was set back: what came before says nothing of the time from now on.
+            # The clock was set back, so earlier times cannot be compared with those that follow.
             self._window = LineWindow(self._window_s)
             self._since_s, self._asked_s, self._looked_s = time_s, -math.inf, -math.inf
         self._newest_s = time_s
         if status.law != self._law or status.switching:
-            # Whatever has changed the law, the time to the next change begins with it; before it was seen, with that.
+            # The least time to the next change counts from every change, whoever made it, and from the first report.
             self._since_s, self._law = time_s, status.law
             self._window.forget()
             return None
@@ -256,7 +256,7 @@ class Policy:
             return None
         self._window.add_age(time_s, status.round_trip_s, status.silence_s)
         due = time_s - max(self._since_s, self._asked_s) >= DWELL_S
-        # To sort the window at each of a hundred reports a second would be work for nothing.
+        # Sorting the window for each of a hundred reports per second would be useless work.
         if not due or status.silence_s > STALL_S or time_s - self._looked_s < 0.1:
             return None
         self._looked_s = time_s
@@ -272,7 +272,7 @@ class Policy:
         return decision
 
     def decided(self, line: Line) -> Decision | None:
-        """Return the first law that tolerates a line, where it is not the one in force; none where no law does."""
+        """Return the first law that tolerates a line; None if it is the one in force, or if no law tolerates it."""
         against: list[str] = []
         for candidate in self.candidates:
             doubts = self.doubts(candidate, line)
@@ -286,5 +286,5 @@ class Policy:
 
 
 def facts_of(decision: Decision) -> Mapping[str, str]:
-    """Return the parameters of the mark that a decision leaves in the recording."""
+    """Return the parameters of the `mark` command that records a decision."""
     return {"law_by_line": decision.law, "reason": decision.reason}

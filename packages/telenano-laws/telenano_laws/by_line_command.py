@@ -1,4 +1,4 @@
-"""`telenano law by-line`: the law of a running rig is changed by what its line does."""
+"""`telenano law by-line`: change the law of a running rig when its line changes."""
 
 import contextlib
 import sys
@@ -16,13 +16,13 @@ from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError, TelenanoError
 from telenano_laws.by_line import CANDIDATES, MASTER, TOPICS, Decision, Policy, facts_of
 
-# The targets of the commands that this process gives.
+# Targets of the commands that this process sends.
 CONTROLLERS = "controller"
 RECORDER = "recorder"
-# What is read so much later than it was sent [ns] leads to nothing: this process cannot keep up.
+# Messages read later than this after they were sent are ignored, because this process cannot keep up [ns].
 _LATE_NS = 500_000_000
 _WANTED = ",".join(candidate.law for candidate in CANDIDATES)
-# Sends a command and returns why a node refused it, or nothing; raises TelenanoError where no node was asked.
+# Sends a command and returns a node's reason for refusing it, or ""; raises TelenanoError if no node could be asked.
 Send = Callable[[Command], str]
 
 
@@ -53,7 +53,7 @@ def by_line(
         with live_rig(site_file, TOPICS) as live, contextlib.suppress(KeyboardInterrupt):
             for message in live.messages(duration_s=duration):
                 if message.src == MASTER and message.log_ns - message.publish_ns > _LATE_NS:
-                    # The hand may have moved on since.
+                    # The hand may have moved on since then.
                     continue
                 decision = policy.take(message.topic, message.src, 1e-9 * message.publish_ns, message.decode())
                 if decision is not None:
@@ -62,7 +62,7 @@ def by_line(
 
 
 def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Policy:
-    """Return the policy for the rig of a scenario; ConfigError names a law or a stiffness that is missing."""
+    """Return the policy for the rig of a scenario; raise ConfigError for an unknown law or a missing stiffness."""
     controller = section_of(scenario, "controller", ControllerConfig)
     candidates = {one.law: one for one in CANDIDATES}
     names = laws.split(",")
@@ -76,12 +76,12 @@ def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Pol
 
 
 def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
-    """Change the law, say so, and mark it in the recording; return whether the law was changed."""
+    """Change the law, print the result, and mark a change in the recording; return whether the law was changed."""
     text_of_decision = f"law {decision.law}: {decision.reason}"
     try:
         text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
     except TelenanoError as error:
-        # Somebody else has control, or no answer came: that is no fault of the law, which is asked for again.
+        # Another console has control, or no answer came. The law is not at fault, so it is requested again later.
         typer.echo(f"not changed, tried again later: {text_of_decision}: {error}")
         return False
     if text:
@@ -99,6 +99,6 @@ def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
 
 
 def _sent(command: Command, site_file: Path) -> str:
-    """Send a command to a running rig; return why nodes refuse it."""
+    """Send a command to a running rig; return the nodes' reasons for refusing it, empty if none does."""
     answers = send_control(command, site_file, "master", lambda event: None)
     return "; ".join(event.text for event in answers.values() if event.kind == "refused")

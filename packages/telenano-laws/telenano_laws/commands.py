@@ -1,4 +1,4 @@
-"""The commands of this package, which telenano lists without importing what they need."""
+"""Commands of this package; telenano lists them without importing the modules that they need."""
 
 COMMANDS = {
     "law by-line": (

@@ -1,14 +1,14 @@
-"""How fast a sample drifts, from the places and forces of a tip in contact.
+"""Estimate of the drift speed of a sample, from positions and forces of a tip in contact.
 
-x = F / K + v t: what a tip goes beyond the change of its force over the slope is the drift. Speed and rate of force are
-those of the last `STEADY_S`, and the estimate is their mean over `MEAN_S`, with the more weight the less the force
-changes: there the slope says nothing and the drift is all. So a place is regressed on force and time, each where it
-can be told. A tip that goes faster than any sample drifts has met or left something, and has little weight.
+x = F / K + v t: the drift is the motion of the tip minus the change of its force divided by the contact stiffness K.
+Speed and rate of force are those over the last `STEADY_S`. The estimate is a mean over `MEAN_S` in which a sample has
+more weight the less the force changes, because an error of K then matters less. A tip that moves faster than any sample
+drifts has met or left something, and gets little weight.
 
-The estimate is followed by the share 1 - (2 e / v)^2 of it, v the speed and e its standard error, and not at all below
-2 e: under a hand that swings on a still sample the curve of the contact is else taken for a drift. Deviations from the
-mean are alike for as long as a swing of the hand makes them so. That time follows from how much of their variance is
-left in their mean over `RECENT_S`, and e is the error of a mean of values that are alike for that time.
+Only the share 1 - (2 e / v)^2 of the estimate is followed, with the speed v and its standard error e, and nothing below
+2 e: otherwise the curvature of the contact would be taken for drift while a hand swings on a sample at rest. A swing of
+the hand makes successive deviations from the mean correlated. Their correlation time follows from the share of their
+variance that is left in a mean over `RECENT_S`, and e is the error of a mean of values correlated over that time.
 """
 
 import math
@@ -17,25 +17,25 @@ from typing import NamedTuple
 from telenano.extend.virtual_mass import bounded
 from telenano.numerics import compiled
 
-# time constant over which the changes of force and place are taken for a drift [s]
+# Time constant over which changes of force and position are measured [s].
 STEADY_S = 0.1
-# time constant with which the speed of a drift is learnt where the force stands [s]
+# Time constant of the estimated speed while the force is constant [s].
 MEAN_S = 1.0
-# time constant of the mean that tells for how long deviations are alike [s]
+# Time constant of the mean from which the correlation time of the deviations is found [s].
 RECENT_S = 0.25
-# The assumption beforehand, that any drift up to the fastest is as likely, counts like this time of standing [s].
+# The prior, a uniform distribution up to the fastest drift, has the weight of this time at constant force [s].
 BEFOREHAND_S = 0.02
-# An estimate of less than this number of its standard errors is not followed.
+# An estimate below this number of its standard errors is not followed.
 SURE = 2.0
 
 
 class Drift(NamedTuple):
-    """Place and force as they were lately, what is estimated of the drift, and the way so far.
+    """Smoothed position and force, the estimate of the drift, and the total displacement that was followed.
 
-    speed, square: mean of the speeds seen, and their mean square deviation from it; recent, slow_square: their mean
-    over `RECENT_S`, and its mean square deviation from the speed; known_s: for how long the force has stood, up to
-    `MEAN_S` [s]; gone: the way of the sample that was followed.
-    In units of the caller: m and N, or nm and nN, at either scale; speeds in these a second.
+    speed, square: mean of the observed speeds, and their mean square deviation from it; recent, slow_square: their mean
+    over `RECENT_S`, and its mean square deviation from the speed; known_s: weight of the observations, as a time at
+    constant force, up to `MEAN_S` [s]; gone: displacement of the sample that was followed.
+    Units are those of the caller: m and N, or nm and nN, at either scale; speeds in these per second.
     """
 
     slow_place: float
@@ -50,7 +50,7 @@ class Drift(NamedTuple):
 
 @compiled
 def no_drift(place: float, force: float, most: float) -> Drift:
-    """Return the drift at the first pair of a contact: none is known, and none is faster than `most`."""
+    """Return the estimate at the first position and force of a contact: no drift, and none faster than `most`."""
     square = most * most / 3.0
     return Drift(place, force, 0.0, square, 0.0, square * STEADY_S / (STEADY_S + RECENT_S), BEFOREHAND_S, 0.0)
 
@@ -64,7 +64,7 @@ def _error(square: float, slow_square: float, known_s: float) -> float:
 
 @compiled
 def _share(speed: float, error: float) -> float:
-    """Return the share of a speed that is followed: none up to `SURE` errors, and nearly all far above."""
+    """Return the share of a speed that is followed: 0 up to `SURE` standard errors, and near 1 far above."""
     part = SURE * error / max(abs(speed), 1e-300)
     return max(1.0 - part * part, 0.0)
 
@@ -73,17 +73,17 @@ def _share(speed: float, error: float) -> float:
 def drifted(
     drift: Drift, place: float, force: float, known: float, slope: float, elapsed_s: float, stands: float, most: float
 ) -> Drift:
-    """Learn from the pair that comes elapsed_s [s] after the one before.
+    """Update the estimate with a pair of position and force.
 
     Args:
-        drift: What is known.
-        place: Where the tip is.
-        force: Its force.
-        known: The force there by what is known; the way gone takes up the difference where the force stands.
+        drift: The estimate so far.
+        place: The position of the tip.
+        force: The force on the tip.
+        known: The force that the model predicts there; at constant force the displacement absorbs the difference.
         slope: The stiffness of the contact there.
         elapsed_s: The time since the last pair [s].
-        stands: Change of force in a second below which the force stands.
-        most: No sample is taken to drift faster.
+        stands: Rate of force below which the force counts as constant.
+        most: Greatest possible speed of a drift.
     """
     share = min(elapsed_s / STEADY_S, 1.0)
     rate = (force - drift.slow_force) / STEADY_S
@@ -107,5 +107,5 @@ def drifted(
 
 @compiled
 def error_of(drift: Drift) -> float:
-    """Return the standard error of the speed, with the time for which deviations are alike, at least `STEADY_S`."""
+    """Return the standard error of the speed, from deviations that are correlated for at least `STEADY_S`."""
     return _error(drift.square, drift.slow_square, drift.known_s)

@@ -4,16 +4,17 @@
     F_e = B_c (v_m - v_s) + K_c (x_m - x_s) + (1 + C_mf) F_s - C_mf F_m
     M_s v_s' = (1 + C_sf) (F_m - F_s) + B_c (v_m - v_s) + K_c (x_m - x_s)
 
-with what comes from the other side late. A force loop C > 0 makes its side lighter by 1 + C. Without delay, masses and
-gains as in Lawrence's conditions make hand and tip one rigid body. Over a line nothing is promised: the conditions
-leave no margin (Llewellyn's three terms are zero), and any delay makes energy at some frequency.
+with the quantities of the other side delayed. A force loop C > 0 divides the apparent mass of its side by 1 + C.
+Without delay, masses and gains as in Lawrence's conditions make hand and tip one rigid body. Over a line, stability is
+not guaranteed: the conditions leave no margin (Llewellyn's three terms are zero), and any delay generates energy at
+some frequency.
 
 Sources: D. A. Lawrence, IEEE Trans. Robotics and Automation 9 (1993); K. Hashtrudi-Zaad, S. E. Salcudean, Int. J.
 Robotics Research 20 (2001); equations as in public reports of them (F. Grotto, phri; K. Kim, smart-pinyin), sampled
 here without the channels of acceleration.
 
-What nano scale changes: the tip has no mass of its own at this scale, so M_s is a filter of its force error and not an
-inertia; and the stiffness felt, 3000 N/m for 20 N/m, needs more damping between the sides than a hand of a robot does.
+At the nanoscale, the tip has no mass of its own, so M_s is a filter of its force error and not an inertia; and the
+stiffness felt, 3000 N/m for 20 N/m, needs more damping between the sides than the arm of a robot does.
 """
 
 from typing import NamedTuple
@@ -95,7 +96,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def hand_force(params: FourChannelParams, apart_m: float, apart_m_per_s: float, tip_n: float, hand_n: float) -> float:
-    """Return the force against the hand F_e [N]; apart: how far and fast the hand is ahead of the tip."""
+    """Return the force against the hand F_e [N]; apart: hand minus tip, as a distance [m] and a velocity [m/s]."""
     coupling = params.damping_n_s_per_m * apart_m_per_s + params.stiffness_n_per_m * apart_m
     return coupling + (1.0 + params.hand_loop) * tip_n - params.hand_loop * hand_n
 
@@ -104,7 +105,7 @@ def hand_force(params: FourChannelParams, apart_m: float, apart_m_per_s: float, 
 def tip_acceleration(
     params: FourChannelParams, apart_m: float, apart_m_per_s: float, tip_n: float, hand_n: float
 ) -> float:
-    """Return the acceleration of the tip's mass [m/s^2]; apart: how far and fast the hand is ahead of the tip."""
+    """Return the acceleration of the tip's mass [m/s^2]; apart: hand minus tip, distance [m] and velocity [m/s]."""
     coupling = params.damping_n_s_per_m * apart_m_per_s + params.stiffness_n_per_m * apart_m
     return ((1.0 + params.tip_loop) * (hand_n - tip_n) + coupling) / params.tip_mass_kg
 
@@ -125,7 +126,7 @@ def master_resume(params: FourChannelParams, hand: HandSample, tip_reference_m: 
 def master_send(
     params: FourChannelParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return position, velocity and force of the hand, at the tip's scale."""
+    """Return position, velocity and force of the hand at the tip's scale."""
     return state, mass_signal(params.mass, state.mass, hand, 0.0, hand.following and state.mass.coupled)
 
 
@@ -133,7 +134,7 @@ def master_send(
 def master_receive(
     params: FourChannelParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the mass over dt [s] against the coupling and the force of the tip."""
+    """Move the mass for dt [s] under the force of the hand, against the coupling and the force of the tip."""
     p, mass = params.mass, state.mass
     may = at_hand(p, hand, signal, mass.coupled, 0.0, dt, False)
     if not may.acts:
@@ -157,7 +158,7 @@ def slave_start(params: FourChannelParams, tip: TipMeasurement) -> SlaveState:
 def slave_receive(
     params: FourChannelParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Move the tip's mass for a period under the coupling and the difference of the forces.
+    """Move the tip's mass for a period under the coupling and the difference between the forces of hand and tip.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """

@@ -1,19 +1,20 @@
-"""Fractal impedance: a spring between hand and tip that takes back what it gave, so that it needs no damper.
+"""Fractal impedance: a spring between hand and tip that takes back the energy it gave, so that it needs no damper.
 
-On each side a target is the other one's position. With e the distance to it, the force towards it is
+The target of each side is the position of the other side. At the distance e to it, the force towards it is
 
     F = P(e) while e grows,   F = K_out (e - e_max / 2), K_out = 4 U(e_max) / e_max^2, while it falls:
 
-the way back gives in its first half what it takes in its second one. P(e) = K_0 e up to e_0, and then nears the
-greatest force W; U is its integral. The hand feels F of x_m - x_s; the base moves as b_s x_s' = F(x_m - x_s) - F_s.
+on the return the spring gives energy in the first half, and takes it back in the second half. P(e) = K_0 e up to e_0,
+and then approaches the greatest force W; U is its integral. The hand feels F(x_m - x_s); the base moves as
+b_s x_s' = F(x_m - x_s) - F_s.
 
-Source: K. K. Babarahmati, C. Tiseo and others, arXiv:2003.01463 and 2003.01466 (abstracts read); P, U and the way back
+Source: K. K. Babarahmati, C. Tiseo and others, arXiv:2003.01463 and 2003.01466 (abstracts read); P, U and the return
 are those of an author's public code (W. Merkt, superimposition_of_passive_taskspace_controllers); the coupling of the
-two sides is derived here. A target that moves does work that no account pays for, so that the law is passive only over
-swings in which the other side stands.
+two sides is derived here. A moving target does work that no account pays for, so the law is passive only over swings
+during which the other side is at rest.
 
-What nano scale changes: 1 N on a sample of 20 N/m is 0.33 mm at the hand's scale, so K_0 is the softest spring in the
-chain and decides what is felt; and the base is a position source, so the tip's damper b_s is a rate of motion.
+At the nanoscale, 1 N on a sample of 20 N/m is 0.33 mm at the hand's scale, so K_0 is the softest spring in the chain
+and determines the stiffness felt; and the base is a position source, so the tip's damper b_s is a rate of motion.
 """
 
 import math
@@ -45,16 +46,16 @@ from telenano.extend.virtual_mass import (
 from telenano.numerics import compiled
 from telenano_laws.ports import followed, of_scales
 
-# the width of the rise from K_0 e_0 to W, as a part of what the distance has left up to e_b
+# The width of the rise from K_0 e_0 to W is the distance from e_0 to e_b divided by this.
 _RISE_PARTS = 20.0
-# The way over which the force levels off is at least this, so that it can be divided by.
+# Least width of the rise, because the force is computed by division by it.
 _LEAST_RISE_M = 1e-12
-# On the way back the spring has no force if its way out was shorter than twice this.
+# On the return the spring has no force if it turned at less than twice this distance.
 _LEAST_HALF_M = 1e-9
 
 
 class Fractal(NamedTuple):
-    """K_0 [N/m], W [N], e_0 [m], and the width b of the rise from the one to the other [m]."""
+    """K_0 [N/m], W [N], e_0 [m], and the width b of the rise from K_0 e_0 to W [m]."""
 
     stiffness_n_per_m: float
     most_n: float
@@ -63,7 +64,7 @@ class Fractal(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """The distance to the target when it was seen last, and where it turned last [m]."""
+    """The last distance to the target, and the distance at the last turn [m]."""
 
     last_m: float
     farthest_m: float
@@ -89,7 +90,7 @@ class FractalImpedanceConfig(MassConfig):
 
     def to_params(self, period_s: float) -> FractalImpedanceParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
-        # nine tenths of the way to the greatest force are linear
+        # The spring is linear over nine tenths of the distance to the greatest force.
         farthest = self.greatest_force_n / self.stiffness_n_per_m
         return FractalImpedanceParams(
             self.mass_params(period_s),
@@ -98,7 +99,7 @@ class FractalImpedanceConfig(MassConfig):
         )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the base tolerates, which also goes against its spring."""
+        """Return the stiffest sample [N/m] that the base tolerates in addition to its own spring; 0 if none."""
         felt = self.force_scale * self.position_scale
         limit = self.limit_of_damper(self.base_damping_n_s_per_m, period_s)
         return max(limit - 2.0 * self.stiffness_n_per_m / felt, 0.0)
@@ -125,7 +126,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def faded(ratio: float) -> float:
-    """Return exp(-ratio) by products alone, whose bits no library chooses; ratio >= 0."""
+    """Return exp(-ratio), ratio >= 0, by products alone, so that the bits are the same on every machine."""
     part = min(ratio, 700.0) / 1024.0
     value = 1.0 - part * (1.0 - part * (0.5 - part * (1.0 / 6.0 - part / 24.0)))
     for _ in range(10):
@@ -135,7 +136,7 @@ def faded(ratio: float) -> float:
 
 @compiled
 def outward_force(spring: Fractal, distance_m: float) -> float:
-    """Return P(e) [N], the force on the way from the target."""
+    """Return P(e) [N], the force while the distance to the target grows."""
     a, linear = abs(distance_m), spring.linear_m
     if a < linear:
         return spring.stiffness_n_per_m * distance_m
@@ -146,7 +147,7 @@ def outward_force(spring: Fractal, distance_m: float) -> float:
 
 @compiled
 def stored(spring: Fractal, distance_m: float) -> float:
-    """Return U(e) [J], the work of P up to there."""
+    """Return U(e) [J], the integral of P from 0 to e."""
     a, linear, b = abs(distance_m), spring.linear_m, spring.rise_m
     if a < linear:
         return 0.5 * spring.stiffness_n_per_m * a * a
@@ -157,7 +158,7 @@ def stored(spring: Fractal, distance_m: float) -> float:
 
 @compiled
 def fractal_force(spring: Fractal, turn: Turn, distance_m: float) -> tuple[Turn, float]:
-    """Return the force towards the target [N] at a distance from it [m], by whether that grows or falls."""
+    """Return the new turn and the force towards the target [N] at a distance from it [m], which grows or falls."""
     change = distance_m - turn.last_m
     if distance_m * change >= 0.0:
         return Turn(distance_m, distance_m), outward_force(spring, distance_m)
@@ -189,7 +190,7 @@ def master_resume(params: FractalImpedanceParams, hand: HandSample, tip_referenc
 def master_send(
     params: FractalImpedanceParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return the slave's target, and the hand's force for the record."""
+    """Return the slave's target, and the hand's force for the recording."""
     return state, mass_signal(params.mass, state.mass, hand, 0.0, hand.following and state.mass.coupled)
 
 
@@ -197,7 +198,7 @@ def master_send(
 def master_receive(
     params: FractalImpedanceParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the mass over dt [s] against the spring to where the tip was last."""
+    """Move the mass for dt [s] against the spring to the last known position of the tip."""
     p, mass, turn = params.mass, state.mass, state.turn
     may = at_hand(p, hand, signal, mass.coupled, 0.0, dt, False)
     if not may.acts:
@@ -220,7 +221,7 @@ def slave_start(params: FractalImpedanceParams, tip: TipMeasurement) -> SlaveSta
 def slave_receive(
     params: FractalImpedanceParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Move the base for a period under its spring to the hand and against the force measured.
+    """Move the base for a period under its spring to the hand and against the measured force.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -249,7 +250,7 @@ def _longer_turn(turn: Turn, longer: float) -> Turn:
 
 @compiled
 def slave_retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state: SlaveState) -> SlaveState:
-    """Keep the turn, which is at the hand's scale."""
+    """Convert the turn, which is at the hand's scale, to the new scales."""
     longer, _ = of_scales(old.mass, new.mass)
     return SlaveState(state.position_m, _longer_turn(state.turn, longer))
 

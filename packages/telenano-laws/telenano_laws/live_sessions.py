@@ -31,10 +31,10 @@ _READY_S = 60.0
 
 @contextlib.contextmanager
 def emulated_inverse3(scenario: str) -> Iterator[tuple[str, ...]]:
-    """Run an emulated Inverse3 with the hand of a scenario on it, and give the settings by which a rig takes it.
+    """Run an emulated Inverse3 with the hand of a scenario, and yield the settings with which a rig uses it.
 
     Raises:
-        RigError: It does not answer within a minute; the text has what it wrote.
+        RigError: The emulator ended, or did not answer within a minute; the message contains its standard error.
     """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -67,7 +67,7 @@ def summary_of(folder: Path, law: str, line: str, settings: Sequence[str] = ()) 
     """Run one session and return its summary.
 
     Raises:
-        RigError: `telenano up` did not come to a summary; the text is what it wrote.
+        RigError: `telenano up` gave no summary; the message contains its output.
     """
     keys = (f"controller.law={law}", f"delay_node.profile={line}", f"delay_node.seed={SEED}", *settings)
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--overwrite", "--out"]
@@ -79,7 +79,7 @@ def summary_of(folder: Path, law: str, line: str, settings: Sequence[str] = ()) 
 
 
 def row(law: str, line: str, device: str, summary: dict[str, Any]) -> str:
-    """Return the row of a session, of Markdown."""
+    """Return the row of a session in the Markdown table."""
     ratios = [hold["hold_ratio"] for hold in summary["holds"] if hold["hand_force_n"] > 0.0]
     shown = ", ".join("–" if ratio is None else f"{ratio:.3f}" for ratio in ratios)
     struck = [fact["value"] for hold in summary["holds"] for fact in hold["facts"] if fact["kind"] == "struck"]
@@ -88,7 +88,7 @@ def row(law: str, line: str, device: str, summary: dict[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the sessions and write the table."""
+    """Run the sessions, and write the table after each one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("laws", nargs="*", default=LAWS, metavar="LAW")

@@ -8,18 +8,18 @@ The hand feels F_e = b v - sqrt(2 b) w and sends u = sqrt(2 b) v - w. At the tip
 
 no part of u is in w. Hence F_e = b v + F_s (late), and x_s' = v (late) + (F_s of a round trip before - F_s) / 2 b.
 
-What crosses the line are the wave itself and two counters, sqrt(2/b) int u dt as `position_m` and int u^2 / 2 dt
-as `energy_j`. The receiver takes u + kappa (what is due of int u dt beyond u Ts), within the energy that has arrived,
-and no faster than the two run out together, as telenano's wave does: so a late, lost or repeated message makes no
-energy, and hand and tip do not drift apart.
+The signals carry the wave itself and two counters, sqrt(2/b) int u dt as `position_m` and int u^2 / 2 dt as
+`energy_j`. The receiver uses u + kappa (the received but unused part of int u dt, minus u Ts), limited by the energy
+that has arrived, and so slowly that both run out together, like telenano's own wave law. A late, lost or repeated
+message thus generates no energy, and hand and tip do not drift apart.
 
 Sources: R. J. Anderson, M. W. Spong 1989 and G. Niemeyer, J.-J. E. Slotine, IEEE J. Oceanic Eng. 16 (1991) and Int. J.
 Robotics Research 23 (2004), for waves and matching; equations of the unmatched line as in public code. The matched end,
 the guard and this form of the correction are derived here. The impedance b is constant: adapting it at both ends, as in
 the literature, moves hand and tip apart while the ends differ.
 
-What nano scale changes: the tip's end is a position source, so its damper b is a share of the measured force taken from
-the base's speed, which tolerates samples up to 4 b / (alpha_f alpha_p n Ts); and b is felt by the hand beside B_v.
+At the nanoscale, the tip's end is a position source, so its damper b subtracts a share of the measured force from the
+base's speed, which tolerates samples up to 4 b / (alpha_f alpha_p n Ts); and the hand feels b in addition to B_v.
 """
 
 import math
@@ -64,14 +64,14 @@ from telenano_laws.ports import (
     slid_work,
 )
 
-# after such a silence no wave is in transit any more, and the base stands [s]
+# Silence after which no wave is in transit any more and the base stops [s].
 _STANDS_S = 0.02
-# the periods of the longest step that a slave half makes after late signals
+# Longest step of a slave half after late signals [periods].
 _LONGEST_STEP = 3
 
 
 class MatchedWaveParams(NamedTuple):
-    """Constants of the law; `mass` has the line's damper b in it."""
+    """Constants of the law; `mass` includes the damper b of the line."""
 
     mass: MassParams
     impedance_n_s_per_m: float
@@ -100,12 +100,12 @@ class MatchedWaveConfig(MassConfig):
         return MatchedWaveParams(self.mass_params(period_s, b), b, rate, self.energy_cap_j)
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] that the base tolerates against 2 b, over the longest step."""
+        """Return the stiffest sample [N/m] that the base tolerates with its damper 2 b, in the longest step."""
         return self.limit_of_damper(2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
 
 
 class Inbox(NamedTuple):
-    """Counters of the incoming wave: sqrt(2/b) int u dt received and taken [m], and its energy likewise [J]."""
+    """Counters of the incoming wave: sqrt(2/b) int u dt received and used [m], and its energy received and used [J]."""
 
     received_m: float
     taken_m: float
@@ -114,7 +114,11 @@ class Inbox(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """Mass, incoming wave, int F_e dt / b [m], wave energy sent [J], the newest wave, and time the hand has stood."""
+    """State of the master half.
+
+    impulse_m: int F_e dt / b [m]; sent_j: wave energy sent [J]; wave_sqrt_w: the newest outgoing wave [sqrt(W)];
+    stood_s: time for which the device has been off [s].
+    """
 
     mass: Mass
     inbox: Inbox
@@ -126,9 +130,11 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """Base [m], incoming wave, where the outgoing counter began [m], what has left, and what there is to pay with.
+    """State of the slave half.
 
-    last_m, last_n: the last measurement at the hand's scale [m, N].
+    position_m: reference of the base [m]; anchor_m: start of the outgoing position counter [m]; sent_m, sent_j: the
+    outgoing counters [m, J]; wave_sqrt_w: the newest outgoing wave [sqrt(W)]; reserve_j: energy left to pay for work
+    and waves [J]; last_m, last_n: the last measurement at the hand's scale [m, N].
     """
 
     position_m: float
@@ -145,7 +151,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def hand_end(impedance_n_s_per_m: float, velocity_m_per_s: float, wave_sqrt_w: float) -> tuple[float, float]:
-    """Return the force against the hand [N] and the wave that leaves it [sqrt(W)]."""
+    """Return the force against the hand [N] and the outgoing wave [sqrt(W)]."""
     root = math.sqrt(2.0 * impedance_n_s_per_m)
     force = impedance_n_s_per_m * velocity_m_per_s - root * wave_sqrt_w
     return force, root * velocity_m_per_s - wave_sqrt_w
@@ -153,21 +159,21 @@ def hand_end(impedance_n_s_per_m: float, velocity_m_per_s: float, wave_sqrt_w: f
 
 @compiled
 def tip_end(impedance_n_s_per_m: float, wave_sqrt_w: float, force_n: float) -> tuple[float, float]:
-    """Return the velocity of a matched base [m/s] and the wave that leaves it [sqrt(W)]."""
+    """Return the velocity of a matched base [m/s] and the outgoing wave [sqrt(W)]."""
     root = math.sqrt(2.0 * impedance_n_s_per_m)
     return wave_sqrt_w / root - force_n / (2.0 * impedance_n_s_per_m), -force_n / root
 
 
 @compiled
 def guarded_wave(wave_sqrt_w: float, left_j: float, period_s: float) -> float:
-    """Return a wave within the energy that has arrived for a period."""
+    """Return a wave [sqrt(W)] limited so that a period [s] of it spends no more than `left_j` [J]."""
     most = math.sqrt(2.0 * max(left_j, 0.0) / period_s)
     return min(max(wave_sqrt_w, -most), most)
 
 
 @compiled
 def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
-    """Update the counters by a signal; one with less energy than was received already is an old one: ignore it."""
+    """Update the counters from a signal; a signal with less energy than already received is old and is ignored."""
     if energy_j < inbox.received_j:
         return inbox
     return Inbox(position_m, inbox.taken_m, energy_j, inbox.taken_j)
@@ -175,19 +181,19 @@ def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def emptied(position_m: float, energy_j: float) -> Inbox:
-    """Start counting at a signal: what it represents counts as taken."""
+    """Start counting at a signal: everything up to it counts as used."""
     return Inbox(position_m, position_m, energy_j, energy_j)
 
 
 @compiled
 def drawn(params: MatchedWaveParams, inbox: Inbox, wave_sqrt_w: float) -> tuple[Inbox, float]:
-    """Return the wave of the next period: the newest one, and a share of what is due beyond it, within what is paid."""
+    """Return counters and wave of the next period [sqrt(W)]: the newest wave plus a share of the paid arrears."""
     b, period = params.impedance_n_s_per_m, params.mass.period_s
     root = math.sqrt(0.5 * b)
     due = root * (inbox.received_m - inbox.taken_m)
     wanted = wave_sqrt_w + params.made_up_per_s * (due - wave_sqrt_w * period)
     left = max(inbox.received_j - inbox.taken_j, 0.0)
-    # A wave of 2 D / U spends what is left as fast as what is due, so that neither lasts longer than the other.
+    # A wave of 2 D / U spends the energy left, D, in the same time as the arrears, U, so that neither lasts longer.
     most = 2.0 * left / abs(due) if due != 0.0 else 0.0
     wave = guarded_wave(min(max(wanted, -most), most), left, period)
     taken_j = min(inbox.taken_j + 0.5 * wave * wave * period, inbox.received_j)
@@ -215,7 +221,7 @@ def master_resume(params: MatchedWaveParams, hand: HandSample, tip_reference_m: 
 def master_send(
     params: MatchedWaveParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return wave and counters; while the hand is let go, the counter is the tip's reference."""
+    """Return wave and counters; while the hand is released, the position counter is the tip's reference."""
     p, mass = params.mass, state.mass
     return state, port_signal(
         position_m=tip_reference(p, mass) + p.position_scale * state.impulse_m,
@@ -231,7 +237,7 @@ def master_send(
 def master_receive(
     params: MatchedWaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
+    """Move the virtual mass at the end of the line for dt [s]; while its device is off for a moment, it rests."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
     may = at_hand(p, hand, signal, state.mass.coupled, state.stood_s, dt, True)
@@ -248,7 +254,7 @@ def master_receive(
             begun_again(port, state.sent_j, may.renews),
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
-    # Signals that were sent before the tip was felt are no waves, so counting starts here.
+    # Signals sent before the halves were coupled carry no waves, so counting starts here.
     inbox = received(state.inbox, position, signal.energy_j)
     if not state.mass.coupled:
         inbox = emptied(position, signal.energy_j)
@@ -289,9 +295,9 @@ def _standing(
 def slave_receive(
     params: MatchedWaveParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Move the base for dt [s], whole periods, with the incoming waves against the force measured last.
+    """Move the base for dt [s], a whole number of periods, by the incoming waves and against the last measured force.
 
-    While the tip does not follow, the reference is the master's; while the master does not, it stays.
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p = params.mass
     position = signal.position_m / p.position_scale
@@ -308,10 +314,10 @@ def slave_receive(
         speed, _ = tip_end(params.impedance_n_s_per_m, wave, force)
         way += speed * p.period_s
     if signal.silence_s > _STANDS_S or (reserve < -OVERDRAWN_J and way * force > 0.0):
-        # A port that has given more than has come presses no further until the next waves have paid.
+        # A port that has given more energy than it received presses no further until new waves have paid for it.
         way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
-    # Without a step between them the last measurement is still the one that the work is counted from.
+    # If no step came since, the work is still counted from the last measurement.
     last_m, last_n = (state.last_m, state.last_n) if state.coupled else (here, force)
     state = SlaveState(
         position_m=base,
@@ -332,7 +338,7 @@ def slave_receive(
 def slave_send(
     params: MatchedWaveParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Account for the work on the sample, and send back the wave of the force, as far as it is paid."""
+    """Account for the work on the sample, and return the wave of the force, limited to the energy that is left."""
     p, b = params.mass, params.impedance_n_s_per_m
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
@@ -361,14 +367,14 @@ def slave_send(
 
 @compiled
 def _rescaled_inbox(inbox: Inbox, longer: float) -> Inbox:
-    """Return the counters at another scale of lengths; what is due stays."""
+    """Return the counters with lengths multiplied by `longer`; the part that is still to be used is not changed."""
     received_m = longer * inbox.received_m
     return Inbox(received_m, received_m - (inbox.received_m - inbox.taken_m), inbox.received_j, inbox.taken_j)
 
 
 @compiled
 def retune(old: MatchedWaveParams, new: MatchedWaveParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
+    """Keep the tip's reference constant when alpha_p changes, and the force and energy of the line when b changes."""
     longer, _ = of_scales(old.mass, new.mass)
     impulse = state.impulse_m * (old.impedance_n_s_per_m / new.impedance_n_s_per_m) * longer
     mass, inbox = rescaled(old.mass, new.mass, state.mass), _rescaled_inbox(state.inbox, longer)
@@ -377,7 +383,7 @@ def retune(old: MatchedWaveParams, new: MatchedWaveParams, state: MasterState) -
 
 @compiled
 def slave_retune(old: MatchedWaveParams, new: MatchedWaveParams, state: SlaveState) -> SlaveState:
-    """Keep the counters and the measurement, which are at the hand's scale."""
+    """Convert the counters and the measurement, which are at the hand's scale, to the new scales."""
     longer, stronger = of_scales(old.mass, new.mass)
     return SlaveState(
         position_m=state.position_m,
@@ -395,7 +401,7 @@ def slave_retune(old: MatchedWaveParams, new: MatchedWaveParams, state: SlaveSta
 
 @compiled
 def master_energy_account(params: MatchedWaveParams, state: MasterState) -> EnergyAccount:
-    """Return the wave energy that has arrived and is not yet taken."""
+    """Return the wave energy that has arrived and is not used yet, and the energy granted to the hand's port."""
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, state.port.granted_j)
 
 

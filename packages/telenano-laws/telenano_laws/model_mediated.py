@@ -1,38 +1,38 @@
-"""Model-mediated: the hand touches a model of the surface, fitted to what comes back, at its own site without delay.
+"""Model-mediated: the hand touches a model of the surface, fitted to the tip's answers, at its own site without delay.
 
     M_v x'' + B_v x' = F_m - alpha_f F(x_ref; x_c, kappa, F_a),   x_ref = alpha_p x + offset
 
 F is the compact Maugis-Dugdale surface of `surface`, whose parameters follow from the returned pairs (x_s, F_s) in
-contact. Force and position close no loop through the link: what returns with delay changes the model only. Sources:
+contact. Force and position close no loop through the link: delayed answers change only the model. Sources:
 B. Hannaford, "A design framework for teleoperators with kinesthetic feedback", IEEE Trans. Robotics and Automation 5
 (1989), for the idea; P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J. Robotics Research 27 (2008), for
 the way a model is changed under a hand; the fit is that of Levenberg and Marquardt.
 
-Safe updates. A new model would change the potential V of the surface at the hand, and so push energy into it. The model
-in force goes towards the estimate by a share per period such that (a) the force at the hand changes no faster than a
-limit and (b) the rise of V is paid from a store that the virtual damper fills with what it dissipates, up to a cap:
+Safe updates. A new model changes the potential V of the surface at the hand, and so may push energy into it. In each
+period the rendered model moves towards the estimate by a share such that (a) the force at the hand changes no faster
+than a limit and (b) the rise of V is paid from a store, which collects the energy that the virtual damper dissipates:
 
     sum of (V(x; new) - V(x; old))+ <= int B_v v^2 dt.
 
-A surface met for the first time is put where the hand is, with no force, and then goes to its place; but where hand and
-tip are at one place (no delay, or a law taken up in contact) it begins where it is, with the force of the tip. So the
-master with its model is passive at all times and under any delay, jitter and loss: these decide how old the model is,
-no more.
+A surface met for the first time is placed under the hand, without force, and then moves to its estimated place. If hand
+and tip are at the same place (no delay, or a law started in contact), it begins at that place, with the tip's force. So
+the master with its model is passive at all times and under any delay, jitter and loss, which affect only the age of the
+model.
 
-The slave follows the reference it receives, but presses no harder than the hand does: its speed towards the sample is
-at most (F_g - F_s) / B_g with F_g = max(F_m, 0) + F_0, at the hand's scale, so a model that is wrong, or a surface
-that has moved, costs accuracy and not the tip. The guard is a damper to the environment; it is passive.
+The slave follows the received reference, but presses no harder than the hand does: its speed towards the sample is at
+most (F_g - F_s) / B_g with F_g = max(F_m, 0) + F_0, at the hand's scale, so a wrong model, or a surface that has
+moved, costs accuracy and not the tip. The guard is a damper to the environment; it is passive.
 
-The guard does not limit how hard the tip pulls, so the work of the tip is paid as well. The hand sends what it has
-worked at its device, A = sum F_m dx_m, and the tip takes no more than E_0 and A as it was heard last:
+The guard does not limit the pull of the tip, so the work of the tip must be paid for as well. The hand sends its work
+at the device, A = sum F_m dx_m, and the tip takes no more energy than E_0 and the last received A:
 
-    sum F_s dx_s <= E_0 + max A,   where F d + K d^2 / 2 is paid for a step d, with K the stiffest that the guard bears.
+    sum F_s dx_s <= E_0 + max A,   where a step d costs F d + K d^2 / 2, with K the stiffest sample of the guard.
 
-The hand takes back of A no more than the master stores, and by this account hand and tip together get at most E_0 and
-that, however the hand pulls and whatever holds the tip. docs/laws.md has two orders that are beyond it.
+The hand takes back from A no more than the master stores. By this account hand and tip together get at most E_0 plus
+that energy, however the hand pulls and whatever holds the tip. docs/passivity.md states the cases that exceed it.
 
-What it does not promise: F_m = alpha_f F_s while the model is being learnt, and on a surface that changes faster than a
-round trip.
+Not guaranteed: F_m = alpha_f F_s while the model is being learnt, or on a surface that changes faster than a round
+trip.
 """
 
 from typing import NamedTuple
@@ -86,16 +86,16 @@ from telenano_laws.surface import (
     unknown,
 )
 
-# A drift is seen where the force at the tip changes by less than this [nN/s].
+# The force at the tip counts as constant if it changes by less than this [nN/s].
 _STANDS_NN_PER_S = 2.0
-# No sample is taken to drift faster, at the tip [nm/s].
+# Greatest possible drift of a sample, at the tip [nm/s].
 _FASTEST_NM_PER_S = 0.5
-# where the contact ends it has no slope, and nothing is told of a drift [N/m]
+# Least contact stiffness used for the drift: it is 0 at the end of the contact, where drift cannot be estimated [N/m].
 _LEAST_SLOPE = 1e-3
 
 
 class ModelMediatedParams(NamedTuple):
-    """Constants of the law; force_step_n: largest change of the force by an update in a period, at the hand [N]."""
+    """Constants of the law; force_step_n: greatest change of the hand's force by an update in a period [N]."""
 
     mass: MassParams
     fit: FitParams
@@ -166,11 +166,11 @@ class ModelMediatedConfig(MassConfig):
 
 
 class MasterState(NamedTuple):
-    """The mass, the fit, the model in force and whether there is one, and the energy kept for updates [J].
+    """The mass, the fit, the rendered model and whether there is one, and the energy kept for updates [J].
 
-    The places of the fit are less what the sample has drifted since it was met, `drift` in nm and nN; since_s: time
+    The positions in the fit exclude the drift of the sample since it was met; `drift` is in nm and nN; since_s: time
     since the newest answer [s].
-    `injected_j`, `dissipated_j`: all that updates have put into the hand's side, and all that the damper has taken.
+    `injected_j`, `dissipated_j`: total energy that updates have put in at the hand, and that the damper has dissipated.
     """
 
     mass: Mass
@@ -186,7 +186,7 @@ class MasterState(NamedTuple):
 
 
 class TipPort(NamedTuple):
-    """Where the tip is [m] and with what force [N], at the hand's scale, and the energy that it may still take [J]."""
+    """Position [m] and force [N] of the tip, at the hand's scale, and the energy that it may still take [J]."""
 
     position_m: float
     force_n: float
@@ -194,10 +194,10 @@ class TipPort(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """The reference of the base [m], the tip's port, and more.
+    """State of the slave half.
 
-    received_j: the hand's work as it was heard of last; granted_j: what the tip was granted by all armings [J];
-    coupled: the base was led by the hand.
+    position_m: reference of the base [m]; received_j: last received work of the hand [J]; granted_j: energy granted to
+    the tip by all armings [J]; coupled: whether the hand led the base.
     """
 
     position_m: float
@@ -225,13 +225,13 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
 
 @compiled
 def master_start(params: ModelMediatedParams, hand: HandSample) -> MasterState:
-    """Start with the virtual mass at rest at the hand's position, over a surface not yet known."""
+    """Start with the virtual mass at rest at the hand's position, and no known surface."""
     return _begun(params, at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Continue with the hand's motion and the tip's reference; the surface is learnt from nothing."""
+    """Continue with the hand's motion and the tip's reference; the surface must be learnt anew."""
     return _begun(params, resumed(params.mass, hand, tip_reference_m))
 
 
@@ -239,7 +239,7 @@ def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m
 def master_send(
     params: ModelMediatedParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return the slave's reference, the hand's force, which the slave does not exceed, and what the hand has worked."""
+    """Return the slave's reference, the hand's force, which limits that of the slave, and the work of the hand."""
     return state, mass_signal(params.mass, state.mass, hand, state.port.credit_j, hand.following and state.mass.coupled)
 
 
@@ -247,7 +247,7 @@ def master_send(
 def learnt(
     params: ModelMediatedParams, fit: Fit, drift: Drift, signal: PortSignal, elapsed_s: float
 ) -> tuple[Fit, Drift]:
-    """Update fit and drift by a sample of the tip; outside of contact it can only move the surface further away."""
+    """Update fit and drift with a sample of the tip; a sample out of contact can only move the surface further away."""
     place, force = signal.position_m / NANO, signal.force_n / NANO
     if signal.in_contact:
         if not fit.known:
@@ -266,13 +266,13 @@ def learnt(
 
 @compiled
 def _now(fit: Fit, drift: Drift) -> Surface:
-    """Return the surface of the fit where it has drifted to."""
+    """Return the fitted surface, moved by the drift."""
     return Surface(fit.surface.contact_nm + drift.gone, fit.surface.kappa, fit.surface.adhesion_nn)
 
 
 @compiled
 def between(start: Surface, end: Surface, share: float) -> Surface:
-    """Return the surface that lies the given share of the way from `start` to `end`."""
+    """Return the surface interpolated linearly from `start` (share 0) to `end` (share 1)."""
     return Surface(
         start.contact_nm + share * (end.contact_nm - start.contact_nm),
         start.kappa + share * (end.kappa - start.kappa),
@@ -284,13 +284,13 @@ def between(start: Surface, end: Surface, share: float) -> Surface:
 def updated(
     params: ModelMediatedParams, model: Surface, goal: Surface, share: float, reference_m: float, store_j: float
 ) -> tuple[Surface, float, float]:
-    """Move the model a share of the way to the goal, as far as force and energy at the hand allow.
+    """Move the model towards the goal by at most `share`, as far as force and energy at the hand allow.
 
-    The share is halved until both limits hold, so the rule is exact whatever the surface's shape; if it gets too small
-    the model stays. Returned are the model, the energy used [J] and the force of the model [nN].
+    The share is halved until both limits hold, so they hold exactly for any shape of the surface; after 12 trials the
+    model is kept. Return the model, the energy used [J] and the force of the model [nN].
     """
     p, k, span, x = params.mass, params.fit.cantilever, params.fit.range_nm, reference_m / NANO
-    # The factor takes nN nm at the tip to J at the hand.
+    # Factor that converts nN nm at the tip to J at the hand.
     joules = NANO * NANO * p.force_scale / p.position_scale
     force, stored = force_and_potential(model, k, span, x)
     for _ in range(12):
@@ -308,7 +308,7 @@ def updated(
 def master_receive(
     params: ModelMediatedParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Learn from the answer, update the model safely, and move the virtual mass over dt [s] on it."""
+    """Learn from the answer, update the model safely, and move the virtual mass against it for dt [s]."""
     p, q = params.mass, params.fit
     may = at_hand(p, hand, signal, state.mass.coupled, 0.0, dt, False)
     mass, fit, model, rendered = state.mass, state.fit, state.model, state.rendered
@@ -320,7 +320,7 @@ def master_receive(
     if not may.acts:
         mass = let_go(p, mass, hand, signal)
         if fit.known and may.renews:
-            # After arming again the tip may meet another surface.
+            # The tip may meet another surface after it is armed again.
             fit, drift = unknown(params.fit), no_drift(0.0, 0.0, _FASTEST_NM_PER_S)
         state = MasterState(
             mass=mass,
@@ -338,15 +338,15 @@ def master_receive(
     goal = _now(fit, drift)
     if fit.known and not rendered:
         here = tip_reference(p, mass) / NANO
-        # If the hand is already beyond the surface, the surface begins under the hand, without force.
+        # If the hand is already beyond the surface, the model begins under the hand, without force.
         out = max(goal.contact_nm, here + q.range_nm)
         if abs(here - signal.position_m / NANO) <= q.bin_nm:
-            # Hand and tip are at one place, so the force of the tip is the first one.
+            # Hand and tip are at the same place, so the model begins with the force of the tip.
             out = goal.contact_nm
         model, rendered = Surface(out, fit.surface.kappa, fit.surface.adhesion_nn), True
     store, injected, dissipated, force = state.store_j, state.injected_j, state.dissipated_j, 0.0
     if rendered:
-        # What a sample drifts takes the model along as it is: only one that comes nearer has to be paid.
+        # Drift moves the model unchanged; energy is needed only if it comes nearer.
         gone = Surface(model.contact_nm + drift.gone - state.drift.gone, model.kappa, model.adhesion_nn)
         model, used, _ = updated(params, model, gone, 1.0, tip_reference(p, mass), store)
         store -= used
@@ -381,15 +381,15 @@ def master_receive(
 
 @compiled
 def slave_start(params: ModelMediatedParams, tip: TipMeasurement) -> SlaveState:
-    """Start at the position of the base, with nothing granted until a hand is heard of."""
+    """Start at the position of the base; no energy is granted until a signal of the hand arrives."""
     return SlaveState(tip.base_position_m, TipPort(0.0, 0.0, 0.0), 0.0, 0.0, False)
 
 
 @compiled
 def _left(params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement) -> SlaveState:
-    """Take what the sample got since the last step from what the tip may still take, and add what the hand has worked.
+    """Update the energy that the tip may take: subtract the work on the sample, and add the new work of the hand.
 
-    A tip that has to be armed begins with E_0.
+    The energy starts at E_0 at the first signal, and again while the tip has to be armed.
     """
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
@@ -409,7 +409,7 @@ def _left(params: ModelMediatedParams, state: SlaveState, signal: PortSignal, ti
 def slave_receive(
     params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Follow the reference, towards the sample no faster than the guard allows, and no further than the hand has paid.
+    """Follow the reference no faster towards the sample than the guard allows, and no further than the hand paid for.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -424,7 +424,7 @@ def slave_receive(
         base = start + min(signal.position_m - start, p.position_scale * reach)
         way = (base - tip.base_position_m) / p.position_scale
         paid, _ = paid_stretch(force / k, way, k, max(state.port.energy_j, 0.0))
-        # Back through the air is free, and the way to where an arming has sent the base is not one of the law's.
+        # Retraction through the air is free, and the law does not pay for the motion to the place of an arming.
         if paid != way and (tip.in_contact or way > 0.0) and has_arrived(p, state.position_m, tip):
             base = tip.base_position_m + p.position_scale * paid
     return SlaveState(base, state.port, state.received_j, state.granted_j, may.leads), SlaveReference(base, True)
@@ -449,7 +449,7 @@ def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterStat
 
 @compiled
 def slave_retune(old: ModelMediatedParams, new: ModelMediatedParams, state: SlaveState) -> SlaveState:
-    """Keep the tip's port, which is at the hand's scale, with no more to take than the new cap."""
+    """Convert the tip's port, which is at the hand's scale, and limit its energy to the new cap."""
     place = state.port.position_m * old.mass.position_scale / new.mass.position_scale
     force = state.port.force_n * new.mass.force_scale / old.mass.force_scale
     port = TipPort(place, force, min(state.port.energy_j, new.tip_cap_j))
@@ -458,19 +458,19 @@ def slave_retune(old: ModelMediatedParams, new: ModelMediatedParams, state: Slav
 
 @compiled
 def slave_energy_account(params: ModelMediatedParams, state: SlaveState) -> EnergyAccount:
-    """Return what the tip may still take, and what it was granted."""
+    """Return the energy that the tip may still take, and the energy granted to it."""
     return EnergyAccount(max(state.port.energy_j, 0.0), 0.0, state.granted_j)
 
 
 @compiled
 def master_energy_account(params: ModelMediatedParams, state: MasterState) -> EnergyAccount:
-    """Return the energy kept for updates, and what the damper took less what updates have used."""
+    """Return the energy kept for updates, and the energy that the damper dissipated minus that of the updates."""
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
 @compiled
 def sample_drift(params: ModelMediatedParams, state: MasterState) -> tuple[float, float]:
-    """Return how fast the sample recedes, and the standard error of that [m/s]."""
+    """Return the speed at which the sample recedes, and its standard error [m/s]."""
     return state.drift.speed * NANO, error_of(state.drift) * NANO
 
 

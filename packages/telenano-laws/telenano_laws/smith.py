@@ -3,24 +3,24 @@
     F = F_s(t - T) + K_e [x_ref(t) - x_ref(t - T)],
     M_v x'' + B_v x' + K_v x = K_f (F_m - alpha_f F) - alpha_f F,   x_sr = alpha_p x
 
-T is the age of the hand's sample that the newest answer descends from, measured by the echo of its number; x_ref is
-kept for as long. K_e is the stiffness of the environment at the base of the cantilever. Source: O. J. M. Smith, "Closer
-control of loops with dead time", Chemical Engineering Progress 53 (1957).
+T is the age of the hand's sample that the newest answer responds to, measured by the echo of its number; x_ref is
+stored for that time. K_e is the stiffness of the environment at the base of the cantilever. Source: O. J. M. Smith,
+"Closer control of loops with dead time", Chemical Engineering Progress 53 (1957).
 
-With K_e = K the correction takes the delay out of the loop: on a spring the hand moves, sample by sample, as it would
-without a link, and the tip does the same T_f later. What it does not know is disturbance: a surface that is met is
-felt T_b late like anything else.
+With K_e = K the correction removes the delay from the loop: on a spring the hand moves, sample by sample, as it would
+without a link, and the tip makes the same motion T_f later. Disturbances cannot be predicted: the first contact with a
+surface is felt T_b late.
 
-Mismatch. With K_e = K (1 + e) the loop gain is that of the undelayed loop, L_0, times 1 + e (1 - e^(-sT)), and the
-second factor is off by 2 |e| at most: the loop is stable at every delay if 2 |e| < min |1 + 1/L_0(jw)|. In free motion
-the term would be a damper of K_e T, so K_e goes to zero, at a limited rate, while the tip is not in contact; when
-contact is made it returns at that rate, during which the loop is partly the delayed one. Since T is measured for each
-answer, varying delay and loss are compensated like constant delay: a missing answer is an older one. It makes no
-promise of passivity.
+Mismatch. With K_e = K (1 + e) the loop gain is that of the undelayed loop, L_0, times 1 + e (1 - e^(-sT)). That factor
+differs from 1 by at most 2 |e|, so the loop is stable at every delay if 2 |e| < min |1 + 1/L_0(jw)|. In free motion
+the term would act as a damper of K_e T, so K_e falls to zero, at a limited rate, while the tip is not in contact; after
+contact it rises at the same rate, and until then part of the delay remains in the loop. T is measured for each answer,
+so varying delay and loss are compensated like constant delay: a lost answer only means that the newest one is older.
+The law is not guaranteed to be passive.
 
-K_e is configured, or estimated from what comes back: the slope of F_s over x_ref(t - T) in contact, least squares with
-exponential forgetting, frozen while the motion in memory is too small to identify it. Where adhesion makes the slope
-negative, or the tip jumps, a linear model is wrong and the estimate is held within its bounds.
+K_e is configured, or estimated from the answers: the slope of F_s over x_ref(t - T) in contact, by least squares with
+exponential forgetting, frozen while the remembered motion is too small to identify it. If adhesion makes the slope
+negative, or the tip jumps, a linear model is wrong; the estimate then stays within its bounds.
 """
 
 from typing import NamedTuple
@@ -40,22 +40,22 @@ from telenano.extend.virtual_mass import (
 )
 from telenano.numerics import compiled, decay
 
-# numba compiles what a module names itself
+# Names of this module, so that numba can compile calls of these steps.
 _start = VIRTUAL_IMPEDANCE.master_start
 _resume = VIRTUAL_IMPEDANCE.master_resume
 _send = VIRTUAL_IMPEDANCE.master_send
 _receive = VIRTUAL_IMPEDANCE.master_receive
 _retune = VIRTUAL_IMPEDANCE.retune
 
-# This number of references are kept, one a period. The oldest represents still older ones, so longer delays are bridged
-# in part.
+# Number of stored references, one per period. The oldest one stands in for all earlier ones, so longer delays are
+# compensated only in part.
 HISTORY = 1024
-# the newest of them apart, in blocks of this many, because a step copies what it changes
+# Size of the separate block of the newest references; it is short because a step copies the arrays that it changes.
 _BLOCK = 32
 
 
 class SmithParams(NamedTuple):
-    """Constants of the law; `forget` is the weight that a memory keeps over a period."""
+    """Constants of the law; `forget` is the factor by which the weight of the memory falls in a period."""
 
     impedance: VirtualImpedanceParams
     stiffness_n_per_m: float
@@ -94,7 +94,7 @@ class SmithConfig(ImpedanceConfig):
 
 
 class Estimate(NamedTuple):
-    """Exponentially weighted means of x [m] and F [N], of their squares and products about them, and K_e [N/m]."""
+    """Exponentially weighted means of x [m] and F [N], variance of x, covariance of x and F, and K_e [N/m]."""
 
     mean_m: float
     mean_n: float
@@ -105,9 +105,9 @@ class Estimate(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The impedance, the references sent (a ring, newest at `newest`), the estimate, and the K_e in use [N/m].
+    """The impedance, the ring of references sent (newest at `newest`), the estimate, and the K_e in use [N/m].
 
-    sent_m: the ring without the block of the newest, shape (HISTORY,); block_m: that block, shape (32,).
+    sent_m: the ring, shape (HISTORY,), in which the newest block is not yet stored; block_m: that block, shape (32,).
     """
 
     impedance: ImpedanceState
@@ -134,7 +134,7 @@ def _fresh(params: SmithParams, state: ImpedanceState) -> MasterState:
 
 @compiled
 def master_start(params: SmithParams, hand: HandSample) -> MasterState:
-    """Start with the virtual mass at rest at the hand's position, as if it had always been there."""
+    """Start with the virtual mass at rest at the hand's position, and that position as the whole history."""
     return _fresh(params, _start(params.impedance, hand))
 
 
@@ -160,7 +160,7 @@ def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: f
 
 @compiled
 def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
-    """Return the reference [m] that was sent age_s [s] ago."""
+    """Return the reference [m] that was sent age_s [s] ago; the oldest stored one if that is longer ago."""
     periods = min(round(age_s / period_s), HISTORY - 1)
     if periods <= state.newest % _BLOCK:
         return float(state.block_m[state.newest % _BLOCK - periods])
@@ -169,7 +169,7 @@ def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
 
 @compiled
 def estimated(params: SmithParams, estimate: Estimate, reference_m: float, signal: PortSignal) -> Estimate:
-    """Update the estimate of K_e by one pair of reference and force; a new contact starts a new memory."""
+    """Update the estimate of K_e with one pair of reference [m] and force [N]; a new contact clears the memory."""
     if not signal.in_contact:
         return _without_memory(estimate.stiffness_n_per_m)
     if not estimate.in_contact:
@@ -204,14 +204,14 @@ def master_receive(
 ) -> tuple[MasterState, MasterReference]:
     """Integrate the virtual impedance over dt [s] under the predicted force.
 
-    The force shown to the hand is the predicted one too: it is what the hand feels.
+    The force in the returned reference is the predicted one too, because the hand feels it.
     """
     p = params.impedance
     may = at_hand(p, hand, signal, False, 0.0, dt, False)
     then = reference_then(state, signal.round_trip_s, p.period_s)
     estimate = estimated(params, state.estimate, then, signal)
     if may.renews:
-        # After arming again the tip may meet another sample.
+        # The tip may meet another sample after it is armed again.
         estimate = _without_memory(params.stiffness_n_per_m)
     wanted = estimate.stiffness_n_per_m if signal.in_contact and may.acts else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)
@@ -240,7 +240,7 @@ def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterStat
 
 
 def rest_force(params: SmithParams, force_n: float) -> float:
-    """Return the force at the tip that the virtual impedance rests at [N]: the prediction ends with the motion."""
+    """Return the tip force alpha_f F_s [N] at which the impedance rests: at rest the prediction adds no force."""
     assert VIRTUAL_IMPEDANCE.rest_force is not None
     return float(VIRTUAL_IMPEDANCE.rest_force(params.impedance, force_n))
 

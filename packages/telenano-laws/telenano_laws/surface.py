@@ -1,23 +1,23 @@
-"""A compact Maugis-Dugdale surface as the base of a cantilever meets it, and its recursive fit to what comes back.
+"""A compact Maugis-Dugdale surface, seen from the base of a cantilever, and its recursive fit to measured contacts.
 
-With the indentation s from the point where the contact ends, and the cantilever k in series,
+With the indentation s from the point where the contact ends, and the cantilever stiffness k in series,
 
     F(s) = kappa s^(3/2) - F_a,   y(s) = s + kappa s^(3/2) / k,   y = x_s - x_c.
 
 Three parameters: x_c, base position at which the contact ends [m]; kappa = 4/3 E* sqrt(R) for a sphere [N/m^1.5]; F_a,
 adhesion at that point [N]. This is the DMT limit of Maugis-Dugdale (Maugis, J. Colloid Interface Sci. 150, 1992), exact
-for lambda -> 0. For other lambda the two offsets, free here, take up nearly all of the difference: fitted to Table 2
-(lambda = 0.83) the contact stiffness at indentations of 0 to 2 nm comes out within a few percent (tested). A constant
-meniscus force is part of F_a.
+for lambda -> 0. For other lambda the two offsets, which are free here, absorb nearly all of the difference: fitted to
+Table 2 (lambda = 0.83), the contact stiffness at indentations of 0 to 2 nm is right within a few percent (tested). A
+constant meniscus force is part of F_a.
 
-Outside (y < 0) the pull fades linearly over a range l, F = -F_a (1 + y / l): with the jump that it has in the limit
-l -> 0 a local rendering would chatter. F is a function of y, so the surface has a potential V(y) and is passive as it
-stands; what a change of parameters adds to V is `potential_j` after less before.
+Outside (y < 0) the adhesion fades linearly over a range l, F = -F_a (1 + y / l): a local rendering of the jump in the
+limit l -> 0 would chatter. F is a function of y, so the surface has a potential V(y) and is passive while its
+parameters are constant; a change of parameters adds V after minus V before, by `force_and_potential`.
 
-The fit is by least squares over the newest force in each of a few bins of the position: it rests on all of the way that
-was gone lately, not on the place where the tip stands, so it neither forgets nor drifts while the tip stands still.
+The fit is by least squares over the newest force in each of a few bins of the position. It uses the whole range that
+the tip visited lately, and not only its present position, so it neither forgets nor drifts while the tip is at rest.
 
-Inside, lengths are in nm and forces in nN, so that the fit is of numbers near one.
+This module computes in nm and nN, so that the numbers of the fit are near one.
 """
 
 import math
@@ -30,21 +30,21 @@ import numpy.typing as npt
 from telenano.numerics import compiled
 
 NANO = 1e-9
-# The factor is kappa in nN/nm^1.5 for one N/m^1.5.
+# Factor that converts kappa from N/m^1.5 to nN/nm^1.5.
 KAPPA_UNIT = 10.0**-4.5
 BINS = 32
-# The rows of the samples.
+# Rows of the array of samples.
 _AT = 0
 _FORCE = 1
 _WEIGHT = 2
 _ROOT = 3
-# Newton's method takes this number of steps at most.
+# Greatest number of steps of Newton's method.
 _ITERATIONS = 30
-# The weights of all bins fall to this share when the tip goes to another bin.
+# Factor by which the weights of all bins fall when the tip moves to another bin.
 _KEEP = 0.98
-# A bin below this weight does not bound the end of the contact.
+# Least weight of a bin that bounds the end of the contact.
 _LEAST_BOUNDING = 0.3
-# The damping of the fit begins here, and stays between the bounds.
+# First damping of the fit, and its bounds.
 _FIRST_DAMPING = 1e-2
 _LEAST_DAMPING = 1e-6
 _MOST_DAMPING = 1e6
@@ -59,11 +59,11 @@ class Surface(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The estimate and what it rests on: the newest force in each of BINS bins of the base position, with a weight.
+    """The estimated surface and its data: the newest force in each of BINS bins of the base position, with a weight.
 
-    samples: shape (4, BINS), by row the base positions [nm], the forces [nN], the weights, of which 0 is an empty bin,
-    and the root (`root_of`) at each position over `surface` [nm^0.5]. `bin`: the one visited last; damping: that of the
-    last step of the fit; known: whether a surface was ever met.
+    samples: shape (4, BINS); the rows are the base positions [nm], the forces [nN], the weights (0 for an empty bin),
+    and the root (`root_of`) at each position over `surface` [nm^0.5]. `bin`: the last visited one; damping: that of the
+    last step of the fit; known: whether the tip ever met a surface.
     """
 
     surface: Surface
@@ -74,7 +74,7 @@ class Fit(NamedTuple):
 
 
 class FitParams(NamedTuple):
-    """Cantilever k [N/m = nN/nm], range of the pull l [nm], first kappa, width of a bin [nm]."""
+    """Stiffness of the cantilever k [N/m = nN/nm], range of the adhesion l [nm], first kappa, width of a bin [nm]."""
 
     cantilever: float
     range_nm: float
@@ -84,7 +84,7 @@ class FitParams(NamedTuple):
 
 @compiled
 def root_of(y_nm: float, ratio: float) -> float:
-    """Solve r^2 + ratio r^3 = y for r >= 0, y >= 0, by Newton from above, where it converges monotonically."""
+    """Solve r^2 + ratio r^3 = y for r >= 0; 0 for y <= 0. Newton's method starts above, where it is monotonic."""
     if y_nm <= 0.0:
         return 0.0
     r = math.sqrt(y_nm)
@@ -100,7 +100,7 @@ def root_of(y_nm: float, ratio: float) -> float:
 def force_and_potential(
     surface: Surface, cantilever: float, range_nm: float, position_nm: float
 ) -> tuple[float, float]:
-    """Return F [nN] at a base position [nm], and V = int F dx from far away to there [nN nm = 1e-18 J]."""
+    """Return F [nN] at a base position [nm], and V = int F dx from far away to that position [nN nm = 1e-18 J]."""
     y, kappa, adhesion = position_nm - surface.contact_nm, surface.kappa, surface.adhesion_nn
     if y <= -range_nm:
         return 0.0, 0.0
@@ -126,7 +126,7 @@ def unknown(params: FitParams) -> Fit:
 
 @compiled
 def met(params: FitParams, position_nm: float, force: float) -> Fit:
-    """Start a fit at the first sample in contact: the contact ends here, or where this force is lost."""
+    """Start a fit at the first sample in contact; a pushing force puts the end of the contact before this position."""
     adhesion = max(-force, 0.0)
     r = (max(force, 0.0) / params.kappa) ** (1.0 / 3.0)
     y = r * r * (1.0 + params.kappa * r / params.cantilever)
@@ -142,7 +142,7 @@ def met(params: FitParams, position_nm: float, force: float) -> Fit:
 
 @compiled
 def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
-    """Store a sample in its bin; the others lose weight when the tip goes to another bin, and not while it stands."""
+    """Store a sample in its bin; all others lose weight when the tip enters another bin, but not while it stays."""
     index = math.floor(position_nm / params.bin_nm) % BINS
     samples, surface = fit.samples.copy(), fit.surface
     if index != fit.bin:
@@ -153,7 +153,7 @@ def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) ->
 
 
 def _place_roots_at_once(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
-    """Take a step of Newton for all samples before the next one; the steps are those of `root_of`."""
+    """Do each Newton step for all samples before the next step; the steps are those of `root_of`."""
     at, roots, is_iterating = samples[_AT], samples[_ROOT], np.empty(BINS, np.bool_)
     for index in range(BINS):
         y = at[index] - contact_nm
@@ -173,14 +173,14 @@ def _place_roots_at_once(samples: npt.NDArray[np.float64], contact_nm: float, ra
 
 @partial(compiled, at_once=_place_roots_at_once)
 def place_roots(samples: npt.NDArray[np.float64], contact_nm: float, ratio: float) -> None:
-    """Put the root at the position of every sample over a contact that ends at contact_nm [nm]."""
+    """Store the root of every sample, for a contact that ends at contact_nm [nm]; changes `samples`."""
     for index in range(BINS):
         samples[_ROOT, index] = root_of(float(samples[_AT, index]) - contact_nm, ratio)
 
 
 @compiled
 def over(params: FitParams, fit: Fit, surface: Surface) -> Fit:
-    """Return the fit with another surface, under which its samples have other roots."""
+    """Return the fit with another surface, and the roots of its samples for that."""
     samples, ratio = fit.samples.copy(), surface.kappa / params.cantilever
     place_roots(samples, surface.contact_nm, ratio)
     return Fit(surface, samples, fit.bin, fit.damping, fit.known)
@@ -201,7 +201,7 @@ def misfit(fit: Fit) -> float:
 
 @compiled
 def solved_pair(p: float, q: float, r: float, u: float, v: float) -> tuple[float, float]:
-    """Solve [[p, q], [q, r]] [x, y]' = [u, v]', positive definite, by elimination in this order on every machine."""
+    """Solve [[p, q], [q, r]] [x, y]' = [u, v]', positive definite; the fixed order gives the same bits everywhere."""
     below = q / p
     y = (v - below * u) / (r - below * q)
     return (u - q * y) / p, y
@@ -209,28 +209,28 @@ def solved_pair(p: float, q: float, r: float, u: float, v: float) -> tuple[float
 
 @compiled
 def _damped(diagonal: float, damping: float) -> float:
-    # The last term keeps a parameter in its place if nothing depends on it.
+    # The last term keeps a parameter constant if no sample depends on it.
     return diagonal + damping * diagonal + 1e-12
 
 
 @compiled
 def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
-    """Update the fit by one sample in contact, with one step of Levenberg and Marquardt over the bins.
+    """Update the fit with one sample in contact, by one Levenberg-Marquardt step over the bins.
 
-    A step that would fit worse is not taken and the next one is more careful, so the misfit of what is remembered never
-    rises by a step. A contact that still holds at a position ends further out: x_c stays below it, but no further than
-    the range of the pull, because a shape that is not one of ours (a straight line) would drive it away without end.
+    A step that would increase the misfit is dropped and the next one is damped more, so a step never increases the
+    misfit of the stored samples. The contact ends below each position that was in contact, so x_c stays below these,
+    but by no more than the range of the adhesion: another force law (a straight line) would else move it away forever.
     """
     fit = remembered(params, fit, position_nm, force)
     surface, samples = fit.surface, fit.samples
-    # J' W J (c: x_c, k: kappa, a: F_a) and J' W e; the bins are added up in their order
+    # J' W J (c: x_c, k: kappa, a: F_a) and J' W e, summed over the bins in their order.
     cc = ck = ca = kk = ka = aa = 0.0
     side_c = side_k = side_a = 0.0
     lowest = position_nm
     for index in range(BINS):
         weight = float(samples[_WEIGHT, index])
         if weight > 0.0:
-            # samples from before the surface moved have lost the weight to bound the end of the contact
+            # Old samples, perhaps from before the surface moved, have too little weight to bound the contact's end.
             if weight > _LEAST_BOUNDING:
                 lowest = min(lowest, float(samples[_AT, index]))
             r = float(samples[_ROOT, index])
@@ -240,7 +240,7 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
             kk, ka, aa = kk + weight * by_k * by_k, ka + weight * by_k * by_a, aa + weight * by_a * by_a
             side_c, side_k, side_a = side_c + error * by_c, side_k + error * by_k, side_a + error * by_a
     cc, kk, aa = _damped(cc, fit.damping), _damped(kk, fit.damping), _damped(aa, fit.damping)
-    # x_c by the Schur complement of the other two: it has a bound, and what it cannot take is theirs
+    # x_c comes first, by the Schur complement of the other two, because it is bounded; these absorb the remainder.
     by_k, by_a = solved_pair(kk, ka, aa, ck, ca)
     step_c = (side_c - side_k * by_k - side_a * by_a) / (cc - ck * by_k - ca * by_a)
     contact = min(max(surface.contact_nm + step_c, min(lowest - params.range_nm, surface.contact_nm)), lowest)

@@ -1,25 +1,25 @@
-"""Time-domain passivity control with drift compensation: each port lets out what the other has put in, and no more.
+"""Time-domain passivity control with drift compensation: no port lets out more energy than the other has put in.
 
 The hand feels the force that was measured at the tip, and the tip follows the hand's position. Each port counts its
 work by direction,
 
-    E_in += max(F d, 0),   E_out += max(-F d, 0)   (into the network, over a way d),
+    E_in += max(F d, 0),   E_out += max(-F d, 0)   (into the network, over a displacement d),
 
-and sends E_in. What may leave a port is w = E_0 + E_in of the other one, as far as received, - E_out. At the hand the
-force is clipped so that its work in the coming period stays within w; at the tip the way is cut in the proportion of w
-to its work. The tip's way is the hand's and a share of what hand and tip are apart,
+and sends E_in. The energy that may leave a port is w = E_0 + E_in of the other one, as far as received, - E_out. At the
+hand the force is clipped so that its work in the coming period stays within w; at the tip the displacement is shortened
+to the part that w covers. Before that, it is the hand's displacement plus a share of the distance between hand and tip,
 
     d = x_m[k] - x_m[k-1] + kappa Ts (x_m[k-1] - x_s[k]),
 
-before it is cut, so what the controller has refused is made up for within the account.
+so motion that the controller has refused is made up for later, within the energy account.
 
 Sources: J.-H. Ryu, J. Artigas, C. Preusche, Mechatronics 20 (2010), for the two accounts; J. Artigas and others for the
 compensation. Their equations could not be read: observer and controller are as in public code (F. Jakob,
 high-frequency-cloud-robotics, TDPA), the clip and the limit of the compensation are derived here.
 
-What nano scale changes: the hand's device is no force source but follows a position, so the damper in series of the
-textbook is a clip of the force that the virtual mass feels; and 1 N presses a base by 0.3 mm at the hand's scale, so
-that one period's way costs much of what E_0 is.
+At the nanoscale, the hand's device is no force source but follows a position, so the textbook's series damper becomes a
+clip of the force that the virtual mass feels; and 1 N presses a base by 0.3 mm at the hand's scale, so the motion of
+one period costs a large part of E_0.
 """
 
 import math
@@ -76,13 +76,13 @@ from telenano_laws.ports import (
     unpaid_j,
 )
 
-# A tip whose account is empty continues through the air, by so much that meeting the sample costs no more, which is
-# granted [J]. Else it could never be brought back to the sample.
+# Energy granted to a tip with an empty account [J]: it moves on through the air only so far in a step that meeting the
+# sample costs no more than this. Otherwise it could never be brought back to the sample.
 _TOUCH_J = 1e-6
 
 
 class TdpaParams(NamedTuple):
-    """Constants of the law; made_up is the share kappa Ts of a period, unpaid_m the way that costs no energy in air."""
+    """Constants of the law; made_up is the share kappa Ts, unpaid_m the motion in air that needs no energy [m]."""
 
     mass: MassParams
     made_up: float
@@ -93,14 +93,14 @@ class TdpaParams(NamedTuple):
 
 
 class PaidConfig(MassConfig):
-    """What laws share whose tip goes no further than its account pays for."""
+    """Parameters of laws whose tip moves no further than its energy account covers."""
 
     stiffest_n_per_m: float = parameter(
         6e4, "N/m", "Stiffest sample that a step of the tip is paid for, at the hand's scale K [N/m]"
     )
 
     def stiffness_limit_n_per_m(self, period_s: float) -> float:
-        """Return the stiffest sample [N/m] for which a step of the tip is paid, whatever the period [s]."""
+        """Return the stiffest sample [N/m] for which a step of the tip is paid; the period [s] does not matter."""
         return self.stiffest_n_per_m / (self.force_scale * self.position_scale)
 
 
@@ -126,7 +126,7 @@ class TdpaConfig(PaidConfig):
 
 
 class MasterState(NamedTuple):
-    """The mass, what may leave the hand's port, how long the hand has stood, its device being off [s], and its work."""
+    """The mass, the account of the hand's port, the time for which the device has been off [s], and the hand's work."""
 
     mass: Mass
     store: PortEnergy
@@ -135,7 +135,7 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """Base reference [m]; at the hand's scale: reference heard last and last measurement [m, N]; what may leave."""
+    """Base reference [m]; last received reference and last measurement, at the hand's scale [m, N]; energy account."""
 
     position_m: float
     heard_m: float
@@ -164,7 +164,7 @@ def master_resume(params: TdpaParams, hand: HandSample, tip_reference_m: float) 
 
 @compiled
 def master_send(params: TdpaParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
-    """Return the slave's reference, the hand's force for the record, and E_in of the hand's port."""
+    """Return the slave's reference, the hand's force for the recording, and E_in of the hand's port."""
     return state, mass_signal(params.mass, state.mass, hand, state.port.sent_j, state.mass.coupled)
 
 
@@ -172,10 +172,10 @@ def master_send(params: TdpaParams, state: MasterState, hand: HandSample, dt: fl
 def at_sample(
     params: Any, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[AtHand, MasterState]:
-    """Return what the half may do with a sample, dt [s] after the one before, and its state there.
+    """Return the decision on a sample, `dt` [s] after the previous one, and the state of the half after it.
 
-    Where it acts, the store has the energy that has come, and the mass is still to be moved. Where it stands, the lead
-    of the reference is undone, and paid like a motion. Elsewhere the hand is let go.
+    If the half acts, its store includes the energy that has arrived, and the caller must still move the mass. If it
+    stands, the reference is set back to the device, and the energy of that is booked. Otherwise the hand is released.
     """
     p, mass = params.mass, state.mass
     may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
@@ -198,7 +198,7 @@ def at_sample(
 def master_receive(
     params: TdpaParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the mass over dt [s] against the force received last, clipped to the energy that may leave."""
+    """Move the mass for dt [s] against the last received force, clipped to the energy that may leave."""
     p, force = params.mass, params.mass.force_scale * signal.force_n
     may, state = at_sample(params, state, hand, signal, dt)
     if not may.acts:
@@ -222,7 +222,7 @@ def slave_start(params: TdpaParams, tip: TipMeasurement) -> SlaveState:
 
 @compiled
 def standing(params: Any, position_m: float, tip: TipMeasurement, store: PortEnergy) -> SlaveState:
-    """Return the state of a half that is not coupled, for laws whose constants have a `mass`."""
+    """Return the state of a slave half that is not coupled, for laws whose parameters have a field `mass`."""
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     return SlaveState(position_m, here, here, force, store, False)
@@ -230,19 +230,19 @@ def standing(params: Any, position_m: float, tip: TipMeasurement, store: PortEne
 
 @compiled
 def tip_worked(store: PortEnergy, last_m: float, last_n: float, here_m: float, force_n: float) -> PortEnergy:
-    """Book the work of the tip's port by direction; what the store lacks to meet a sample is granted."""
+    """Book the work at the tip's port by direction; grant up to `_TOUCH_J` that the store lacks to meet a sample."""
     out_j = slid_work(last_m, last_n, here_m, force_n)
     store = two_counters(store, -out_j)
     if last_n * (here_m - last_m) > 0.0:
         return store
     lacking_j = min(max(-store.left_j, 0.0), max(out_j, 0.0), _TOUCH_J)
-    # this port alone is granted it, and `account_of` counts what is granted at both
+    # Half of it, because `account_of` doubles the grant for both ports, but only this port gets it.
     return PortEnergy(store.sent_j, store.received_j, store.left_j + lacking_j, store.granted_j + 0.5 * lacking_j)
 
 
 @compiled
 def drift_free_way(heard_m: float, target_m: float, here_m: float, made_up: float) -> float:
-    """Return the way of a period [m]: that of the reference, and a share of what was missing before it."""
+    """Return the desired motion of a period [m]: that of the reference, plus a share of the previous position error."""
     return target_m - heard_m + made_up * (heard_m - here_m)
 
 
@@ -269,8 +269,8 @@ def slave_receive(
     target = signal.position_m / p.position_scale
     before = state.heard_m if state.coupled else target
     wanted = drift_free_way(before, target, start / p.position_scale, params.made_up)
-    # An account that is overdrawn by more than meeting the sample may cost was so by a surface that came to the tip:
-    # the tip then waits for energy also in the air.
+    # An account overdrawn by more than `_TOUCH_J` means that a surface moved towards the tip; the tip then waits for
+    # energy in the air too.
     unpaid_m = params.unpaid_m if store.left_j >= -_TOUCH_J else 0.0
     base = paid_base(p, state.position_m, tip, wanted, params.stiffest_n_per_m, store.left_j, unpaid_m)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
@@ -278,9 +278,9 @@ def slave_receive(
 
 @compiled
 def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Return what the tip measures, and E_in of its port, after the step of the base.
+    """Return the tip's measurement and E_in of its port, after the step of the base.
 
-    The work is booked with the force right after the step: until the next signal comes the sample may have moved.
+    The work is booked with the force right after the step, because the sample may move before the next signal.
     """
     p = params.mass
     here, force, store = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n, state.store
@@ -292,7 +292,7 @@ def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: f
 
 @compiled
 def retune(old: Any, new: Any, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes; what may leave stays below the new cap."""
+    """Keep the tip's reference constant when alpha_p changes; limit the energy that may leave to the new cap."""
     return MasterState(
         rescaled(old.mass, new.mass, state.mass), kept_below(state.store, new.cap_j), state.stood_s, state.port
     )
@@ -300,7 +300,7 @@ def retune(old: Any, new: Any, state: MasterState) -> MasterState:
 
 @compiled
 def slave_retune(old: Any, new: Any, state: SlaveState) -> SlaveState:
-    """Keep the reference and the measurement, which are at the hand's scale; the store stays below the new cap."""
+    """Convert reference and measurement, which are at the hand's scale; limit the store to the new cap."""
     longer, stronger = of_scales(old.mass, new.mass)
     return SlaveState(
         position_m=state.position_m,
@@ -314,14 +314,14 @@ def slave_retune(old: Any, new: Any, state: SlaveState) -> SlaveState:
 
 @compiled
 def master_energy_account(params: TdpaParams, state: MasterState) -> EnergyAccount:
-    """Return what may still leave this port, and what both were granted."""
+    """Return the energy that may still leave this port, and the energy granted to both ports."""
     account = account_of(state.store)
     return EnergyAccount(account.remaining_j, account.dissipated_j, account.granted_j + state.port.granted_j)
 
 
 @compiled
 def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount:
-    """Return what may still leave this port, and what both were granted."""
+    """Return the energy that may still leave this port, and the energy granted to both ports."""
     return account_of(state.store)
 
 

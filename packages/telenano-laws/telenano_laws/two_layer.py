@@ -1,20 +1,21 @@
-"""Two layers: one that is transparent, and below it tanks of energy that every motion and force is paid from.
+"""Two layers: a transparent one, and below it energy tanks that must pay for every motion and force.
 
-The upper layer is direct: the hand feels the force that was measured at the tip, and the tip goes where the hand is.
-Below, each side has a tank H that the work at its port fills or empties. In each period a share beta of H goes to the
-other side, as a counter that only grows. While the hand's tank is below its level H_d the hand feels a damper
+The upper layer is direct: the hand feels the force measured at the tip, and the tip follows the hand's position. In the
+lower layer each side has a tank H that the work at its port fills or empties. In each period a share beta of H goes to
+the other side, as a counter that never decreases. While the hand's tank is below its level H_d, the hand also feels a
+damper
 
     d = alpha (H_d - H)
 
-besides, whose work fills the tank. At the hand the force is clipped so that its work in the coming period stays within
-H; at the tip the way is cut in the proportion of H to its work.
+whose work fills the tank. At the hand the force is clipped so that its work in the coming period stays within H; at the
+tip the motion is shortened to the part that H covers.
 
 Source: M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, IEEE Trans. Robotics 27 (2011). The paper's text
-could not be read: tank, level control and limit are as in public code (F. Grotto, phri; creminem94, pHRI), the clip,
-the one direction of the limit and the counters are derived here.
+could not be read: tank, level control and limit are as in public code (F. Grotto, phri; creminem94, pHRI); the clip,
+the one-sided limit and the counters are derived here.
 
-What nano scale changes: the tip's tank must hold what the sample stores, F^2 / 2 K at the hand's scale, which is 0.2 mJ
-for 1 N on 20 N/m and 30 mJ on 0.1 N/m; and the hand, which follows positions, feels the level's damper as a slower way.
+At the nanoscale, the tip's tank must hold the energy that the sample stores, F^2 / 2 K at the hand's scale, which is
+0.2 mJ for 1 N on 20 N/m and 30 mJ on 0.1 N/m; and the hand, which follows positions, feels the damper as slowness.
 """
 
 from typing import NamedTuple
@@ -60,12 +61,12 @@ from telenano_laws.tdpa import slave_energy_account as slave_energy_account
 from telenano_laws.tdpa import slave_retune as slave_retune
 from telenano_laws.tdpa import slave_start as slave_start
 
-# A damper that acts on the velocity of the period before is stable below M / Ts; this share of it leaves room.
+# A damper that acts on the velocity of the previous period is stable below M / Ts; this share of it leaves a margin.
 _STABLE_SHARE = 0.4
 
 
 class TwoLayerParams(NamedTuple):
-    """Constants of the law; shared: the part beta of a tank that is sent in a period."""
+    """Constants of the law; shared: the share beta of a tank that is sent in a period."""
 
     mass: MassParams
     level_j: float
@@ -115,7 +116,7 @@ def level_damper(params: TwoLayerParams, left_j: float) -> float:
 def master_receive(
     params: TwoLayerParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the mass over dt [s] against force and level control, clipped to what the tank has."""
+    """Move the mass for dt [s] against the tip's force and the level damper, clipped to the energy in the tank."""
     p, received = params.mass, params.mass.force_scale * signal.force_n
     may, state = at_sample(params, state, hand, signal, dt)
     if not may.acts:
@@ -140,7 +141,7 @@ def master_receive(
 def slave_receive(
     params: TwoLayerParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Go where the hand is, within what the tank has.
+    """Follow the hand's position, as far as the energy in the tank covers it.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -156,7 +157,7 @@ def slave_receive(
         return standing(params, may.base_m, tip, store), SlaveReference(may.base_m, True)
     store = credited(store, signal.energy_j, params.cap_j)
     start, target = followed(p, state.position_m, tip), signal.position_m / p.position_scale
-    # what is sent is no longer there to pay for the way
+    # Energy that is sent on can no longer pay for the motion, so it is subtracted first.
     store = sent_on(store, params.shared * max(store.left_j, 0.0))
     way = target - start / p.position_scale
     base = paid_base(p, state.position_m, tip, way, params.stiffest_n_per_m, store.left_j, 0.0)
@@ -167,7 +168,7 @@ def slave_receive(
 def slave_send(
     params: TwoLayerParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Return what the tip measures, and what its tank has sent; the work is booked with the force after the step."""
+    """Return the tip's measurement and the energy sent from its tank; book the work with the force after the step."""
     p = params.mass
     here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
     if state.coupled and tip.following:

@@ -1,1 +1,1 @@
-"""The conformance kit: what a client in any language does wrong on the wire, by the rules of proto/SPEC.md."""
+"""The conformance kit: checks a client in any language on the wire against the rules of proto/SPEC.md."""

@@ -1,6 +1,6 @@
-"""A client that stands in for a node: commands that move nothing are sent to it, and its answers are read.
+"""Checks of a client that acts as a node: sends it commands that move nothing, and examines its answers.
 
-`mark` is for recorders alone, and so each other node refuses it: no device does anything for this.
+The command is `mark`, which is only for recorders; every other node refuses it, so no device moves.
 """
 
 from collections.abc import Callable
@@ -9,23 +9,23 @@ from typing import Any
 from telenano.testing.conformance.rules import Account
 
 _S = 1_000_000_000
-# A command has to be answered within this time.
+# Time within which a command must be answered.
 _ANSWER_NS = _S
-# A command that must not be answered has no answer after this time.
+# Time after which a command that must not be answered counts as unanswered.
 _QUIET_NS = _S // 2
-# A command of this age has expired.
+# Age of a command that has expired.
 _OLD_NS = 10 * _S
-# Publishes a session/control with these keys, whose t_ns is that of now less an age [ns].
+# Publishes a session/control with these fields, and a t_ns that lies an age [ns] in the past.
 Commands = Callable[[dict[str, Any], int], None]
 
 
 class AnswersOfClient:
-    """Examines the answers of a node, one question after the other.
+    """Examines the answers of a node, one test command after the other.
 
     Args:
-        account: What is reported of the rules.
+        account: Records the findings.
         commands: Publishes a command.
-        disturb: Publishes what breaks the rules, and what is of a later version.
+        disturb: Publishes messages that break the rules, or are of a later version.
     """
 
     def __init__(self, account: Account, commands: Commands, disturb: Callable[[], None]) -> None:
@@ -38,11 +38,11 @@ class AnswersOfClient:
 
     @property
     def done(self) -> bool:
-        """Whether every question was asked, or there is no node to ask."""
+        """Whether every test command was sent and judged."""
         return self._step >= len(self._steps)
 
     def begin(self, node: str, now_ns: int) -> None:
-        """Begin with the first question to a node at a time [ns since 1970]; a second call does nothing."""
+        """Send the first test command to a node at a time [ns since 1970]; a second call does nothing."""
         if not self._node:
             self._node = node
             self._next(now_ns)
@@ -53,7 +53,7 @@ class AnswersOfClient:
             self._answer = fields
 
     def tick(self, now_ns: int) -> None:
-        """Judge the answer, or that there is none, at a time [ns since 1970], and ask the next question."""
+        """Judge the answer or its absence at a time [ns since 1970], and send the next test command."""
         if not self._node or self.done:
             return
         waits_for_none = self._steps[self._step] in (self._unknown_key, self._others)
@@ -64,7 +64,7 @@ class AnswersOfClient:
 
     @property
     def _identifier(self) -> str:
-        # the second question is the first one again
+        # The second test command repeats the first one.
         return f"kit-{0 if self._step == 1 else self._step}"
 
     def _next(self, now_ns: int) -> None:

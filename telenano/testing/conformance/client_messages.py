@@ -1,4 +1,4 @@
-"""What the messages of a client say of it: frames, keys, types, numbers and times, without a socket."""
+"""Checks of a client's messages: frames, keys, types, numbers and times, without a socket."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -13,14 +13,14 @@ from telenano.wire import TOPICS, decode, keys_twice
 _S = 1_000_000_000
 _CLOCK_NS = _S
 _HEADER = ("seq", "t_ns", "src", "v")
-# The rule behind each reason that the codec refuses bytes for.
+# The rule for each reason for which the codec refuses bytes.
 _REASONS = {"oversized": "size", "malformed": "msgpack", "newer_version": "version"}
 _UNITS = {1: "s", 1_000: "ms", 1_000_000: "us"}
-# What says of a command whether the hand behind it was armed.
+# Topics that say whether the hand was armed in the sample that they descend from.
 _BEHIND_THE_HAND = ("teleop/forward", "afm/command")
-# Who sends only on change is no node with a loop.
+# Topics of sources that need no loop, because they send only on change.
 NO_NODES = ("session/control", "operator/force", "experiment/answer")
-# A client has some tens of streams; one that makes up names of sources fills no memory.
+# Most observed streams, so that a client with made-up names of sources cannot fill the memory; usual are some tens.
 _MOST_STREAMS = 1000
 _LONGEST_SOURCE = 100
 _RULE_OF_FAULT = {
@@ -36,12 +36,12 @@ _CONTENT = tuple(dict.fromkeys(_RULE_OF_FAULT.values()))
 
 
 def required_keys(topic: str) -> set[str]:
-    """Return the keys that every message of a topic has; KeyError if the topic is unknown."""
+    """Return the keys that every message of a topic has; raise KeyError for an unknown topic."""
     return {field.name for field in msgspec.structs.fields(TOPICS[topic].model) if field.required}
 
 
 class ClientMessage(NamedTuple):
-    """A message of the client that can be read."""
+    """A readable message of the client."""
 
     topic: str
     fields: dict[str, Any]
@@ -55,25 +55,25 @@ class _Stream:
 
 
 class MessageExaminer:
-    """Examines each message as it comes, and the course of each topic.
+    """Examines each message on its own, and the sequence of messages of each topic and source.
 
     Args:
-        account: What is reported of the rules.
-        is_hand: Whether the client reads no hand but that of the kit, which is never armed.
+        account: Records the findings.
+        is_hand: Whether the client reads only the hand of the kit, which is never armed.
     """
 
     def __init__(self, account: Account, *, is_hand: bool = False) -> None:
         self._account, self._is_hand = account, is_hand
-        # By hand whether the newest command that it acknowledged was an arm, or an emergency stop.
+        # For each hand, whether the newest command that it acknowledged was an arm and not an emergency stop.
         self._is_armed: dict[str, bool] = {}
-        # By hand whether it said last that it is armed.
+        # For each hand, whether it last reported itself as armed.
         self._says_armed: dict[str, bool] = {}
         self._streams: dict[tuple[str, str], _Stream] = {}
         self._first_ns: dict[str, int] = {}
         self.received = 0
 
     def take(self, frames: Sequence[bytes], now_ns: int) -> ClientMessage | None:
-        """Examine what came at a time [ns since 1970]; return a message that can be read."""
+        """Examine the frames received at a time [ns since 1970]; return the message, or None if it is unreadable."""
         self.received += 1
         account = self._account
         if len(frames) != 2:
@@ -92,18 +92,18 @@ class MessageExaminer:
 
     @property
     def has_ended(self) -> bool:
-        """Whether each source has said in its last message that it ends."""
+        """Whether each source has sent its last message, the one that says that it ends."""
         return all(stream.ended for stream in self._streams.values())
 
     def _is_followed(self, topic: str, src: str) -> bool:
-        """Return whether a stream is one of those that are followed, which are bounded."""
+        """Return whether a stream is observed; the number of streams is limited."""
         if len(src) <= _LONGEST_SOURCE and ((topic, src) in self._streams or len(self._streams) < _MOST_STREAMS):
             return True
         self._account.fail("publisher", f"more than {_MOST_STREAMS} sources send, or one has a name that is too long")
         return False
 
     def end(self, now_ns: int) -> None:
-        """Examine what should have come by the end of the examination [ns since 1970]."""
+        """Check at the end of the examination [ns since 1970] that no message is missing."""
         for (topic, src), stream in self._streams.items():
             self._pause(topic, src, now_ns - stream.now_ns, stream)
         for src, armed in self._says_armed.items():
@@ -153,7 +153,7 @@ class MessageExaminer:
         return fields if self._is_meant(topic, fields) else None
 
     def _is_meant(self, topic: str, fields: dict[str, Any]) -> bool:
-        """Report what is wrong with the fields; return whether they are meant for this topic."""
+        """Record the faults of the fields; return False if they have the keys of another topic."""
         faults = TOPICS[topic].faults_in(fields)
         if not faults:
             self._account.hold(*_CONTENT)
@@ -171,7 +171,7 @@ class MessageExaminer:
         return [type(fields.get(key)) is types[key] for key in _HEADER]
 
     def _arming(self, topic: str, fields: dict[str, Any]) -> None:
-        """Examine what is said of a hand that is armed, which a tip may follow."""
+        """Check the statements on an armed hand, which a tip may follow."""
         src, data = fields["src"], fields.get("data")
         if topic == "session/event" and fields.get("kind") == "ack" and isinstance(data, dict):
             if data.get("command") in ("arm", "estop"):

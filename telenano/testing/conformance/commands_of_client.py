@@ -1,4 +1,4 @@
-"""A client that commands: nodes that answer late, refuse and acknowledge, and what it makes of that."""
+"""Checks of a client that sends commands: its reactions to nodes that answer late, refuse and acknowledge."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,24 +7,24 @@ from typing import Any, Literal
 from telenano.testing.conformance.rules import Account
 
 _MS = 1_000_000
-# The first copies of a command are not answered for this time, so that it has to be repeated.
+# Time for which the first copies of a command are not answered, so that it must be repeated.
 SILENT_NS = 500 * _MS
-# The client has this time to quote a refusal in the next copy of its command.
+# Time in which the client must quote a refusal in the next copy of its command.
 QUOTED_NS = 1500 * _MS
-# The client has this time to stop repeating a command after its acknowledgement.
+# Time in which the client must stop repeating a command after its acknowledgement.
 ENDED_NS = 300 * _MS
-# A person gives some tens of commands; a client that gives more fills no memory.
+# Most stored commands, so that a client cannot fill the memory; a person gives some tens.
 _MOST_COMMANDS = 1000
 LATCH = "0a1b2c3d4e5f-1"
-# These never expire.
+# Commands that never expire.
 _AT_ONCE = ("estop", "stop")
-# publishes a session/event of a node, and returns its t_ns
+# Publishes a session/event of a node, and returns its t_ns.
 Answers = Callable[[str, dict[str, Any]], int]
 
 
 @dataclass
 class _Command:
-    """A command by its id: what it is, when it came first, and how far its answer is [ns since 1970]."""
+    """A command with an id: its first copy, times [ns since 1970], and the phase of its answer."""
 
     first: dict[str, Any]
     node: str
@@ -42,8 +42,8 @@ class CommandsOfClient:
     """Examines the commands of a client.
 
     Args:
-        account: What is reported of the rules.
-        answers: Publishes an answer; None where the client reads nothing of the kit.
+        account: Records the findings.
+        answers: Publishes an answer; None if the client does not read from the kit.
     """
 
     def __init__(self, account: Account, answers: Answers | None) -> None:
@@ -81,7 +81,7 @@ class CommandsOfClient:
             command.phase = "ended"
 
     def tick(self, now_ns: int) -> None:
-        """Answer what is due at a time [ns since 1970]."""
+        """Send the answers that are due at a time [ns since 1970]."""
         for identifier, command in self._commands.items():
             if command.phase == "silent" and now_ns - command.first_ns >= SILENT_NS:
                 if command.copies == 1:
@@ -120,7 +120,7 @@ class CommandsOfClient:
         command.phase, command.phase_ns = "acknowledged plainly" if plainly else "acknowledged", now_ns
 
     def _wanted(self, command: _Command) -> dict[str, tuple[str, Any]]:
-        """Return what is to be quoted by its rule: the key, and the value for the node."""
+        """Return the required quotations by rule: the key, and the value for the node."""
         wanted: dict[str, tuple[str, Any]] = {"quoted clock": ("node_t_ns", command.answered_ns)}
         return wanted | ({"quoted stop": ("node_latch", LATCH)} if command.first["command"] == "arm" else {})
 
@@ -145,7 +145,7 @@ class CommandsOfClient:
 
 
 def _node_of(target: str) -> str:
-    """Return a node that a target means: itself, or one of the table that answers to the name or pattern."""
+    """Return a node that a target addresses: itself, or one of the table that has this name or matches the pattern."""
     if "@" in target and not any(mark in target for mark in "*?["):
         return target
     return f"{target}@master" if target in ("controller", "haptic_node", "delay_node") else "afm_node@slave"

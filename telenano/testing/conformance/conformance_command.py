@@ -1,4 +1,4 @@
-"""`telenano conformance`: a client in any language is told what it does wrong."""
+"""`telenano conformance`: check a client in any language, and report the rules that it breaks."""
 
 from pathlib import Path
 from typing import Annotated

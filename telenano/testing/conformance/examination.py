@@ -1,4 +1,4 @@
-"""A client is connected over ZeroMQ and examined for some seconds."""
+"""The examination of a client that is connected over ZeroMQ for some seconds."""
 
 import time
 from pathlib import Path
@@ -20,15 +20,15 @@ _HANDSHAKE_S = 5.0
 _TICK_MS = 10
 _STATES_S = 0.02
 _SETTLED_S = 0.3
-# The most messages that wait to be read.
+# Most messages that wait to be read.
 _MOST_WAITING = 2000
-# The largest message of the wire has half of this [bytes]; what is larger ends the connection.
+# Messages larger than this end the connection; the largest message of the wire has half of it [bytes].
 _LARGEST_BYTES = 1 << 21
-# The most events of the connection, or subscriptions, that are taken in a turn.
+# Most events of the connection, or subscriptions, that are processed in a turn.
 _MOST_A_TURN = 1000
-# A client for whose messages this time of the processor was not enough to find an end of them is too fast [s].
+# A client sends too fast if this processor time is not enough to read all its waiting messages [s].
 _BEHIND_S = 1.0
-# The messages of the kit come from these nodes.
+# Sources of the messages of the kit.
 _COMMANDER = "console@master"
 _NODE = "afm_node@slave"
 _FAILED = (
@@ -47,7 +47,7 @@ class Keys(NamedTuple):
 
     @classmethod
     def of(cls, server: str, own: Path) -> "Keys":
-        """Return them; ConfigError names the file of the own pair that cannot be read."""
+        """Return the keys, with the own pair from a file; raise ConfigError if that file is unusable."""
         try:
             open_regular(own).close()
         except OSError as error:
@@ -55,7 +55,7 @@ class Keys(NamedTuple):
         try:
             public, secret = zmq.auth.load_certificate(own)
         except (OSError, ValueError, IndexError) as error:
-            # The reader of ZeroMQ takes a line that begins with the name of a key for one with a value.
+            # The reader of ZeroMQ expects a value in every line that begins with the name of a key.
             reason = "a line of a key has no value" if isinstance(error, IndexError) else error
             raise ConfigError(
                 f"{own}: is no file with a pair of keys, as `telenano keys new` makes: {reason}"
@@ -66,7 +66,7 @@ class Keys(NamedTuple):
 
 
 class _Rig:
-    """What the client reads of the kit: states, commands to it, and answers to its own."""
+    """Publishes the messages of the kit for the client: states, commands to it, and answers to its own commands."""
 
     def __init__(self, socket: "zmq.Socket[bytes]") -> None:
         self._socket = socket
@@ -92,7 +92,7 @@ class _Rig:
         self.send("session/control", _COMMANDER, fields, age_ns)
 
     def read_subscriptions(self) -> None:
-        """Take what the client subscribes to."""
+        """Process the subscriptions of the client."""
         for _ in range(_MOST_A_TURN):
             if not self._socket.poll(0):
                 return
@@ -102,11 +102,11 @@ class _Rig:
                 self.topics |= {topic for topic in TOPICS if topic.encode().startswith(subscription[1:])}
 
     def is_heard(self) -> bool:
-        """Whether commands are subscribed to, and no subscription came just now: others may come before the client."""
+        """Return whether the client hears commands: it has subscribed, and no further subscription came just now."""
         return "session/control" in self.topics and time.monotonic() - self._subscribed_s > _SETTLED_S
 
     def send_states(self) -> None:
-        """Send the states of a rig fifty times a second, with a key that the client does not know."""
+        """Send the states of a rig fifty times a second, with a key that no client knows."""
         now_s = time.monotonic()
         if now_s < self._due_s:
             return
@@ -115,7 +115,7 @@ class _Rig:
             self.send(topic, src, content)
 
     def disturb(self) -> None:
-        """Send what breaks the rules on every topic that the client reads, and a version that it does not know."""
+        """Send messages that break the rules, and one of a later version, on every topic that the client reads."""
         for topic in sorted(self.topics):
             name = topic.encode()
             for frames in (
@@ -132,7 +132,7 @@ class _Rig:
 
 
 def _content(topic: str) -> dict[str, Any]:
-    """Return the fields of an example without its header, with a key that no client knows."""
+    """Return the fields of an example message without `seq`, `t_ns` and `src`, with a key that no client knows."""
     fields = msgpack.unpackb(encode(example(topic)))
     return {key: value for key, value in fields.items() if key not in ("seq", "t_ns", "src")} | {"further_k": 295.0}
 
@@ -140,17 +140,17 @@ def _content(topic: str) -> dict[str, Any]:
 def examine(
     client: str, rig: str | None = None, *, duration_s: float = 10.0, keys: Keys | None = None, insecure: bool = False
 ) -> list[Finding]:
-    """Connect to a client, and return what came of each rule.
+    """Connect to a client, examine it, and return the finding on each rule.
 
     Args:
         client: The endpoint at which the client's PUB socket is bound.
         rig: The endpoint that the kit binds, as a console and a node, for the client to read; None for none.
-        duration_s: The time of the examination [s].
+        duration_s: The duration of the examination [s].
         keys: The keys for CURVE, None for a plain connection.
-        insecure: Whether a plain connection over the network is meant.
+        insecure: Whether a plain connection over the network is intended.
 
     Raises:
-        ConfigError: An endpoint cannot be used, or is of the network and neither keys nor `insecure` are given.
+        ConfigError: An endpoint cannot be used, or is on the network without keys or `insecure`.
     """
     for address in (client, rig or ""):
         if address.startswith("tcp://") and not insecure and (keys is None or address == rig):
@@ -195,7 +195,7 @@ def _bind(socket: "zmq.Socket[bytes]", address: str) -> None:
 def _reader(
     context: "zmq.Context[zmq.Socket[bytes]]", client: str, keys: Keys | None
 ) -> tuple["zmq.Socket[bytes]", "zmq.Socket[bytes]"]:
-    """Return a socket that reads all of a client, and one that tells what becomes of its connection."""
+    """Return a socket that reads all messages of a client, and a monitor socket with the events of its connection."""
     socket = context.socket(zmq.SUB)
     socket.set_hwm(_MOST_WAITING)
     socket.set(zmq.MAXMSGSIZE, _LARGEST_BYTES)
@@ -268,14 +268,14 @@ def _run(
 
 
 class _Pace:
-    """Whether the messages of a client can be read as fast as they come, by the processor's time of this thread."""
+    """Checks that the messages of a client can be read as fast as they come, by the processor time of this thread."""
 
     def __init__(self) -> None:
         self._emptied_s = time.thread_time()
         self.is_beyond = False
 
     def is_waiting(self, reader: "zmq.Socket[bytes]") -> bool:
-        """Return whether a message waits to be read now."""
+        """Return whether a message waits to be read; set `is_beyond` if messages have waited for too long."""
         now_s = time.thread_time()
         if is_waiting := bool(reader.poll(0)):
             self.is_beyond = now_s - self._emptied_s > _BEHIND_S
@@ -285,7 +285,7 @@ class _Pace:
 
 
 def _connection_events(account: Account, monitor: "zmq.Socket[bytes]", now_s: float, gone_s: float) -> float:
-    """Note what became of the connection; return when it was lost [s], 0 while it stands."""
+    """Record the events of the connection; return the time at which it was lost [s], 0 while it stands."""
     for _ in range(_MOST_A_TURN):
         if not monitor.poll(0):
             break
@@ -306,7 +306,7 @@ def _connection(account: Account, client: str, duration_s: float) -> None:
 
 
 def _stranger(account: Account, monitor: "zmq.Socket[bytes]") -> None:
-    """Judge what became of a connection with an unknown key."""
+    """Judge the result of a connection with an unknown key."""
     deadline_s = time.monotonic() + _HANDSHAKE_S
     while monitor.poll(max(0, round(1e3 * (deadline_s - time.monotonic())))):
         event = recv_monitor_message(monitor)["event"]

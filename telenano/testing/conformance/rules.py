@@ -1,17 +1,17 @@
-"""The rules that a client is examined by, each with its section of proto/SPEC.md and what would be right."""
+"""The rules for clients, each with its section of proto/SPEC.md and the correct behaviour, and the findings."""
 
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 Outcome = Literal["passed", "failed", "not seen"]
-# This number of faults of one rule are reported; the others are counted.
+# Number of faults of one rule that are reported; further ones are only counted.
 _MOST_LISTED = 3
-# A client that breaks a rule in more ways than this fills no memory.
+# Most faults stored for a rule, so that a client cannot fill the memory.
 _MOST_KEPT = 1000
 
 
 class Rule(NamedTuple):
-    """A rule: its name, the section of proto/SPEC.md that has it, and what would be right."""
+    """A rule: its name, its section of proto/SPEC.md, and the correct behaviour."""
 
     name: str
     section: str
@@ -58,7 +58,7 @@ _BY_NAME = {rule.name: rule for rule in RULES}
 
 
 class Finding(NamedTuple):
-    """What came of a rule: its outcome, and for one that failed what was seen."""
+    """The finding on a rule: its outcome, and for a failed one the observed faults."""
 
     rule: str
     outcome: Outcome
@@ -67,7 +67,7 @@ class Finding(NamedTuple):
     seen: str = ""
 
     def line(self) -> str:
-        """Return the finding as a line for a person."""
+        """Return the finding as a line of text."""
         text = f"{self.outcome:8}  {self.rule}"
         if self.outcome != "failed":
             return text
@@ -76,23 +76,23 @@ class Finding(NamedTuple):
 
 @dataclass
 class Account:
-    """The rules that were seen to hold, and those that were broken, with what was seen."""
+    """The rules that were kept at least once, and those that were broken, with the observed faults."""
 
     held: set[str] = field(default_factory=set)
     broken: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def hold(self, *names: str) -> None:
-        """Note that something kept these rules."""
+        """Record that these rules were kept."""
         self.held.update(names)
 
     def fail(self, name: str, seen: str, about: str = "") -> None:
-        """Note what broke a rule, once for each thing that it is about; KeyError for a rule that there is not."""
+        """Record a fault of a rule, once for each subject `about`; raise KeyError for an unknown rule."""
         kept = self.broken.setdefault(_BY_NAME[name].name, {})
         if len(kept) < _MOST_KEPT:
             kept.setdefault(about or seen, seen)
 
     def findings(self) -> list[Finding]:
-        """Return what came of each rule."""
+        """Return the finding on each rule."""
         rows = []
         for rule in RULES:
             texts = list(self.broken.get(rule.name, {}).values())

@@ -1,1 +1,1 @@
-"""The energy that a law makes at its two ports when an adversary draws the order of events."""
+"""The energy that a law generates at its two ports in random orders of adverse events."""

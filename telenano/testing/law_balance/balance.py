@@ -1,17 +1,17 @@
-"""The balance of energy of a law at its two physical ports, over orders that an adversary draws.
+"""The energy balance of a law at its two physical ports, over random orders of adverse events.
 
-The bench calls the pure steps of a law as the two nodes do, in virtual time, and counts the work at both ports as
-`law/status` counts it (telenano/laws/energy.py), at the hand's scale: at the master the force that the device
-measured over the way that the device went, at the slave alpha_f / alpha_p times the mean force over the way of the base
-that the instrument measured. With the energy that has come in at both, E_net, and what the law states as granted,
+The bench calls the pure steps of a law like the two nodes, in virtual time, and counts the work at both ports like
+`law/status` (telenano/laws/energy.py), at the hand's scale: at the master the measured force of the device times its
+displacement, at the slave alpha_f / alpha_p times the mean force times the measured displacement of the base. With the
+energy that has entered at both ports, E_net, and the energy that the law states as granted,
 
-    margin = E_net + granted >= 0    at all times, whatever hand, sample and line do.
+    margin = E_net + granted >= 0    at all times, for any motion of hand, sample and line.
 
-That is the change of what is stored, plus what was dissipated, and neither is negative for a law that began at rest.
-A margin below zero is energy that was not put in and that the law does not state. It is counted through every
-transition: while no law is in force, or a device obeys no command, the ports are moved without work, and what a law
-grants itself when it begins again adds to what it granted before. Each half states what it grants to both ports, so the
-greater of the two statements counts.
+This is the change of the stored energy plus the dissipated energy, neither of which is negative for a law that began at
+rest. A margin below zero is energy that was neither put in nor stated by the law. It is counted through every
+transition: while no law is in force, or a device obeys no command, the ports move without work, and the grant of a
+restarting law adds to its earlier grants. Each half states the grant of both ports, so the greater of the two
+statements counts.
 """
 
 import math
@@ -59,16 +59,16 @@ from telenano.wire import RefusedError
 
 # The silence limit of a law whose settings have none [s].
 SILENCE_LIMIT_S = 0.2
-# The share of the stiffest sample that a law states, up to which samples are drawn: over a line that loses signals a
-# loop against the measured force tolerates 7/16 of it.
+# Greatest stiffness of drawn samples, as a share of the law's stated limit: over a line that loses signals, a loop
+# against the measured force tolerates 7/16 of it.
 _STIFFEST_SHARE = 0.4
 _ARMED_S = 0.1
-# So many periods as plain Python take as long as the compiler needs for a law.
+# Number of periods whose run as plain Python takes as long as compiling a law.
 _PLAIN_PERIODS = 400_000
 
 
 class Loss(NamedTuple):
-    """Energy that was made behind a transition: which, when it was the worst [s], and how much in all there [J]."""
+    """Energy that was generated after a transition: its name, time of the least margin [s], and total energy [J]."""
 
     transition: str
     at_s: float
@@ -77,19 +77,19 @@ class Loss(NamedTuple):
 
 @dataclass
 class Balance:
-    """What an order did to a law.
+    """The result of an order for a law; energies at the hand's scale [J].
 
-    tolerance_j: what the law states that it may make beyond what it grants itself; margin_j, at_s: the least
-    margin, and when [J, s]; granted_j: what the law stated as granted in the end; reference_j: the least margin
-    where the master's port is counted at the reference of the law instead of the device; books_j: the least of the
-    margin less what the law states as dissipated and as left to give out: below zero it states more than there is;
-    unstated_j: the most that came out between two moments beyond what came in, was granted, and was stated at the
-    first of them, where the hand stood, as left at the halves and in transit between them (0 or negative): a law
-    that stores energy of which it states nothing has it here, and one that makes energy while a session dissipates
-    more elsewhere as well; entered_j: E_net in the end; begun_s: when the margin fell below the tolerance, None
-    where it did not; losses: where the margin fell to a new least below zero, by the transition before it;
-    happened: the transitions in order; refused: changes of parameters that were refused, by the law, by its ranges,
-    or because the sample would be stiffer than it states; contact_share: of the periods, in which the tip touched.
+    tolerance_j: energy that the law may generate, by its own statement, beyond its grants; margin_j, at_s: the least
+    margin, and its time [s]; granted_j: energy stated as granted at the end; reference_j: the least margin with the
+    master's port counted at the law's reference instead of the device; books_j: the least margin minus the energies
+    that the law states as dissipated and as remaining: below zero it states more than there is; unstated_j: the
+    greatest energy that came out between two moments beyond that which came in, was granted, or was stated at the first
+    moment, with the hand at rest, as remaining in the halves and in transit (0 or negative): it is negative for a law
+    that stores energy without stating it, or generates energy while a session dissipates more elsewhere; entered_j:
+    E_net at the end; begun_s: time at which the margin fell below the tolerance, None if it did not; losses: energies
+    by which the margin fell to a new least below zero, by the preceding transition; happened: the transitions in order;
+    refused: number of changes of parameters that were refused, by the law, by its ranges, or because the sample would
+    be stiffer than it states; contact_share: share of the periods in which the tip touched the sample.
     """
 
     order: Order
@@ -109,11 +109,11 @@ class Balance:
 
     @property
     def is_kept(self) -> bool:
-        """Whether the law made no energy beyond the tolerance."""
+        """Whether the law generated no energy beyond the tolerance."""
         return self.begun_s is None
 
     def sentence(self) -> str:
-        """Say what happened: how much energy was made, when, and behind which transitions."""
+        """Return a sentence: how much energy was generated, when, and after which transitions."""
         if self.is_kept:
             return f"{self.order.name}: kept, least margin {1e3 * self.margin_j:.3g} mJ at {self.at_s:.3f} s"
         before = [f"{what} at {when:.3f} s" for when, what in self.happened if when <= (self.begun_s or 0.0)][-4:]
@@ -127,21 +127,21 @@ class Balance:
 
 
 def states_passivity(law: Law) -> bool:
-    """Return whether a law states that its two ports give out no more than it says that it was granted."""
+    """Return whether a law claims passivity: that its ports give out no more than came in and was granted."""
     return law.passive
 
 
 def silence_limit_s(config: Any) -> float:
-    """Return the silence after which a law lets go [s], from its settings; 0.2 where they state none."""
+    """Return the silence after which a law releases the hand [s], from its settings; 0.2 if they have none."""
     return float(getattr(config, "silence_limit_s", SILENCE_LIMIT_S))
 
 
 def tolerance_j(law: Law, order: Order, config: Any, stiffest_n_per_m: float) -> float:
-    """Return by how much a law may make more than it grants itself in an order [J], stated before the order is run.
+    """Return the energy that a law may generate in an order beyond its grants [J], computed before the order is run.
 
-    That is what the law states, and what a base takes that can stand at multiples of a quantum q alone: it may go q/2
-    further than was paid for, against the greatest force F of the hand, and the sample takes F q/2 + K q^2/2 of that,
-    before the law has measured it.
+    It is the law's own statement plus the effect of a base that moves in steps of a quantum q: it may go q/2 further
+    than was paid for, against the greatest force F of the hand, and the sample then takes F q/2 + K q^2/2 before the
+    law has measured that.
     """
     step_m = order.base_quantum_m / config.position_scale
     stiffest = stiffest_n_per_m * config.force_scale * config.position_scale
@@ -154,9 +154,9 @@ def balance(law: Law, order: Order, settings: Mapping[str, Any] | None = None, *
 
     Args:
         law: The law.
-        order: What happens, from `drawn`.
-        settings: The settings of the law's section; those not given have their defaults.
-        fast: Run compiled, which pays for many orders; the first one then waits for the compiler.
+        order: An order from `drawn`.
+        settings: The settings of the law's section; others have their defaults.
+        fast: Whether to run compiled, which pays for many orders; the first one then waits for the compiler.
 
     Raises:
         ValidationError: A setting is unknown or out of its range.
@@ -173,13 +173,13 @@ def worst_balances(
     longest_s: float = 240.0,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, list[Balance]]:
-    """Return what a law did in the draws of each kind of transition, the worst first.
+    """Return the results of a law in the draws of each kind of transition, the worst first.
 
     Args:
         law: The law.
         kinds: Kinds of `ALL_KINDS`.
         seed: The seed of the draws.
-        cases: How many draws there are of each kind.
+        cases: The number of draws of each kind.
         longest_s: The longest order [s].
         settings: The settings of the law's section.
     """
@@ -194,7 +194,7 @@ def worst_balances(
 
 
 class _Run:
-    """One run of an order; what is scaled belongs to the hand's scale unless its name says tip or base."""
+    """One run of an order; scaled quantities are at the hand's scale unless their name says tip or base."""
 
     def __init__(self, law: Law, order: Order, config: Any, *, fast: bool) -> None:
         self.law, self.order, self.period_s, self.fast = law, order, order.period_s, fast
@@ -283,7 +283,7 @@ class _Run:
                 if self._begin(event, first):
                     self.running.append(event)
             for event in self.running:
-                # a device that is off is moved halfway through, so that the law sees it off at its new place
+                # A device that is off is moved halfway through, so that the law sees it off at its new place.
                 if event.kind == "resume" and self._tick_of(0.5 * (event.start_s + event.ends_s)) == first:
                     self._shift_device(event.shift_m)
             while self.retunes and self.retunes[0][0] <= first:
@@ -305,7 +305,7 @@ class _Run:
         return math.ceil(time_s / self.period_s - 1e-9)
 
     def _next(self, first: int, coming: Sequence[Event]) -> int:
-        """Return the period in which the next thing happens."""
+        """Return the period after `first` in which the next event begins, changes or ends."""
         moments = [self.ticks, round(_ARMED_S / self.period_s), *(tick for tick, _ in self.retunes)]
         moments += [self._tick_of(event.start_s) for event in coming[:1]]
         moments += [self._tick_of(event.ends_s) for event in self.running]
@@ -314,7 +314,7 @@ class _Run:
         return min(moment for moment in moments if moment > first)
 
     def _stretch(self, first: int, last: int, label: str) -> None:
-        """Run the periods up to the next event, and book what was lost in them behind the one before."""
+        """Run the periods up to the next event, and attribute energy generated in them to the previous event."""
         kinds = {event.kind for event in self.running}
         let_go = next((event for event in self.running if event.kind == "let go"), None)
         hand_lost = next((event for event in self.running if event.kind == "hand lost"), None)
@@ -372,7 +372,7 @@ class _Run:
             self._shift_base(event.tip_shift_m)
             self._resume(tick)
         elif event.kind == "hand lost":
-            # one that was moved was begun again, and is off at first; one that was held up is where it was
+            # A device that was moved has been restarted, and is off at first; one that only stalled is in its place.
             self.off_until = tick + 3 if event.shift_m else tick
         elif event.kind == "instrument lost":
             self._shift_base(event.tip_shift_m)
@@ -389,13 +389,13 @@ class _Run:
         self.now = self.now._replace(base_m=within(self.now.base_m + way_m, *self.order.base_travel_m))
 
     def _arm(self) -> None:
-        """Bring the base to where it was asked to be, as the instrument does that is armed."""
+        """Move the base to its reference, as an instrument does when it is armed."""
         self.retracted = False
         asked_m = quantised(self.now.asked_m, self.order.base_quantum_m)
         self.now = self.now._replace(base_m=within(asked_m, *self.order.base_travel_m))
 
     def _measured(self, tick: int, *, following: bool) -> None:
-        """Measure at the tip now, between two periods."""
+        """Update the measurement at the tip, between two periods."""
         contact, force_n = pressed(self.world.sample, self.now.contact, self.now.base_m, tick, self.period_s)
         force_n = quantised(force_n, self.order.tip_quantum_n)
         touches = contact.depth_m >= 0.0 or force_n != 0.0
@@ -403,7 +403,7 @@ class _Run:
         self.now = self.now._replace(contact=contact, tip=tip)
 
     def _restart(self, *, of_master: bool) -> None:
-        """Keep what a half has granted that begins again; what it had left to give out is lost."""
+        """Book grants and dissipation of the slave half, or of both, before a restart; remaining energy is lost."""
         books = self.books
         if of_master:
             now, none = books.master_now, EnergyAccount(0.0, 0.0, 0.0)
@@ -420,7 +420,7 @@ class _Run:
         )
 
     def _resume(self, tick: int) -> None:
-        """Take the law up again from the places of device and base, as after a change from another law and back."""
+        """Restart the law at the positions of device and base, as after a change to another law and back."""
         self.now = self.now._replace(asked_m=self.now.base_m)
         is_lost = any(event.kind == "instrument lost" for event in self.running)
         self._measured(tick, following=not self.retracted and not is_lost)
@@ -443,7 +443,7 @@ class _Run:
         return any(event.kind == "switch" for event in self.running)
 
     def _retune(self, event: Event, tick: int) -> None:
-        """Change one parameter at the master, and at the slave when the line has brought it there."""
+        """Change one parameter at the master, and schedule the change at the slave after the delay of the line."""
         properties = self.config.model_json_schema()["properties"]
         keys = sorted(key for key, schema in properties.items() if schema.get("type") in ("number", "integer"))
         key = keys[int(event.pick * len(keys))]
@@ -456,7 +456,7 @@ class _Run:
             config = type(self.config).model_validate({**self.config.model_dump(), key: value})
             params = config.to_params(self.period_s)
             limit = self._stiffness_limit(config)
-            # a sample that the law states to be too stiff for it then is no case of its claim
+            # The law makes no claim for a sample that is stiffer than its new limit.
             if limit is not None and self.stiffest > 1.2 * _STIFFEST_SHARE * limit:
                 raise RefusedError(f"{key}: the sample would be stiffer than the law states")
             if self.now.tip.in_contact and (reason := self.law.changed_in_contact(self.config, config)):

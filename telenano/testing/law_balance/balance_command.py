@@ -1,4 +1,4 @@
-"""`telenano law balance`: the energy that a law makes at its two ports, by kind of transition."""
+"""`telenano law balance`: the energy that a law generates at its two ports, by kind of transition."""
 
 from itertools import product
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from telenano.testing.law_balance.balance import Balance, states_passivity, wors
 from telenano.testing.law_balance.balance_draws import ALL_KINDS
 from telenano.wire import ConfigError, TelenanoError
 
-# a law, a kind of transition, and what its draws did, the worst first
+# A law, a kind of transition, and the results of its draws, the worst first.
 Row = tuple[str, str, list[Balance]]
 
 

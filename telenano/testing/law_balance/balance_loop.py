@@ -1,7 +1,7 @@
-"""The periods of an order between two of its events: both halves of a law, the line, the two devices, and the books.
+"""The loop over the periods between two events of an order: both halves, the line, the two devices, and the books.
 
-`stretch` is a marked step: `balance` calls it as plain Python, or compiled where that is kept or pays, with the same
-bits. Which law it runs follows from the type of its parameters, which `known_as` tells it.
+`stretch` is a marked step: `balance` calls it as plain Python or compiled, with the same bits. The type of the
+parameters selects the law, which `known_as` has registered.
 """
 
 import math
@@ -32,19 +32,19 @@ from telenano.testing.law_balance.balance_world import (
 
 RETRACTED_M = -2e-7
 UNHEARD = -(10**9)
-# A hand whose device is lost is silent for this time before the master half continues with an inactive one [s].
+# Time for which the master half waits for a lost device before it continues with an inactive one [s].
 _LOST_S = 1.0
 _LONGEST_BRIDGED_PERIODS = 50
-# A virtual mass of a law that moves no faster has no energy worth naming [m/s].
+# Speed below which the kinetic energy of a law's virtual mass is negligible [m/s].
 _AT_REST_M_PER_S = 1e-3
-# before this time no hand holds the device [s]
+# Time at which the hand grips the device [s].
 _GRIPS_S = 0.5
 
 _LAW_OF: dict[type, Law] = {}
 
 
 def known_as(kind: type, law: Law) -> None:
-    """Let the steps of a law be those for parameters of a class."""
+    """Register the law whose steps are used for parameters of a class."""
     _LAW_OF[kind] = law
 
 
@@ -67,9 +67,9 @@ _slave_energy_account = chosen_step(_chosen("slave_energy_account"))
 
 
 class World(NamedTuple):
-    """What an order has for all of its time: devices with their ends of travel and their sensors, hand, sample, line.
+    """The constants of an order: ends of travel and sensors of the devices, hand, sample and line.
 
-    carried: the share of its way that the instrument's servo goes in a period.
+    carried: share of the remaining distance that the instrument's servo moves in a period.
     """
 
     period_s: float
@@ -89,12 +89,13 @@ class World(NamedTuple):
 
 
 class LoopConditions(NamedTuple):
-    """What stays between two events.
+    """The conditions that are constant between two events.
 
-    off: the device obeys nobody; away: another law is in force; lost: the instrument is; stalls: it does nothing and
-    says nothing; hand_lost_since: the period, -1 where it is not lost; let_go_s, slow_s: since when and over which time
-    the hand lets go [s], -1 where it does not; reign: how often the law was put in force; longest: pause of signals
-    after which the slave half starts again [periods].
+    off: the device obeys no commands; away: another law is in force; lost: the instrument is lost; stalls: the
+    instrument does nothing and sends nothing; hand_lost_since: period of the loss, -1 if the hand's device is not lost;
+    off_until: period until which the device stays off; let_go_s, slow_s: start and duration of letting go [s], -1 if
+    the hand holds; reign: number of times that the law was put in force; longest: pause of signals after which the
+    slave half restarts [periods].
     """
 
     off: bool
@@ -117,9 +118,9 @@ class LoopConditions(NamedTuple):
 
 
 class Books(NamedTuple):
-    """The sums of an order [J]: see `Balance`; before_*: of the times that a half was in force before.
+    """The energy sums of an order [J], as in `Balance`; *_before_j: those of earlier reigns of a half.
 
-    sent_*, heard_*: the energy counters of the signals forward and backward; touched: periods in contact.
+    sent_*, heard_*: energy counters of the forward and backward signals; touched: number of periods in contact.
     """
 
     hand_j: float
@@ -146,7 +147,7 @@ class Books(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Where an order is: the devices, the signals that the halves have, and the places in the line."""
+    """The state of an order: the devices, the newest signals of the halves, and the positions in the line."""
 
     x_m: float
     velocity: float
@@ -204,7 +205,7 @@ def empty_books() -> Books:
 
 @compiled
 def no_signal() -> PortSignal:
-    """Return the signal of a half that was never heard."""
+    """Return the signal that stands for none so far."""
     return PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9, 0.0)
 
 
@@ -227,7 +228,7 @@ def _heard_now(signal: PortSignal, silence_s: float, round_trip_s: float) -> Por
 
 @compiled
 def _put(line: Line, tick: int, reign: int, signal: PortSignal, hand_tick: int, silent: bool) -> None:
-    """Send a message that descends from the hand's sample of a period; in a silence it is lost."""
+    """Store a message that descends from the hand's sample of `hand_tick`, unless the line is silent."""
     if silent:
         return
     line.reign[tick], line.hand_tick[tick] = reign, hand_tick
@@ -261,9 +262,9 @@ def _message(line: Line, number: int) -> PortSignal:
 
 @compiled
 def _taken(line: Line, at: int, newest: int, tick: int, reign: int) -> tuple[int, int]:
-    """Return the place behind what has arrived by a period, and the newest message among it, or -1.
+    """Return the index after the last arrival up to a period, and the number of the newest new message, or -1.
 
-    What was overtaken, lost or sent in another reign is dropped, as a node drops it that reads the newest alone.
+    Overtaken messages, and those sent in another reign, are dropped, as by a node that reads only the newest one.
     """
     found = -1
     while at < len(line.when) and line.when[at] <= tick:
@@ -288,7 +289,7 @@ def stretch(
     last: int,
     tolerance_j: float,
 ) -> tuple[Any, Any, Now, Books]:
-    """Run the periods from first to before last; return the halves, where the order is, and the books."""
+    """Run the periods from `first` to before `last`; return the states of both halves and the order, and the books."""
     period_s, w, reign = world.period_s, world, held.reign
     x_m, velocity, force_n, base_m, asked_m = now.x_m, now.velocity, now.force_n, now.base_m, now.asked_m
     arm, contact, hand, tip, reference = now.arm, now.contact, now.hand, now.tip, now.reference
@@ -307,8 +308,8 @@ def stretch(
     heard_forward_j, heard_backward_j, touched = books.heard_forward_j, books.heard_backward_j, books.touched
     for tick in range(first, last):
         now_s = tick * period_s
-        # the device goes to its reference, under the force that the hand has held since the last period; one that is
-        # off stands, and one that was moved by something else has done so already
+        # The device moves to its reference, under the force that the hand has held since the last period. A device
+        # that is off stands still; a displacement by an event has happened already.
         was_following, start_m = hand.following, x_m
         following = (not held.off) and tick >= held.off_until and reference.active
         if following:
@@ -359,7 +360,7 @@ def stretch(
                         slave, _ = _slave_receive(slave_params, slave, no_signal(), tip, period_s)
                 answers = True
                 if held.lost:
-                    # the instrument says nothing, so the half answers with what it knew, as one that does not follow
+                    # The instrument is silent, so the half answers with its last measurement, as not following.
                     slave, answer = _slave_send(slave_params, slave, tip, period_s)
                     sent_backward_j = answer.energy_j
                     _put(w.backward, tick, reign, answer, hand_tick, held.silent_backward)
@@ -368,7 +369,7 @@ def stretch(
                     behind, periods = paced(behind, elapsed, 0)
                     signal = _heard_now(slave_heard, 0.0, 0.0)
             else:
-                # A half with a loop of its own steps with the instrument without a signal, the others stand.
+                # Without a signal, a half with a local loop steps with the instrument; other halves stand.
                 silent = tick - slave_tick
                 counts = silent * period_s <= held.silence_limit_s
                 follows = slave_heard.active and tip.following and not slave_switching and not held.lost
@@ -431,7 +432,7 @@ def stretch(
                 if was_active and reference.active:
                     reference_j += hand.force_n * (reference.position_m - was_m)
 
-        # the books
+        # Update the books.
         if not held.away:
             master_now = _master_energy_account(master_params, master)
             slave_now = _slave_energy_account(slave_params, slave)

@@ -1,7 +1,7 @@
-"""The world at the two ports of a law in virtual time: a hand, a sample and a line, as an order has them.
+"""The world at the two ports of a law in virtual time: hand, sample and line of an order.
 
-What does not depend on the law is made before the run, for every period of it: where the surface is, which messages
-arrive when, and by what a hand that wanders is pushed.
+Quantities that do not depend on the law are computed before the run, for every period: the position of the surface, the
+arrivals of messages, and the noise that drives a wandering hand.
 """
 
 import math
@@ -14,9 +14,9 @@ import numpy.typing as npt
 from telenano.numerics import compiled
 from telenano.testing.law_balance.balance_draws import HandDraw, LineDraw, Order, SampleDraw
 
-# A hand is stepped this often in a period of the law, because a stiff grip on a light hand is quicker than that.
+# Steps of the hand in a period of the law, because a stiff grip on a light hand is faster than a period.
 _SUBSTEPS = 4
-# Dents of a sample with hysteresis heal with this time constant [s].
+# Time constant with which dents of a sample with hysteresis heal [s].
 _HEALS_S = 0.5
 _SHAPES = ("sine", "square", "wander")
 
@@ -26,18 +26,18 @@ Whole = npt.NDArray[np.int64]
 
 @compiled
 def quantised(value: float, quantum: float) -> float:
-    """Return a value as a sensor with steps of a quantum reports it; 0 is a sensor without steps."""
+    """Return a value rounded to multiples of a sensor's resolution; unchanged for a resolution of 0."""
     return math.floor(value / quantum + 0.5) * quantum if quantum > 0.0 else value
 
 
 @compiled
 def within(value: float, least: float, most: float) -> float:
-    """Return a value between two ends."""
+    """Return a value limited to a range."""
     return min(max(value, least), most)
 
 
 class Hand(NamedTuple):
-    """A hand as `HandDraw` has it; shape: its place in sine, square, wander; noise: a number for each period."""
+    """The hand of a `HandDraw`; shape: index in sine, square, wander; noise: a random number for each period."""
 
     mass_kg: float
     stiffness_n_per_m: float
@@ -54,7 +54,7 @@ class Hand(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """The mass of a hand: place [m], velocity [m/s], its course if it wanders, and whether it holds the device."""
+    """The mass of a hand: position [m], velocity [m/s], value of a wandering wave, and whether it holds the device."""
 
     position_m: float
     velocity_m_per_s: float
@@ -63,7 +63,7 @@ class Arm(NamedTuple):
 
 
 def hand_of(draw: HandDraw, ticks: int, rng: Random) -> Hand:
-    """Return the hand of an order."""
+    """Return the hand of an order, with noise for `ticks` periods if it wanders."""
     wanders = bool(draw.swing_n) and draw.shape == "wander"
     noise = np.array([rng.gauss(0.0, 0.7) for _ in range(ticks if wanders else 1)])
     return Hand(
@@ -86,14 +86,14 @@ def hand_of(draw: HandDraw, ticks: int, rng: Random) -> Hand:
 def pushed(
     hand: Hand, arm: Arm, tick: int, grip: float, position_m: float, velocity_m_per_s: float, period_s: float
 ) -> tuple[Arm, float]:
-    """Return the arm a period later, and the force on the device held over it [N], positive towards the sample.
+    """Return the arm a period later, and the force on the device during the period [N], positive towards the sample.
 
     Args:
         hand: The hand.
         arm: The state of its mass.
         tick: The number of the period.
-        grip: The share of its force with which the hand holds the device; 0 where it has let go.
-        position_m: Where the device is [m].
+        grip: The share of its force that acts on the device; 0 if it has let go.
+        position_m: The position of the device [m].
         velocity_m_per_s: The velocity of the device over the last period [m/s].
         period_s: The period [s].
     """
@@ -128,7 +128,7 @@ def pushed(
 
 
 class Sample(NamedTuple):
-    """A sample as `SampleDraw` has it; surface_m: where it is in each period [m], as it drifts, jumps and creeps."""
+    """The sample of a `SampleDraw`; surface_m: surface position in each period [m], with drift, jumps and creep."""
 
     stiffness_n_per_m: float
     viscous_n_s_per_m: float
@@ -139,7 +139,7 @@ class Sample(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """How deep the tip was last [m], the dent that it has left [m], and whether the surface holds it."""
+    """Last depth of the tip [m], the dent that it has left [m], and whether adhesion holds it."""
 
     depth_m: float
     dent_m: float
@@ -151,8 +151,8 @@ def sample_of(draw: SampleDraw, softer: float, ticks: int, period_s: float) -> S
 
     Args:
         draw: The sample.
-        softer: By which its stiffness and its damping are multiplied, for a law that states a stiffest sample.
-        ticks: The periods of the order.
+        softer: The factor on its stiffness and damping, for a law that states a stiffest sample.
+        ticks: The number of periods of the order.
         period_s: The period [s].
     """
     time_s = np.arange(ticks) * period_s
@@ -173,7 +173,7 @@ def sample_of(draw: SampleDraw, softer: float, ticks: int, period_s: float) -> S
 
 @compiled
 def pressed(sample: Sample, contact: Contact, base_m: float, tick: int, period_s: float) -> tuple[Contact, float]:
-    """Return the contact and the force on the tip [N], repulsive positive, a period after the last call."""
+    """Return the contact and the force on the tip [N], positive if repulsive, a period after the last call."""
     depth, dent = base_m - float(sample.surface_m[tick]), contact.dent_m
     sinks = (depth - contact.depth_m) / period_s if contact.depth_m >= 0.0 else 0.0
     holds = sample.adhesion_n > 0.0 and (depth >= 0.0 or (contact.holds and depth > -sample.adhesion_m))
@@ -190,16 +190,16 @@ def pressed(sample: Sample, contact: Contact, base_m: float, tick: int, period_s
 
 
 def stiffest_n_per_m(draw: SampleDraw, period_s: float) -> float:
-    """Return the greatest change of force over a change of place that a sample answers a step of a period with."""
+    """Return the greatest ratio of the changes of force and position in a step of a period, damping included [N/m]."""
     return draw.stiffness_n_per_m * (1.0 + draw.hysteresis) + draw.viscous_n_s_per_m / period_s
 
 
 class Line(NamedTuple):
-    """One way of a line: the arrivals in their order, and what was sent in each period.
+    """One direction of a line: the arrivals in their order, and the messages sent in each period.
 
-    when, number: the period in which a message arrives, and that in which it was sent; sent: the messages, by the
-    period, shape (ticks, 9); reign: in which reign of the law it was sent, -1 where nothing was; hand_tick: the period
-    of the hand's sample that it descends from.
+    when, number: the periods in which a message arrives and in which it was sent; sent: the messages by period, shape
+    (ticks, 9); reign: number of the law's reign in which it was sent, -1 if nothing was; hand_tick: the period of the
+    hand's sample that it descends from.
     """
 
     when: Whole
@@ -210,7 +210,7 @@ class Line(NamedTuple):
 
 
 def lines_of(order: Order, ticks: int) -> tuple[Line, Line]:
-    """Return the line forward and the line backward."""
+    """Return the forward and the backward direction of the line of an order."""
     ways = ((order.line.forward_s, "forward"), (order.line.backward_s, "backward"))
     return tuple(_line(order, delay_s, ticks, Random(f"{order.seed} {way}")) for delay_s, way in ways)  # type: ignore[return-value]
 
@@ -233,7 +233,7 @@ def _line(order: Order, delay_s: float, ticks: int, rng: Random) -> Line:
 
 
 def _delays_s(draw: LineDraw, delay_s: float, ticks: int, period_s: float, rng: Random) -> Floats:
-    """Return the delay of the message of each period [s]; one that shrinks faster than time passes overtakes."""
+    """Return the delay of each period's message [s]; if it falls faster than time passes, messages overtake."""
     time_s = np.arange(ticks) * period_s
     if draw.shape in ("constant", "slots"):
         return np.full(ticks, delay_s)
@@ -247,7 +247,7 @@ def _delays_s(draw: LineDraw, delay_s: float, ticks: int, period_s: float, rng: 
 
 
 def _lost(draw: LineDraw, ticks: int, rng: Random) -> npt.NDArray[np.bool_]:
-    """Return which messages are lost: each by itself, or in bursts of a mean length."""
+    """Return whether each message is lost, shape (ticks,): independently, or in bursts of a mean length."""
     if draw.lost <= 0.0:
         return np.zeros(ticks, dtype=bool)
     if draw.burst <= 1.0:
