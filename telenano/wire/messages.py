@@ -662,7 +662,7 @@ class NodeHealth(Message):
     deaf_s: Annotated[
         Annotated[dict[str, DurationS], Meta(max_length=MAX_KEYS)] | None,
         about(
-            "Publishers that send but from which this node receives nothing, each with the time since the last "
-            "message [s]; absent if there are none"
+            "Publishers that send but from which this node receives nothing, each with the duration of that [s]; "
+            "absent if there are none"
         ),
     ] = None
