@@ -371,7 +371,7 @@ class Summary(_Part):
     )
     loop_age_parts_ms: dict[str, list[float]] = Field(
         default={},
-        description="By part of the loop: its share of that age for the median sample, and for the slow one at 99 %; "
+        description="By part of the loop: its part of that age for the median sample, and for the slow one at 99 %; "
         "`whole` is their sum [ms]; the key is absent where fewer than 50 samples can be followed",
     )
     loop_age_largest: str = Field(default="", description="The largest part in words; absent where those are")

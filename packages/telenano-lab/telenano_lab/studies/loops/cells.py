@@ -79,7 +79,7 @@ WRONG_RESTS: tuple[str, ...] = ("nothing_moved", "off_force", "struck")
 
 
 class Conditions(Settings):
-    """Conditions shared by all cells of a study. `settings` are keys of `controller` that differ from their defaults."""
+    """Conditions shared by all cells of a study. `settings` are keys of `controller` that differ from the defaults."""
 
     environment: Environment = Field(
         description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; tip_sample: the"
