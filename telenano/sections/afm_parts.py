@@ -98,8 +98,8 @@ class SafetyConfig(Settings):
     )
     retract_position_m: BasePosition = Field(
         -100e-9,
-        description="Base in the safe state [m], within the range; by default the rest position of a spring that also "
-        "pulls, because such a spring would pull at any other.",
+        description="Base in the safe state [m], within the range; if it is not given and a spring also pulls, that "
+        "spring's rest position, because it would pull at any other.",
     )
     retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s].")
     force_limit_n: float = Field(

@@ -299,7 +299,7 @@ class AfmState(_OfHand):
     felt_channel: Annotated[
         Literal["frequency_shift", "current", "amplitude", "phase"] | None,
         about(
-            "Measured channel from which tip_force_n along z is computed by a table; absent if tip_force_n is the force"
+            "Measured channel from which a table computes tip_force_n along z, which is no force then; absent otherwise"
         ),
     ] = None
     felt_value: Annotated[
@@ -397,7 +397,9 @@ class LawStatus(Message):
     dissipated_j: Annotated[
         EnergyJ, about("Energy that the controller has dissipated on purpose [J]; 0 if not counted")
     ]
-    passive: Annotated[bool, about("Neither net_energy_j nor left_j shows that the law has generated energy")]
+    passive: Annotated[
+        bool, about("Neither the net energy nor the energy left shows that the law has generated energy")
+    ]
     saved_percent: Annotated[
         Percent,
         about(
