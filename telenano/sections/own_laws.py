@@ -45,7 +45,9 @@ class WaveConfig(MassConfig):
         "themselves, and a line that comes back has lost the signals in transit",
     )
     filter_s: float = parameter(0.02, "s", "Time constant of the wave filter tau_f [s]; 0 = none", zero=True)
-    fade_s: float = parameter(1.0, "s", "Time constant with which a force at the start of the line fades tau_0 [s]")
+    fade_s: float = parameter(
+        1.0, "s", "Time constant with which a force at the tip when the law comes into force fades tau_0 [s]"
+    )
 
     def to_params(self, period_s: float) -> WaveParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""

@@ -31,8 +31,8 @@ class SimulateRequest(SessionRequest):
         default=None,
         ge=0,
         le=2**31 - 1,
-        description="Seed of the delays on each site, and of the link and all disturbances; default: 0 for the "
-        "delays, and the scenario's for the others",
+        description="Seed of the delays on each site, and of the link and all disturbances; without it, 0 for the "
+        "delays and the scenario's for the others",
     )
     at: Annotated[tuple[str, ...], Option(("--at",), "'TIME COMMAND TARGET [KEY=VALUE …]'", tuple, many=True)] = Field(
         default=(),

@@ -53,7 +53,7 @@ def session(
 
     `set` without --target is for the nodes that have the key; those that do not know it do not count.
 
-    While a person at a page holds control, nodes accept only stop, estop and mark. TELENANO_NAME names the sender.
+    While a person at a page holds control, only stop, estop and mark are accepted. TELENANO_NAME names the sender.
     """
     if command == "estop":
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
