@@ -59,7 +59,9 @@ def replay(
     files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap), the parts of one.")],
     nodes: Annotated[
         list[str] | None,
-        typer.Option("--nodes", metavar="NODE", help="Take the place of this node (repeatable); default: all of them."),
+        typer.Option(
+            "--nodes", metavar="NODE", help="Play the messages of this node (repeatable); default: of all nodes."
+        ),
     ] = None,
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
@@ -69,7 +71,7 @@ def replay(
     start: Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Begin here [s].")] = 0.0,
     end: Annotated[float | None, typer.Option("--end", metavar="S", help="End here [s].")] = None,
     duration: Annotated[
-        float | None, typer.Option("--duration", metavar="S", help="End this long after --start [s].")
+        float | None, typer.Option("--duration", metavar="S", help="Duration from --start to the end [s].")
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at --start when --end is reached.")] = False,
     paused: Annotated[
@@ -82,7 +84,7 @@ def replay(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Play a recording in the place of nodes that do not run; only node/health shows that it is a replay.
+    """Play a recording instead of nodes that do not run; only node/health shows that it is a replay.
 
     Keys: space pause, . step, e next event, arrows 1 s back and on, + and - rate, a and b the ends of a loop, l loop on
     and off, q end. The same by `telenano session set player.KEY=VALUE --target player`.

@@ -74,7 +74,8 @@ def view(
         str, typer.Option("--role", metavar="ROLE", callback=known_role, help=f"With --for: {', '.join(ROLES)}.")
     ] = "operator",
     minutes: Annotated[
-        float, typer.Option("--for-minutes", metavar="MIN", help="With --for: how long it is valid [min].")
+        float,
+        typer.Option("--for-minutes", metavar="MIN", help="With --for: time for which the address is valid [min]."),
     ] = _MINUTES,
     revoke: Annotated[
         str | None, typer.Option("--revoke", metavar="NAME", help="Revoke the address of a person at once, and end.")

@@ -72,15 +72,15 @@ class Package(_Part):
 
 
 class FactSummary(_Part):
-    """What is true of a hold beside its verdict."""
+    """A fact about a hold, besides its verdict."""
 
-    kind: FactKind = Field(description="Which fact it is")
-    value: float = Field(description="Its value, in the SI unit of what it is about")
+    kind: FactKind = Field(description="Kind of the fact")
+    value: float = Field(description="Value of the fact, in the SI unit of its quantity")
     text: str = Field(description="The fact in words")
 
 
 class HoldSummary(_Part):
-    """A hold: a stretch in which the hand's force stands still, and what becomes of α_f F_s in it.
+    """A hold: an interval in which the hand's force stands still, and the course of α_f F_s in it.
 
     Where a person is the hand, which swings with the loop, a swing of α_f F_s is listed and judged like a hold.
     """
@@ -96,22 +96,26 @@ class HoldSummary(_Part):
     noise_n: float = Field(description="Standard deviation of the noise of the read-out [N]")
     reason: str = Field(description="The verdict in words")
     facts: list[FactSummary] = Field(
-        description="What else is true of it: arrived late, struck, off the force that the law states, hand and tip "
+        description="Further facts about it: arrived late, struck, off the force that the law states, hand and tip "
         "parted, nothing moved, interrupted, machine late, contact taken from the force"
     )
     judged_from_s: float | None = Field(
         description="Start of the episode that is judged: contact with the loop closed [s]; null without one"
     )
     judged_to_s: float | None = Field(
-        description="End of that episode: of the hold, or the cause of what interrupted it [s]; null where none is"
+        description="End of that episode [s]: that of the hold, or the time of the cause that interrupted it; null "
+        "without one"
     )
-    rest_from_s: float | None = Field(description="Since when the force is at rest in it [s]; null where it is not")
+    rest_from_s: float | None = Field(
+        description="Time from which on the force is at rest in it [s]; null where it is not"
+    )
     hold_ratio: float | None = Field(
         description="Mean of F_m/(α_f F_s) in the later half of its rest; null where the tip does not press then"
     )
     frequency_hz: float | None = Field(
         default=None,
-        description="Frequency of a swing in the place of a hold, where a person is the hand [1/s]; null in a hold",
+        description="Frequency of a swing that is judged instead of a hold, where a person is the hand [1/s]; null in "
+        "a hold",
     )
     coupled_share: float = Field(
         default=1.0,
@@ -133,47 +137,48 @@ class InterruptionSummary(_Part):
         "again, or else "
         "the end of the session; of another process that ended the same as `start_s`"
     )
-    reason: str = Field(description="What the device or the launcher reported of it")
+    reason: str = Field(description="Report of the device or the launcher about it")
 
 
 class OutsideSummary(_Part):
-    """A warning that the session was outside of what its law was shown to hold."""
+    """A warning that the session was outside of the conditions in which its law was shown to hold."""
 
-    time_s: float = Field(description="When it was given, in the session [s]")
+    time_s: float = Field(description="Time of the warning in the session [s]")
     law: str = Field(description="Law that was in force")
     axis: Literal["line", "stiffness", "drift", "together"] = Field(
-        description="By what the session was outside; `together`: each was shown with others, but not with one another"
+        description="Quantity by which the session was outside; `together`: each was shown with others, but not with "
+        "one another"
     )
-    text: str = Field(description="What was found, what it means, and what to do")
+    text: str = Field(description="The finding, its meaning and the remedy")
 
 
 class FeltOutsideSummary(_Part):
-    """A time in which the hand felt more than 1.5 times, or less than 0.6 times, the stiffness that is there."""
+    """A time in which the hand felt more than 1.5 times, or less than 0.6 times, the true stiffness."""
 
     from_s: float = Field(description="Start in the session [s]")
     to_s: float = Field(description="End in the session [s]")
-    ratio: float = Field(description="What the hand felt over what is there, median of the time")
+    ratio: float = Field(description="Ratio of the felt to the true stiffness, median of the time")
     low: float = Field(description="Lower end of the interval of `ratio`")
     high: float = Field(description="Upper end of the interval of `ratio`")
     text: str = Field(description="The same in words")
 
 
 class FeltSummary(_Part):
-    """What the hand felt of the stiffness that is there, or why that cannot be known."""
+    """Ratio of the felt to the true stiffness, or the reason why it cannot be known."""
 
     ratio: float | None = Field(
-        description="Stiffness that the hand felt while it moved to and fro in contact, over the one that is "
-        "there: the median of windows of 10 s, of those in `outside` where there are any; null where it cannot be known"
+        description="Ratio of the stiffness that the hand felt, while it moved to and fro in contact, to the true "
+        "one: the median of windows of 10 s, of those in `outside` where there are any; null where it cannot be known"
     )
     low: float | None = Field(description="Lower end of the interval of 95 % of `ratio`")
     high: float | None = Field(description="Upper end of the interval of 95 % of `ratio`")
     felt_n_per_m: float | None = Field(description="Stiffness that the hand felt [N/m]")
-    there_n_per_m: float | None = Field(description="Stiffness that is there, at the hand's scale [N/m]")
-    reason: str = Field(description="What was felt in words, or why it cannot be known")
+    there_n_per_m: float | None = Field(description="True stiffness, at the hand's scale [N/m]")
+    reason: str = Field(description="The felt stiffness in words, or the reason why it cannot be known")
     outside: list[FeltOutsideSummary] = Field(
         default=[],
-        description="When the hand felt more than 1.5 or less than 0.6 of what is there; the key is absent where it "
-        "never did",
+        description="Times in which the hand felt more than 1.5 or less than 0.6 of the true stiffness; the key is "
+        "absent where it never did",
     )
 
 
@@ -187,54 +192,56 @@ class OtherReading(_Part):
 
 
 class ClocksSummary(_Part):
-    """What the clocks of the two sites differ by, as the link measured it."""
+    """Difference between the clocks of the two sites, as the link measured it."""
 
     offset_s: float = Field(description="Time by which the slave's clock is ahead, in the middle of the recording [s]")
     uncertainty_s: float = Field(description="Bound of the error of the offset: half of the best round trip [s]")
     drift_ppm: float = Field(description="Time that the slave's clock gains on the master's [ppm]")
     applied: bool = Field(description="Whether the clocks are shown to differ, so that the difference is taken off")
-    reason: str = Field(description="Why the difference is taken off, or is not, in words")
+    reason: str = Field(description="Reason why the difference is taken off or not, in words")
     otherwise: OtherReading | None = Field(
         description="The other reading, where it can be neither shown nor excluded; null where there is only one"
     )
 
 
 class LineSummary(_Part):
-    """What one direction of the line between two sites did while the session ran."""
+    """Behaviour of one direction of the line between two sites while the session ran."""
 
     direction: str = Field(description="`forward`, from the master to the slave, or `backward`")
-    queue_max_ms: float = Field(description="Longest queue that stood before the line [ms]")
+    queue_max_ms: float = Field(description="Longest standing queue in front of the line [ms]")
     queue_max_low_ms: float | None = Field(
         default=None,
-        description="Lower end of the interval of `queue_max_ms` [ms]; null in recordings of before that have none",
+        description="Lower end of the interval of `queue_max_ms` [ms]; null in older recordings, which have none",
     )
     queue_max_high_ms: float | None = Field(
-        default=None, description="Upper end of the interval of `queue_max_ms` [ms]; null like it"
+        default=None, description="Upper end of the interval of `queue_max_ms` [ms]; null where the lower end is"
     )
     full_share: float = Field(description="Share of the time in which its sender took it for full, 0..1")
     capacity_mbit: float | None = Field(
-        description="What the line carried, of a train of datagrams or while it was full [Mbit/s]; null if not measured"
+        description="Capacity of the line, measured by a train of datagrams or while it was full [Mbit/s]; null if "
+        "not measured"
     )
     capacity_low_mbit: float | None = Field(
-        default=None, description="Lower end of the interval of `capacity_mbit` [Mbit/s]; null like it"
+        default=None, description="Lower end of the interval of `capacity_mbit` [Mbit/s]; null where that is"
     )
     capacity_high_mbit: float | None = Field(
         default=None,
-        description="Upper end of the interval of `capacity_mbit` [Mbit/s]; null like it, and where nothing bounds it",
+        description="Upper end of the interval of `capacity_mbit` [Mbit/s]; null where that is, and where nothing "
+        "bounds it",
     )
     datagrams_per_s: float = Field(
         description="Datagrams sent in a second [1/s]; fewer than 1000 where the line was full"
     )
-    lost_share: float | None = Field(description="Share lost of the datagrams of which it is known; null where none is")
+    lost_share: float | None = Field(description="Share lost of the datagrams whose fate is known; null without any")
     blocked_s: list[list[float]] = Field(
         default=[],
-        description="From when to when [s] UDP was blocked this way: its sender sent on, none of it arrived, and TCP"
-        " went on; a block that began before the session begins below 0",
+        description="Intervals [s] in which UDP was blocked in this direction: its sender sent on, no datagram "
+        "arrived, and TCP went on; a block that began before the session begins below 0",
     )
 
 
 class LineStateSummary(_Part):
-    """A time in which the line between two sites was as long, from one lasting change to the next."""
+    """A time in which the line between two sites kept its round trip, from one lasting change to the next."""
 
     from_s: float = Field(description="Start in the session [s]")
     to_s: float = Field(description="End in the session [s]")
@@ -246,11 +253,11 @@ class LineStateSummary(_Part):
 class IntervalsSummary(_Part):
     """Intervals of the figures that are means or percentiles of samples; null where a figure has too few of them."""
 
-    hold_ratio: list[float] | None = Field(default=None, description="Of `hold_ratio`")
-    contact_x_cm: list[float] | None = Field(default=None, description="Of `contact_x_cm` [cm]")
-    release_force_nn: list[float] | None = Field(default=None, description="Of `release_force_nn` [nN]")
-    loop_age_p50_ms: list[float] | None = Field(default=None, description="Of `loop_age_ms.p50` [ms]")
-    loop_age_p99_ms: list[float] | None = Field(default=None, description="Of `loop_age_ms.p99` [ms]")
+    hold_ratio: list[float] | None = Field(default=None, description="Interval of `hold_ratio`")
+    contact_x_cm: list[float] | None = Field(default=None, description="Interval of `contact_x_cm` [cm]")
+    release_force_nn: list[float] | None = Field(default=None, description="Interval of `release_force_nn` [nN]")
+    loop_age_p50_ms: list[float] | None = Field(default=None, description="Interval of `loop_age_ms.p50` [ms]")
+    loop_age_p99_ms: list[float] | None = Field(default=None, description="Interval of `loop_age_ms.p99` [ms]")
 
 
 class PartSummary(_Part):
@@ -267,14 +274,14 @@ class RecordingSummary(_Part):
     """The account of the recording that the session was read from."""
 
     file: str = Field(description="Path of the recording, or of the first of its parts")
-    complete: bool = Field(description="Whether nothing is missing that was sent to the recorder")
-    missing: list[str] = Field(description="What is missing, in sentences")
+    complete: bool = Field(description="Whether the recorder has everything that was sent to it")
+    missing: list[str] = Field(description="Missing parts, in sentences")
     lost: int = Field(description="Messages that are missing, without those that the impaired link dropped")
     messages: int = Field(description="Messages in the recording")
     odd: list[str] = Field(
         default=[],
-        description="What is odd although nothing is missing, such as messages dated far from all others, in "
-        "sentences; the key is absent where nothing is",
+        description="Oddities although nothing is missing, such as messages dated far from all others, in sentences; "
+        "the key is absent without any",
     )
     parts: list[PartSummary] = Field(
         default=[], description="The files of a recording in parts; the key is absent where there is one file"
@@ -282,12 +289,14 @@ class RecordingSummary(_Part):
 
 
 class Summary(_Part):
-    """The summary of a session, as `summary.json` has it."""
+    """The summary of a session, the content of `summary.json`."""
 
     scenario: str = Field(description="Name of the scenario")
     law: list[str] = Field(description="Laws that were in force, one after the other")
     parameters: dict[str, Any] = Field(description="Parameters of the law that the scenario names, SI units")
-    changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
+    changed: list[str] = Field(
+        description="Parameters that were set while the session ran, each with the node that set it"
+    )
     outside_of_shown: list[OutsideSummary] = Field(
         default=[],
         description="Warnings that the session was outside of the conditions in which the benchmark showed its law to "
@@ -304,7 +313,7 @@ class Summary(_Part):
     loop_round_trip_ms: float | None = Field(
         default=None,
         description="Median age of the hand's sample that the newest answer descends from, in whole periods, as the "
-        "law has to bridge it [ms]: the link and what the rig itself takes; null without `law/status`",
+        "law has to bridge it [ms]: the delay of the link and that of the rig itself; null without `law/status`",
     )
     link_profile: str = Field(
         description="Network of the scenario: its profile; `constant delay` or `custom` where keys make another one of "
@@ -312,10 +321,12 @@ class Summary(_Part):
     )
     link_seed: int = Field(description="Seed of the random streams of the link")
     instrument: str = Field(
-        description="What disturbs the AFM: the name of its instrument, as in `real`, or `real, changed` where keys "
-        "change it; `disturbed` without a name; the driver's where it is not simulated"
+        description="Disturbances of the AFM: the name of its instrument, as in `real`, or `real, changed` where keys "
+        "change it; `disturbed` without a name; the driver's name where it is not simulated"
     )
-    plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")
+    plugins: dict[str, Package] = Field(
+        description="Packages that contributed to the session, by `<kind>.<name>` of the contribution"
+    )
     version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
     commit: str = Field(description="Commit of telenano that recorded the session; unknown if not recorded")
     duration_s: float = Field(description="Duration of the operator's force profile as recorded [s]")
@@ -326,7 +337,7 @@ class Summary(_Part):
     reason: str = Field(description="The verdict in words")
     hold_ratio: float | None = Field(description="`hold_ratio` of the last hold that has one; null where none has")
     felt_stiffness: FeltSummary | None = Field(
-        default=None, description="What the hand felt of the stiffness that is there (`docs/laws.md`)"
+        default=None, description="Ratio of the felt to the true stiffness (`docs/laws.md`)"
     )
     contact_x_cm: float | None = Field(
         description="Mean position reference of the hand in the last second of the session [cm]; null without "
@@ -340,24 +351,27 @@ class Summary(_Part):
         "`afm/state`"
     )
     tip_holds: int = Field(
-        description="How often the tip was held because no command came within the deadline (`command_deadline`)"
+        description="Number of times that the tip was held because no command came within the deadline "
+        "(`command_deadline`)"
     )
-    hand_let_go: int = Field(description="How often the hand was let go while the session ran")
-    processes_ended: int = Field(description="How many processes of the rig ended while the session ran")
+    hand_let_go: int = Field(description="Number of times that the hand was let go while the session ran")
+    processes_ended: int = Field(description="Number of processes of the rig that ended while the session ran")
     sources_silent: int = Field(
-        default=0, description="How often hand or AFM sent nothing for more than 0.05 s while no message was lost"
+        default=0,
+        description="Number of times that hand or AFM sent nothing for more than 0.05 s while no message was lost",
     )
     interruptions: list[InterruptionSummary] = Field(description="Each of these, in order of time")
     hand_cycles: int = Field(
-        description="How often the hand pressed harder and then less again, each way by a tenth of its greatest force "
-        "and by 0.1 N: a law that loses some energy in each cycle may stand after a hundred, which fewer do not show"
+        description="Number of times that the hand pressed harder and then less again, each way by a tenth of its "
+        "greatest force and by 0.1 N: a law that loses some energy in each cycle may stand still after a hundred, "
+        "which fewer do not show"
     )
     loop_age_ms: LoopAge | None = Field(
         description="Age of the first answer to each sample of the hand, on the hand's own clock; null if none came"
     )
     loop_age_parts_ms: dict[str, list[float]] = Field(
         default={},
-        description="By part of the loop: what it takes of that age of the median sample, and of the slow one at 99 %; "
+        description="By part of the loop: its part of that age for the median sample, and for the slow one at 99 %; "
         "`whole` is their sum [ms]; the key is absent where fewer than 50 samples can be followed",
     )
     loop_age_largest: str = Field(default="", description="The largest part in words; absent where those are")
@@ -378,15 +392,15 @@ class Summary(_Part):
     )
     holds: list[HoldSummary] = Field(description="The holds of the session, in order of time")
     clocks: ClocksSummary | None = Field(
-        description="What the clocks of the sites differ by; null where the link measured nothing"
+        description="Difference between the clocks of the sites; null where the link measured nothing"
     )
     lines: list[LineSummary] = Field(
         default=[], description="Each direction of the line between two sites; the key is absent without one"
     )
     line_states: list[LineStateSummary] = Field(
         default=[],
-        description="How long the line between two sites was before and after each change that lasted; the key is "
-        "absent without one",
+        description="Round trip of the line between two sites before and after each lasting change; the key is absent "
+        "without a line",
     )
     recording: RecordingSummary = Field(description="The account of the recording")
 

@@ -48,7 +48,7 @@ _ABOUT = {
     "link": "Show and change the link of a running rig.",
     "node": "Run one node alone.",
     "record": "Attach to a running rig and record it.",
-    "replay": "Play a recording in the place of nodes that do not run.",
+    "replay": "Play a recording instead of nodes that do not run.",
     "report": "Write figure and summary of a recording again.",
     "bag": "Inspect a recording, and make others from it.",
     "scenario": "List, show, check and make scenarios.",

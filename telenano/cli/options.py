@@ -70,13 +70,13 @@ TargetOption = Annotated[
     typer.Option(
         "--target",
         metavar="NODES",
-        help="Nodes meant: node@site, node, or a pattern such as '*'.",
+        help="Nodes addressed: node@site, node, or a pattern such as '*'.",
         autocompletion=node_names,
     ),
 ]
 SiteOption = Annotated[
     Site | None,
-    typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
+    typer.Option("--site", help="Site, of two, at which you are; from the slave the command reaches the nodes there."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing until the result, and serve no page.")]
@@ -84,7 +84,7 @@ SameSessionOption = Annotated[
     bool,
     typer.Option(
         "--same-session",
-        help="Join files of which it is not recorded that they are of one session, as those of earlier versions.",
+        help="Join files even if no record says that they are of one session, such as those of earlier versions.",
     ),
 ]
 CountOption = Annotated[
@@ -163,7 +163,7 @@ TableOption = Annotated[
         "--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.", callback=_known_tables
     ),
 ]
-ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
+ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="Time for which to listen [s].")]
 
 
 def command_group() -> typer.Typer:

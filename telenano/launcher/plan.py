@@ -67,12 +67,12 @@ class SessionRequest(Settings):
     scenario: str = Field(description="Experiment to run: a known name or a YAML file")
     instrument: Annotated[str | None, Option(("--instrument",), "NAME")] = Field(
         default=None,
-        description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
+        description="Named disturbances of the AFM: ideal, real, real_drifting, paper_bridge; default: the scenario's",
     )
     round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
         default=None, ge=0.0, description="Delay (latency, RTT) of the link, half of it each way [ms]"
     )
-    duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
+    duration_s: float | None = Field(default=None, description="Length of the session [s], instead of the scenario's")
     out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
         default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
     )
@@ -104,13 +104,13 @@ class UpRequest(SessionRequest):
         default=None, ge=0.0, description="Give up if nodes started elsewhere are not ready after this time [s]"
     )
     without: Annotated[tuple[str, ...], Option(("--without",), "NODE", tuple, many=True)] = Field(
-        default=(), description="Leave this node out, for a replay to take its place (repeatable)"
+        default=(), description="Leave this node out, so that a replay can take its place (repeatable)"
     )
     allow_replay: Annotated[bool, Option(("--allow-replay",))] = Field(
         default=False, description="Let the devices obey commands that come from a recording"
     )
     attended: Annotated[bool, Option(("--attended",))] = Field(
-        default=False, description="A person stands by who retracts the tip of an AFM controller without a guard"
+        default=False, description="A person stands by to retract the tip of an AFM controller without a guard"
     )
     page: bool = Field(default=False, description="Serve the operator's page")
 

@@ -48,7 +48,7 @@ class RecorderConfig(FileSettings):
         default=None, description="Begin a new file after this time [s], 1 to 86400; none = never"
     )
     quota_bytes: _Size | None = Field(
-        default=None, description="Most that the files of this recording may take together [bytes]; none = no limit"
+        default=None, description="Greatest total size of the files of this recording [bytes]; none = no limit"
     )
     quota_policy: Literal["stop", "drop_oldest"] = Field(
         default="stop", description="At the quota: stop recording, or remove the oldest file of this recording"

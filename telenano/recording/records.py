@@ -10,7 +10,7 @@ from telenano.wire.messages import Count, Record, Source, Text, about
 class GapRecord(Record):
     """Messages that the recorder should have received shortly before this point and did not.
 
-    One that arrives within a tenth of a second, overtaken in transit, is recorded where it arrives and is not missing.
+    A message that was overtaken in transit but arrives within 0.1 s is recorded where it arrives, and is not missing.
     """
 
     channel_topic: Annotated[Text, about("Channel on which messages are missing")]

@@ -35,9 +35,11 @@ MOST_CONTRADICTION = 4.0
 
 
 class TipSampleConfig(Settings):
-    """Tip, sample and the water between them. What is not given comes from the preset."""
+    """Tip, sample and the water between them. Values that are not given come from the preset."""
 
-    preset: Literal["table_2"] = Field("table_2", description="Where unnamed values come from: Table 2 of the paper.")
+    preset: Literal["table_2"] = Field(
+        "table_2", description="Source of values that are not given: Table 2 of the paper."
+    )
     tip_radius_m: float = Field(10e-9, ge=1e-10, le=1e-3, description="Tip radius R [m].")
     hamaker_j: float = Field(1.89e-19, gt=0.0, le=1e-17, description="Hamaker constant H [J].")
     sigma_m: float = Field(3.49e-10, ge=1e-11, le=1e-8, description="Interatomic distance sigma [m].")
@@ -96,8 +98,8 @@ class SafetyConfig(Settings):
     )
     retract_position_m: BasePosition = Field(
         -100e-9,
-        description="Base in the safe state [m], within the range; where it is not given and a spring also pulls, its"
-        " rest position, because it would pull at any other.",
+        description="Base in the safe state [m], within the range; if it is not given and a spring also pulls, that "
+        "spring's rest position, because it would pull at any other.",
     )
     retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s].")
     force_limit_n: float = Field(
@@ -110,7 +112,8 @@ class SafetyConfig(Settings):
         deadline_of("afm/command"),
         gt=0.0,
         le=10.0,
-        description="Oldest command, and oldest hand's sample behind it, that is followed [s]; older ones mean hold.",
+        description="Greatest age of a command, and of the hand's sample behind it, at which it is followed [s]; "
+        "beyond it the base holds.",
     )
     hold_time_s: float = Field(0.2, ge=0.0, le=60.0, description="Time in hold before retracting [s].")
 
@@ -132,7 +135,7 @@ class LateralConfig(Settings):
 
 
 class FrictionConfig(Settings):
-    """Friction of the tip on the sample, and what the cantilever does under lateral force; the paper has neither."""
+    """Friction of the tip on the sample, and torsion of the cantilever under lateral force; the paper has neither."""
 
     coefficient: float = Field(0.0, ge=0.0, le=2.0, description="Coefficient mu of Amontons, 0 to 2; 0: no friction.")
     lateral_stiffness_n_per_m: float = Field(
@@ -142,34 +145,38 @@ class FrictionConfig(Settings):
 
 
 class SpringConfig(Settings):
-    """A linear environment in place of cantilever and sample: the one of the theory of delay."""
+    """A linear environment instead of cantilever and sample, as the theory of delay assumes it."""
 
     stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m].")
-    rest_position_m: BasePosition = Field(0.0, description="Base at which it is at rest [m]: F = K (x_s - L).")
-    bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
+    rest_position_m: BasePosition = Field(0.0, description="Base at which the spring is at rest [m]: F = K (x_s - L).")
+    bilateral: bool = Field(True, description="Whether the spring also pulls; only then is it linear.")
 
 
 class ModbusConfig(Settings):
-    """A stage and a deflection behind a Modbus instrument."""
+    """A stage and a deflection signal that are connected through a Modbus instrument."""
 
-    calibration: str = Field(min_length=1, description="Calibration file of this very device (stage.yaml)")
-    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
-    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+    calibration: str = Field(min_length=1, description="Calibration file of this individual device (stage.yaml)")
+    host: str | None = Field(
+        None, min_length=1, max_length=255, description="Host, instead of the one in the calibration"
+    )
+    port: int | None = Field(None, ge=1, le=65535, description="Port, instead of the one in the calibration")
 
 
 class AfmControllerConfig(Settings):
     """The controller of an AFM, or the guard in front of it."""
 
-    calibration: str = Field(min_length=1, description="Calibration file of this very controller")
-    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
-    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+    calibration: str = Field(min_length=1, description="Calibration file of this individual controller")
+    host: str | None = Field(
+        None, min_length=1, max_length=255, description="Host, instead of the one in the calibration"
+    )
+    port: int | None = Field(None, ge=1, le=65535, description="Port, instead of the one in the calibration")
 
 
-_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."
+_CROSSTALK = "Apparent lateral force along {axis} of a bent cantilever, as a share of k zeta."
 
 
 class TorsionConfig(Settings):
-    """How the lateral force is measured, with the errors of the channel."""
+    """Measurement of the lateral force by torsion, with the errors of the channel."""
 
     factor_n_per_v: float = Field(2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V].")
     range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V].")

@@ -62,12 +62,13 @@ _LEAST_RESONANCE_HZ = 8e3
 
 _DRIVER: Any = Field(
     "simulated",
-    description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the driver of"
-    " a package.",
+    description="simulated: the instrument described below; modbus: a real one, with the limits in safety as its "
+    "guard; or the driver of a package.",
 )
 _ENVIRONMENT: Any = Field(
     "tip_sample",
-    description="What the tip meets: the sample, a linear spring on the base, or a sample of another package.",
+    description="Environment that the tip meets: the sample, a linear spring on the base, or a sample of another "
+    "package.",
 )
 
 
@@ -80,8 +81,8 @@ class _OwnSections(Settings):
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
     attended: bool = Field(
         False,
-        description="Whether a person stands by who retracts the tip of an AFM controller, in the place of a guard"
-        " (`telenano device guard`).",
+        description="Whether a person stands by to retract the tip of an AFM controller, instead of a guard "
+        "(`telenano device guard`).",
     )
     environment: str = _ENVIRONMENT
     spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
@@ -89,32 +90,35 @@ class _OwnSections(Settings):
     tip_sample: TipSampleConfig = Field(TipSampleConfig(), description="Tip, sample and the water between them.")
     model: Literal["quasi_static", "dynamic"] = Field(
         "quasi_static",
-        description="How the cantilever moves: k zeta = F(h); or Eq. 4 in full, which needs numba and processor time.",
+        description="Model of the cantilever: k zeta = F(h); or Eq. 4 in full, which needs numba and processor time.",
     )
     mode: Literal["consistent", "as_printed"] = Field(
         "consistent", description="Reading of the force law: errata E3, E4, E7 corrected, or Eq. 4 and 6 to the letter."
     )
     meniscus: bool = Field(True, description="Whether water forms a meniscus between tip and sample.")
     sample: SampleConfig | None = Field(
-        None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
+        None, description="Sample under the tip, as `telenano sample` makes it; none: a plane at height 0."
     )
     lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
     disturbances: DisturbanceConfig = Field(
-        DisturbanceConfig(), description="What disturbs a simulated instrument; all of it is off."
+        DisturbanceConfig(), description="Disturbances of a simulated instrument; all are off by default."
     )
     begin: InstrumentRequest | None = Field(
-        None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
+        None,
+        description="Program that begins when the instrument is armed, with the keys of `set`; none: it follows "
+        "commands.",
     )
     feel: FeelConfig | None = Field(
-        None, description="A measured channel that is felt in place of the force, by a table; none: the force."
+        None,
+        description="A measured channel that the hand feels instead of the force, through a table; none: the force.",
     )
     friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
-    torsion: TorsionConfig = Field(TorsionConfig(), description="How the lateral force is measured, errors included.")
+    torsion: TorsionConfig = Field(TorsionConfig(), description="Measurement of the lateral force, errors included.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m]."
     )
     safety: SafetyConfig = Field(SafetyConfig(), description="Limits of base, tip force and command age.")
-    allow_replay: bool = Field(False, description="Whether commands that come from a recording are obeyed.")
+    allow_replay: bool = Field(False, description="Whether the AFM obeys commands that come from a recording.")
 
     @property
     def simulated(self) -> bool:

@@ -13,7 +13,8 @@ class ClampConfig(Settings):
     """Section `controller.clamp`."""
 
     enabled: bool | None = Field(
-        default=None, description="Whether the slave presses no harder than the hand; none: as the law has it"
+        default=None,
+        description="Whether the slave's force is limited to that of the hand; none: as the law defines it",
     )
     force_margin_n: float = parameter(
         0.1, "N", "Force by which the tip may press harder than the hand, at the hand's scale F_0 [N]"

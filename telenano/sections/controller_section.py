@@ -53,18 +53,21 @@ class _OwnSections(Settings):
 
     law: str = _LAW
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
-        default=1e-3, description="Period of the hand's samples [s]; realtime.rate_hz gives it, where this is not given"
+        default=1e-3, description="Period of the hand's samples [s]; if not given, it follows from realtime.rate_hz"
     )
     switch_limit_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
-        default=2.0, description="Longest wait for the other half when the law changes; then the hand is let go [s]"
+        default=2.0, description="Longest wait for the other half when the law changes [s]; after it the hand is let go"
     )
     refused_laws: dict[str, str] = Field(
         default={},
-        description="Laws that the instrument is too slow for, and why; `telenano up` enters them by its driver",
+        description="Laws for which the instrument is too slow, with the reason; `telenano up` enters them by the "
+        "instrument's driver",
     )
     deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
     clamp: ClampConfig = Field(default=ClampConfig(), description="Force clamp of the slave, for any law")
-    lateral: LateralConfig = Field(default=LateralConfig(), description="How the hand moves the tip across the sample")
+    lateral: LateralConfig = Field(
+        default=LateralConfig(), description="Motion of the tip across the sample by the hand"
+    )
     virtual_impedance: VirtualImpedanceConfig = Field(
         default=VirtualImpedanceConfig(), description="Parameters of the paper's law"
     )

@@ -12,7 +12,7 @@ from telenano.settings.config import Settings
 class DeadbandConfig(Settings):
     """Section `controller.deadband`; floors at the tip's scale, wave at the hand's."""
 
-    enabled: bool = Field(default=False, description="Whether signals that would not be felt are kept back")
+    enabled: bool = Field(default=False, description="Whether to keep back signals that would not be felt")
     weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
         default=0.1, description="Least perceptible relative change w; [0, 1)"
     )
@@ -23,7 +23,8 @@ class DeadbandConfig(Settings):
     force_floor_n: float = parameter(1e-10, "N", "Least change of a force [N]")
     wave_floor_sqrt_w: float = parameter(1e-3, "sqrt(W)", "Least change of a wave [sqrt(W)]")
     keep_alive_s: Annotated[float, Field(gt=0.0, le=0.04)] = Field(
-        default=0.02, description="Longest time without a signal [s]; (0, 0.04], for the devices take 0.05 as silence"
+        default=0.02,
+        description="Longest time without a signal [s]; (0, 0.04], because the devices take 0.05 s as silence",
     )
 
     def to_params(self) -> DeadbandParams:

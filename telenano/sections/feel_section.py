@@ -11,9 +11,9 @@ from telenano.settings.config import Settings
 
 
 class FeelConfig(Settings):
-    """A measured channel that is felt in place of the force, by a table that holds on one branch of it."""
+    """A measured channel that the hand feels instead of the force, through a table for one branch of its curve."""
 
-    channel: ChannelName = Field(description="What is felt: a channel that the instrument measures.")
+    channel: ChannelName = Field(description="Channel that the hand feels; the instrument has to measure it.")
     unit: str = Field(description="Unit of the values and of tolerance, such as Hz, pA, nm, deg.")
     table: list[list[float]] = Field(
         min_length=2,
@@ -21,9 +21,10 @@ class FeelConfig(Settings):
         description="Rows of value [unit] and force [N], from far to near; both monotone, the force of one sign.",
     )
     tolerance: float = Field(
-        gt=0.0, description="How far the value may go back while the base advances [unit]: its noise, peak to peak."
+        gt=0.0,
+        description="Amount by which the value may go back while the base advances [unit]: its peak-to-peak noise.",
     )
-    slope_limit_n_per_unit: float = Field(gt=0.0, description="Steepest part that the table may have [N/unit].")
+    slope_limit_n_per_unit: float = Field(gt=0.0, description="Greatest slope that the table may have [N/unit].")
     rate_limit_n_per_s: float = Field(
         1e-6, gt=0.0, le=1.0, description="Fastest change of the force that is felt [N/s]."
     )

@@ -28,14 +28,14 @@ SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain
 
 
 class DeviceConfig(Settings):
-    """The 1-DOF device (Table 1, Eq. 1-2). What the paper does not give is marked as our own choice."""
+    """The 1-DOF device (Table 1, Eq. 1-2). Values that the paper does not give are marked as our own choice."""
 
     preset: Literal["paper_bandwidth", "paper_gain"] = Field(
         default="paper_bandwidth",
         description="Servo gain: 1.917e5 V/m for the 30 Hz of Table 1, or the printed 10000 V/m: 1.318 Hz (E1)",
     )
     servo_gain_v_per_m: float | None = Field(
-        default=None, ge=1e-3, le=1e7, description="Servo gain G [V/m] in place of the preset's"
+        default=None, ge=1e-3, le=1e7, description="Servo gain G [V/m], instead of the preset's"
     )
     speed_gain_rad_per_s_v: float = Field(
         default=29.41,
@@ -103,14 +103,14 @@ class DeviceConfig(Settings):
 
 
 class LimitsConfig(Settings):
-    """What the guard in front of the driver lets through."""
+    """Limits of the guard in front of the driver."""
 
     command_deadline_s: float = Field(
         default=deadline_of("haptic/command"),
         ge=1e-6,
         le=10.0,
-        description="Oldest command, and oldest hand's sample that it answers, that is still followed; beyond it the "
-        "motor is off [s]",
+        description="Greatest age of a command, and of the hand's sample that it answers, at which it is still "
+        "followed [s]; beyond it the motor is off",
     )
     position_min_m: float = Field(default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]")
     position_max_m: float = Field(default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]")
@@ -140,10 +140,12 @@ class SerialConfig(Settings):
     """A handle on a serial port, in handle protocol 1."""
 
     port: str = Field(
-        min_length=1, description="Device file, best one of /dev/serial/by-id, whose name stays when it is plugged in"
+        min_length=1,
+        description="Device file, best one in /dev/serial/by-id, where its name stays the same whenever it is plugged "
+        "in",
     )
     baud: int = Field(1_000_000, ge=115_200, le=12_000_000, description="Bits a second; without effect on native USB")
-    calibration: str = Field(min_length=1, description="Calibration file of this very device (handle.yaml)")
+    calibration: str = Field(min_length=1, description="Calibration file of this individual device (handle.yaml)")
 
 
 _DRIVER: Any = Field(
@@ -162,16 +164,21 @@ class _OwnSections(Settings):
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
-        default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
+        default=ForceProfileConfig(kind="force_profile"),
+        description="The simulated hand; the force profile of Fig. 12 if not given",
     )
     lateral: LateralHandConfig | None = Field(
         default=None,
-        description="A simulated hand across the sample, for a device of one axis; none: it has no such axes",
+        description="A simulated hand that moves across the sample, for a device of one axis; none: the device has no "
+        "such axes",
     )
     disturbances: HandDisturbanceConfig = Field(
-        default=HandDisturbanceConfig(), description="What disturbs the simulated device and hand; all of it is off"
+        default=HandDisturbanceConfig(),
+        description="Disturbances of the simulated device and hand; all are off by default",
     )
-    allow_replay: bool = Field(default=False, description="Whether commands that come from a recording are obeyed")
+    allow_replay: bool = Field(
+        default=False, description="Whether the device obeys commands that come from a recording"
+    )
 
     @property
     def simulated(self) -> bool:

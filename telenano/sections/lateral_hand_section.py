@@ -35,8 +35,8 @@ Course = Annotated[tuple[C, ...], AfterValidator(_increasing)]
 class LateralPoint(Corner):
     """One corner of an intended path across."""
 
-    x_m: Across = Field(default=0.0, description="Where the hand means to be, x [m]")
-    y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]")
+    x_m: Across = Field(default=0.0, description="Intended place of the hand, x [m]")
+    y_m: Across = Field(default=0.0, description="Intended place of the hand, y [m]")
 
 
 # The intended path of a hand across the sample; in settings: `path: LateralPath = ()`.
@@ -59,16 +59,18 @@ class LateralHandConfig(Settings):
         default=1.5,
         ge=0.0,
         le=1e3,
-        description="Its own damping, without a hand that pulls [N s/m]; 1.5 lets the usual spring of mode rate "
-        "bring it back"
-        " to the middle in 0.3 s without overshoot",
+        description="Damping of the stylus without a hand that pulls [N s/m]; with 1.5 the usual spring of mode rate "
+        "returns it to the middle in 0.3 s without overshoot",
     )
-    reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]")
+    reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Reach of the stylus either way [m]")
     max_force_n: float = Field(
-        default=5.0, gt=0.0, le=100.0, description="Most that person and controller each pull with [N]; (0, 100]"
+        default=5.0,
+        gt=0.0,
+        le=100.0,
+        description="Greatest force with which person and controller each pull [N]; (0, 100]",
     )
     stiffness_n_per_m: float = Field(
-        default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]"
+        default=200.0, ge=0.0, le=1e5, description="Spring by which the person draws the stylus to the path below [N/m]"
     )
     path: Annotated[LateralPath, Field(strict=False)] = Field(
         default=(), max_length=10_000, description="Corners of the intended path, linear between; none: no person"

@@ -24,7 +24,7 @@ class ForcePoint(Corner):
 class PathPoint(Corner):
     """One corner of an intended path."""
 
-    position_m: float = Field(ge=-1.0, le=1.0, description="Where the hand means to be, towards the sample > 0 [m]")
+    position_m: float = Field(ge=-1.0, le=1.0, description="Intended position of the hand, towards the sample > 0 [m]")
 
 
 # Fig. 12: nothing until 0.8 s, 1 N from 1.2 to 2.6 s, 2 N from 2.9 to 4.5 s, let go by 4.6 s.
@@ -38,12 +38,12 @@ _DRAWS = 64
 
 
 MaxForce = Annotated[
-    float, Field(ge=1e-12, le=1e3, description="Most that hand and force sensor take [N]; [1e-12, 1e3]")
+    float, Field(ge=1e-12, le=1e3, description="Greatest force that hand and force sensor take [N]; [1e-12, 1e3]")
 ]
 
 
 class ForceProfileConfig(Settings):
-    """A hand that presses with a given force whatever the device does."""
+    """A hand that presses with a given force, regardless of the motion of the device."""
 
     kind: Literal["force_profile"] = Field(description="Selects this model of the hand")
     points: Course[ForcePoint] = Field(
@@ -88,7 +88,7 @@ class ImpedanceConfig(Settings):
         max_length=10_000,
         description="Corners of the intended path: linear between, the end values held outside",
     )
-    arm: ArmName = Field(default="ordinary", description="Arm whose constants hold where none are given here")
+    arm: ArmName = Field(default="ordinary", description="Named arm, whose constants apply where none are given here")
     stiffness_n_per_m: float | None = Field(
         default=None, ge=0.0, le=1e6, description="Spring k of the arm [N/m]; [0, 1e6]; none: that of the named arm"
     )
@@ -135,7 +135,10 @@ class InteractiveConfig(Settings):
 
     kind: Literal["interactive"] = Field(description="Selects this model of the hand")
     force_deadline_s: float = Field(
-        default=0.1, ge=0.01, le=1.0, description="Age of the newest force at which it becomes 0 [s]; [0.01, 1]"
+        default=0.1,
+        ge=0.01,
+        le=1.0,
+        description="Age of the newest operator/force at which the hand's force becomes 0 [s]; [0.01, 1]",
     )
     max_force_n: MaxForce = 10.0
 
@@ -146,20 +149,23 @@ class InteractiveConfig(Settings):
 
 
 class ReactingConfig(Settings):
-    """A hand that moves and waits: it presses, waits until the arm stands and the answer has come, and corrects."""
+    """A hand that moves and waits: it presses, waits for the arm to stand still and for the answer, and corrects."""
 
     kind: Literal["reacting"] = Field(description="Selects this model of the hand")
     points: Course[ForcePoint] = Field(
         default=(ForcePoint(time_s=0.0, force_n=1.0),),
         min_length=1,
         max_length=10_000,
-        description="Corners of the force that it aims at: linear between, the end values held outside",
+        description="Corners of the force at which the hand aims: linear between, the end values held outside",
     )
     reaction_time_s: float = Field(
-        default=0.25, ge=1e-3, le=10.0, description="How long the arm has stood still before the next move [s]"
+        default=0.25, ge=1e-3, le=10.0, description="Time for which the arm has to stand still before the next move [s]"
     )
     answer_s: float = Field(
-        default=0.0, ge=0.0, le=60.0, description="Additional wait that it has learnt, the round trip [s]; [0, 60]"
+        default=0.0,
+        ge=0.0,
+        le=60.0,
+        description="Additional wait that the hand has learnt, the round trip [s]; [0, 60]",
     )
     still_m_per_s: float = Field(
         default=1e-3, ge=1e-6, le=1.0, description="Speed below which the arm stands still [m/s]; [1e-6, 1]"
@@ -169,8 +175,10 @@ class ReactingConfig(Settings):
         default=0.0, ge=0.0, le=1.0, description="Standard deviation of that share, relative to it; [0, 1]"
     )
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of the scatter")
-    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it does not correct [N]")
-    rate_n_per_s: float = Field(default=10.0, gt=0.0, le=1e4, description="How fast its force changes [N/s]")
+    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that the hand leaves uncorrected [N]")
+    rate_n_per_s: float = Field(
+        default=10.0, gt=0.0, le=1e4, description="Rate at which the hand's force changes [N/s]"
+    )
     max_force_n: MaxForce = 10.0
 
     def to_params(self) -> ReactingParams:

@@ -41,11 +41,13 @@ class WaveConfig(MassConfig):
     silence_limit_s: float = parameter(
         0.5,
         "s",
-        "Time without a signal from the other half after which the hand is let go [s]: waves die out"
-        " with filter_s by themselves, and a line that comes back has lost what was in transit",
+        "Time without a signal from the other half after which the hand is let go [s]: waves die out with filter_s by "
+        "themselves, and a line that comes back has lost the signals in transit",
     )
     filter_s: float = parameter(0.02, "s", "Time constant of the wave filter tau_f [s]; 0 = none", zero=True)
-    fade_s: float = parameter(1.0, "s", "Time in which a force that the line begins under fades tau_0 [s]")
+    fade_s: float = parameter(
+        1.0, "s", "Time constant with which a force at the tip when the law comes into force fades tau_0 [s]"
+    )
 
     def to_params(self, period_s: float) -> WaveParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -73,8 +75,8 @@ class PassivityConfig(MassConfig):
     silence_limit_s: float = parameter(
         0.5,
         "s",
-        "Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
-        " cannot be spent, and each time that hand and tip are joined again their positions differ by what they moved",
+        "Time without a signal from the other half after which the hand is let go [s]: energy that has not arrived "
+        "cannot be spent, and after each interruption hand and tip differ by their motion in between",
     )
     coupling_stiffness_n_per_m: float = parameter(1500.0, "N/m", "Spring of the coupling K_c [N/m]")
     coupling_damping_n_s_per_m: float = parameter(60.0, "N s/m", "Damper of the base B_c [N s/m]")
@@ -90,7 +92,9 @@ class PassivityConfig(MassConfig):
     start_energy_j: float = parameter(1e-3, "J", "Energy that each side may spend at the start E_0 [J]", zero=True)
     energy_cap_j: float = parameter(5e-3, "J", "Most energy that a side keeps to spend [J]")
     refill_damping_n_s_per_m: float = parameter(
-        460.0, "N s/m", "Damper that the hand feels while the master's store is empty, less as it nears E_0 B_t [N s/m]"
+        460.0,
+        "N s/m",
+        "Damper that the hand feels while the master's store is empty, less as the store nears E_0 B_t [N s/m]",
     )
     exchange_s: float = parameter(
         0.15, "s", "Time constant with which each side sends its store to the other tau_e [s]"
@@ -131,13 +135,13 @@ class TactileConfig(ScaledConfig):
         1e-6, "m/m", "alpha_p, metres at the tip per metre at the hand; 1e-6 is the 0.1 cm/nm of Fig. 10"
     )
     cantilever_stiffness_n_per_m: float = parameter(
-        40.0, "N/m", "Stiffness k of the cantilever [N/m], as the instrument has it"
+        40.0, "N/m", "Stiffness k of the cantilever of the instrument [N/m]"
     )
     scaling: Literal["linear", "impedance"] = Field(
-        default="linear", description="How the force is scaled for the hand: Eq. 12, or Eq. 13 with the three below"
+        default="linear", description="Scaling of the force for the hand: Eq. 12, or Eq. 13 with the three keys below"
     )
     impedance_scale: float = Field(
-        default=1e4, ge=1.0, le=1e6, description="alpha of Eq. 13: length at the hand for a length at the tip"
+        default=1e4, ge=1.0, le=1e6, description="alpha of Eq. 13: length at the hand per length at the tip"
     )
     cantilever_mass_kg: float = parameter(1e-6, "kg", "Mass of the cantilever in Eq. 13, m_c [kg]")
     cantilever_damping_n_s_per_m: float = parameter(

@@ -32,7 +32,7 @@ _DISTURBANCES = "disturbances."
 
 
 class LateralTarget(Settings):
-    """Where the tip is to be over the sample while no program runs; what a hand commands is added."""
+    """Place of the tip over the sample while no program runs; a hand adds the displacement that it commands."""
 
     x_m: Position | None = Field(None, description="Along x [m]; 0 is the middle of the sample.")
     y_m: Position | None = Field(None, description="Along y [m]; 0 is the middle of the sample.")
@@ -59,8 +59,8 @@ else:
             Literal[(*PROGRAMS, *CHANGES)] | None,
             Field(
                 None,
-                description=f"{', '.join(PROGRAMS)}: begin; pause, resume: the one that runs; abort: end it, and"
-                " retract.",
+                description=f"{', '.join(PROGRAMS)}: begin it; pause, resume: the running program; abort: end it"
+                " and retract.",
             ),
         ),
         **{
@@ -77,7 +77,7 @@ else:
 class InstrumentRequest(_Programs):
     """All keys that `set` takes at the AFM."""
 
-    lateral: LateralTarget = Field(LateralTarget(), description="Where the tip is to be.")
+    lateral: LateralTarget = Field(LateralTarget(), description="Place of the tip over the sample.")
 
     @model_validator(mode="before")
     @classmethod

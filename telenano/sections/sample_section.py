@@ -45,11 +45,13 @@ class _OwnSample(Settings):
     map: str | None = Field(
         None,
         min_length=1,
-        description="A recorded map to feel in place of a surface: a .npz that `telenano sample import` has made; then"
-        " no other key is given.",
+        description="A recorded map to feel instead of a surface: a .npz from `telenano sample import`; it excludes "
+        "all other keys.",
     )
     size_m: Length | None = Field(
-        None, description="Side of the square [m], 1e-9 to 1e-3; default 150e-9. A file but .npy says its own."
+        None,
+        description="Side of the square [m], 1e-9 to 1e-3; default 150e-9. Files other than .npy have a size of their "
+        "own.",
     )
     pixels: int = Field(512, ge=2, le=MOST_PIXELS, description="Heights along a side of a computed sample.")
     channel: str | None = Field(None, description="Part of the name of one channel of a file; default: its height.")
@@ -152,7 +154,7 @@ else:
 
 
 class SampleConfig(_LayerSections):
-    """The surface under the tip. Every default is Fig. 8 of the paper, or ours where it gives none."""
+    """The surface under the tip. Every default is that of Fig. 8 of the paper, or our own where it gives none."""
 
     def layer(self, name: str) -> Any:
         """Return the settings of a layer that lies on the sample, None where it does not: `sample.layer("particles")`.

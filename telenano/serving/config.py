@@ -13,7 +13,7 @@ from telenano.settings.option import Option
 
 
 class ViewConfig(BaseModel):
-    """Settings: where the page is served, and to whom. Its tokens are in the environment, because files are kept."""
+    """Settings of the page's server: address and permitted readers. Tokens are in the environment: files are kept."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 

@@ -16,7 +16,7 @@ from telenano.wire.errors import ConfigError
 class VibrationConfig(Settings):
     """Vibration of the base."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     rms_m: float = Field(0.1e-9, ge=0.0, le=1e-6, description="Root mean square [m].")
     low_hz: float = Field(1.0, gt=0.0, le=1e5, description="Lowest frequency [Hz].")
     high_hz: float = Field(400.0, gt=0.0, le=1e5, description="Highest frequency [Hz]; the paper has 1 Hz to 10 kHz.")
@@ -25,24 +25,26 @@ class VibrationConfig(Settings):
 class HysteresisConfig(Settings):
     """Hysteresis of the piezo."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
-    share: float = Field(0.1, ge=0.0, le=0.2, description="Width of a loop over the whole range, as a share of it.")
-    range_m: float = Field(100e-9, gt=0.0, le=1e-3, description="Range over which the plays are spread [m].")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
+    share: float = Field(
+        0.1, ge=0.0, le=0.2, description="Width of a loop over the whole range, as a share of that range."
+    )
+    range_m: float = Field(100e-9, gt=0.0, le=1e-3, description="Range over which the play operators are spread [m].")
 
 
 class CreepConfig(Settings):
     """Creep of the piezo."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     share_per_decade: float = Field(
-        0.02, ge=0.0, le=0.5, description="Share of a step that follows in a decade of time."
+        0.02, ge=0.0, le=0.5, description="Share of a step that follows per decade of time."
     )
 
 
 class StageConfig(Settings):
     """First resonance of the stage, or the bandwidth of its drive."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     resonance_hz: float = Field(200.0, ge=1.0, le=1e5, description="Undamped resonance w / 2 pi [Hz].")
     damping: float = Field(
         0.7071,
@@ -55,7 +57,7 @@ class StageConfig(Settings):
 class DriftConfig(Settings):
     """Thermal drift of the distance, and of the sample under the stage."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     speed_m_per_s: float = Field(0.05e-9, ge=-1e-6, le=1e-6, description="Speed of the base towards the sample [m/s].")
     x_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along x [m/s].")
     y_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along y [m/s].")
@@ -68,39 +70,39 @@ class DriftConfig(Settings):
     wander_m_per_s: float = Field(
         0.0, ge=0.0, le=1e-6, description="Root mean square of the speed by which the base wanders in z as well [m/s]."
     )
-    wander_s: float = Field(60.0, ge=0.01, le=1e5, description="Time over which that speed forgets itself [s].")
+    wander_s: float = Field(60.0, ge=0.01, le=1e5, description="Correlation time of that speed [s].")
 
 
 class ThermalConfig(Settings):
     """Thermal noise of the cantilever."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     temperature_k: float = Field(300.0, ge=0.0, le=2000.0, description="Temperature [K].")
 
 
 class ReadoutConfig(Settings):
     """Noise of the bridge (Eq. 3) and its converter."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     white_v: float = Field(0.5e-3, ge=0.0, le=1.0, description="White noise, root mean square of a sample [V].")
     flicker_v: float = Field(0.5e-3, ge=0.0, le=1.0, description="1/f noise, root mean square over its octaves [V].")
     converter_bits: int = Field(16, ge=4, le=32, description="Bits of the converter.")
-    converter_range_v: float = Field(10.0, gt=0.0, le=1e3, description="It reads from minus this to this [V].")
+    converter_range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of the converter, either way [V].")
 
 
 class ElectrostaticConfig(Settings):
     """Voltage between tip and sample: contact potential, charges, or a bias; the force is that of `electrostatic`."""
 
-    enabled: bool = Field(False, description="Whether it acts.")
+    enabled: bool = Field(False, description="Whether the disturbance acts.")
     voltage_v: float = Field(1.0, ge=-100.0, le=100.0, description="Mean voltage [V].")
-    noise_v: float = Field(0.0, ge=0.0, le=100.0, description="Root mean square of what it wanders by [V].")
-    correlation_s: float = Field(1.0, gt=0.0, le=1e4, description="Time over which it wanders [s].")
+    noise_v: float = Field(0.0, ge=0.0, le=100.0, description="Root mean square of the voltage's wandering [V].")
+    correlation_s: float = Field(1.0, gt=0.0, le=1e4, description="Correlation time of that wandering [s].")
 
 
 class DisturbanceConfig(Settings):
     """Section `afm_node.disturbances`."""
 
-    seed: int = Field(0, ge=0, lt=2**63, description="Seed of everything that is random.")
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of all random disturbances.")
     vibration: VibrationConfig = Field(VibrationConfig(), description="Vibration of the base.")
     hysteresis: HysteresisConfig = Field(HysteresisConfig(), description="Hysteresis of the piezo.")
     creep: CreepConfig = Field(CreepConfig(), description="Creep of the piezo.")

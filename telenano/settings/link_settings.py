@@ -69,11 +69,11 @@ class Jitter(Settings):
     correlation: Correlation = Field(default=0.0, description="correlation of the normal scores of successive messages")
     correlation_time_s: Seconds = Field(
         default=0.0,
-        description="time in which the correlation of the normal scores falls to 1/e, whatever is sent, for all topics "
-        "under the same settings alike [s]; 0: `correlation` of successive messages holds",
+        description="time in which the correlation of the normal scores falls to 1/e [s], regardless of the traffic "
+        "and alike for all topics under the same settings; 0: `correlation` of successive messages applies",
     )
     second_correlation_time_s: Seconds = Field(
-        default=0.0, description="another such time, of a part of the scores [s]"
+        default=0.0, description="another such time, for a part of the scores [s]"
     )
     second_correlation_share: Probability = Field(
         default=0.0, description="share of the variance of the normal scores that lasts over second_correlation_time_s"
@@ -100,7 +100,8 @@ class Jitter(Settings):
 By = Annotated[
     Literal["time", "number"],
     Field(
-        description="what the first column is: time [s], or the number of the message in its block, reliable ones aside"
+        description="meaning of the first column: time [s], or the number of the message in its block, reliable ones "
+        "not counted"
     ),
 ]
 
@@ -122,7 +123,7 @@ class LossTrace(Settings):
 
     file: str | None = Field(default=None, description="file of lines `time_s lost`, times strictly increasing")
     by: By = "time"
-    repeat: bool = Field(default=True, description="start again after the last line; otherwise keep what it says")
+    repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its value")
 
 
 class Event(Settings):
@@ -161,7 +162,10 @@ class Reordering(Event):
     """Messages sent at once, past the delay of those before them."""
 
     gap: int = Field(
-        default=1, ge=1, le=_MOST, description="one message in a gap at most: gap - 1 go the normal way between two"
+        default=1,
+        ge=1,
+        le=_MOST,
+        description="at most one message in a gap: between two of them, gap - 1 keep their delay",
     )
 
 
@@ -185,7 +189,7 @@ class DeliveryTrace(Settings):
 
 
 class Queue(Settings):
-    """The queue in front of a rate limit or a delivery trace, and of a line that stands still."""
+    """The queue in front of a rate limit, a delivery trace or a stalled line."""
 
     limit_messages: int | None = Field(
         default=1000, ge=0, le=_MOST, description="messages that may wait, none: unlimited"
@@ -193,8 +197,8 @@ class Queue(Settings):
     limit_bytes: int | None = Field(default=None, ge=0, le=_MOST, description="bytes that may wait, none: unlimited")
     drop: Literal["tail", "head", "random", "same_topic"] = Field(
         default="tail",
-        description="what is dropped when it is full: the arriving message, the oldest, any of those waiting, "
-        "the oldest of the same topic",
+        description="message that is dropped when the queue is full: the arriving one, the oldest, any of those "
+        "waiting, the oldest of the same topic",
     )
 
 
@@ -225,7 +229,8 @@ class Outage(Settings):
     )
     origin: Literal["settings", "session"] = Field(
         default="settings",
-        description="where the schedule counts from: when the settings came into force, or the start of the session",
+        description="origin of the schedule: the time at which the settings came into force, or the start of the "
+        "session",
     )
     period_s: Interval | None = Field(default=None, description="the schedule repeats after this time [s], none: once")
     mean_up_s: Interval | None = Field(default=None, description="mean of the exponential time between random outages")
@@ -234,7 +239,7 @@ class Outage(Settings):
         default=None, description="standard deviation of the logarithm of that length (log-normal), none: exponential"
     )
     mode: Literal["drop", "hold"] = Field(
-        default="drop", description="fate of what arrives in an outage: lost, or in the queue until it ends"
+        default="drop", description="fate of messages that arrive in an outage: lost, or in the queue until it ends"
     )
 
     @property

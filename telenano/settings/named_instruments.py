@@ -27,18 +27,18 @@ _SECTIONS = ("afm_node.disturbances.", "haptic_node.disturbances.")
 
 
 class Source(Settings):
-    """Where figures were published, and which of them were taken."""
+    """A publication with the figures taken from it."""
 
     cite: str = Field(min_length=1, description="Paper, or manual with its place")
-    taken: str = Field(min_length=1, description="The figures taken from it, and what was made of them")
+    taken: str = Field(min_length=1, description="The figures taken from it, and the values made of them")
 
 
 class Instrument(Settings):
     """A named instrument."""
 
-    about: str = Field(min_length=1, description="What it is, in one line")
+    about: str = Field(min_length=1, description="The instrument in one line")
     source: tuple[Source, ...] = Field(default=(), description="Published figures")
-    assumed: tuple[str, ...] = Field(default=(), description="What no source says, and what was chosen")
+    assumed: tuple[str, ...] = Field(default=(), description="Values that no source states, and the choices made")
     scenario: dict[str, Any] = Field(default={}, description="Keys of a scenario, below the scenario's own")
 
 

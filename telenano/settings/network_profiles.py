@@ -25,14 +25,14 @@ Milliseconds = Annotated[float, Field(ge=0.0)]
 
 
 class Source(Settings):
-    """Where figures were published, and which of them were taken."""
+    """A publication with the figures taken from it."""
 
     cite: str = Field(min_length=1, description="Paper, report, or file of a repository with its commit")
     taken: str = Field(min_length=1, description="The figures taken from it, with their place")
 
 
 class Statistics(Settings):
-    """What the messages of one direction have, sent at 1 kHz; None where nothing is stated."""
+    """Statistics of the messages of one direction, sent at 1 kHz; None where nothing is stated."""
 
     mean_ms: Milliseconds | None = Field(default=None, description="Mean delay [ms]")
     deviation_ms: Milliseconds | None = Field(default=None, description="Standard deviation of the delay [ms]")
@@ -45,10 +45,10 @@ class Statistics(Settings):
 class Profile(Settings):
     """A named network."""
 
-    about: str = Field(min_length=1, description="What it is, in one line")
+    about: str = Field(min_length=1, description="The network in one line")
     source: tuple[Source, ...] = Field(default=(), description="Published figures; empty: typical figures of our own")
-    assumed: tuple[str, ...] = Field(default=(), description="What the source leaves open, and what was chosen")
-    statistics: dict[Literal["forward", "backward"], Statistics] = Field(description="What the messages have")
+    assumed: tuple[str, ...] = Field(default=(), description="Values that the source leaves open, and the choices made")
+    statistics: dict[Literal["forward", "backward"], Statistics] = Field(description="Statistics of the messages")
     link: dict[str, Any] = Field(default={}, description="Settings of the link over their defaults")
 
     @property

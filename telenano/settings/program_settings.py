@@ -28,7 +28,9 @@ class ScanSettings(ProgramSettings):
         description="contact: the force is held; tapping: the amplitude, which needs afm_node.model dynamic.",
     )
     width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
-    depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
+    depth_m: Length | None = Field(
+        None, description="Distance from the first line to the last [m]; default: the whole sample."
+    )
     x_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
     y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
     pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line.")
@@ -55,12 +57,12 @@ class ScanSettings(ProgramSettings):
 
 
 class CurveSettings(ProgramSettings):
-    """A force curve where the tip is."""
+    """A force curve at the present place of the tip."""
 
     start_m: float = Field(
-        20e-9, ge=1e-12, le=1e-3, description="Way above the rest point at which it begins and ends [m]."
+        20e-9, ge=1e-12, le=1e-3, description="Distance above the rest point at which the curve begins and ends [m]."
     )
-    load_n: Force = Field(20e-9, description="Force at which it turns [N].")
+    load_n: Force = Field(20e-9, description="Force at which the base turns back [N].")
     speed_m_per_s: Speed = Field(50e-9, description="Speed of the base [m/s].")
 
 
@@ -70,16 +72,18 @@ class TactileSettings(ProgramSettings):
     drive: Literal["line", "pointer"] = Field(
         "line", description="line: from x0, y0 to x1, y1; pointer: wherever lateral.x_m and lateral.y_m lead."
     )
-    x0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
-    y0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
+    x0_m: Position = Field(0.0, description="Start of the line [m], or the place at which the pointer takes over.")
+    y0_m: Position = Field(0.0, description="Start of the line [m], or the place at which the pointer takes over.")
     x1_m: Position | None = Field(None, description="End of the line [m]; default: half the sample further.")
     y1_m: Position | None = Field(None, description="End of the line [m]; default: as y0_m.")
-    speed_m_per_s: Speed = Field(30e-9, description="Speed of the tip [m/s], limited by the two below (Eq. 14).")
+    speed_m_per_s: Speed = Field(30e-9, description="Speed of the tip [m/s], limited by the two keys below (Eq. 14).")
     feature_m: Length = Field(1e-9, description="Least length of a feature that is to be felt, dL [m].")
     bandwidth_hz: float = Field(30.0, gt=0.0, le=1e5, description="Bandwidth of the operator's device, f_m [Hz].")
     setpoint_n: Force = Field(5e-9, description="Force with which the tip touches the first point [N].")
     hold: Literal["height", "force"] = Field(
-        "height", description="height: the base stands, the deflection is the height; force: a feedback holds it."
+        "height",
+        description="height: the base stands still, and the deflection is the height; force: a feedback holds the "
+        "force.",
     )
     gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of that feedback [1/s].")
     approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")

@@ -25,13 +25,14 @@ class RealtimeConfig(Settings):
     memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
     cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
         default="auto",
-        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
-        "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
-        "model dynamic; free: any; or a mapping of node or node@site to a processor",
+        description="Processor on which a process stays. auto: under SCHED_FIFO the master's nodes on one, link and "
+        "slave's nodes on another; link_at_master: the link with the master's nodes, which auto chooses where the AFM "
+        "has model dynamic; free: any; or a mapping of node or node@site to a processor",
     )
     rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = Field(
         default=1000.0,
-        description="Rate of hand, instrument, law and devices [Hz]; what a machine reaches is in docs/performance.md",
+        description="Rate of hand, instrument, law and devices [Hz]; docs/performance.md has the rates that machines "
+        "reach",
     )
     processes: Literal["node", "site"] = Field(
         default="node",
@@ -47,12 +48,12 @@ class Scenario(Settings):
     """An experiment: what runs, for how long, and the section of each node, which the node itself checks."""
 
     name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
-    description: str = Field(description="What it shows, in a sentence")
+    description: str = Field(description="Sentence on what the experiment shows")
     duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)] = Field(description="Length of the session [s]")
     instrument: str = Field(
         default=IDEAL,
-        description="Named disturbances that the keys below change: ideal, real, real_drifting, or a file's name in"
-        " the folder TELENANO_INSTRUMENTS",
+        description="Named disturbances that the keys below change: ideal, real, real_drifting, or the name of a file "
+        "in the folder TELENANO_INSTRUMENTS",
     )
     realtime: RealtimeConfig = Field(
         default=RealtimeConfig(), description="Rate, scheduling and memory of the processes"

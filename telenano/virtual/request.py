@@ -31,18 +31,18 @@ class SimulateRequest(SessionRequest):
         default=None,
         ge=0,
         le=2**31 - 1,
-        description="Seed of the delays on each site, and of the link and all disturbances; without it that of the "
-        "delays is 0, and the others are the scenario's",
+        description="Seed of the delays on each site, and of the link and all disturbances; without it, 0 for the "
+        "delays and the scenario's for the others",
     )
     at: Annotated[tuple[str, ...], Option(("--at",), "'TIME COMMAND TARGET [KEY=VALUE …]'", tuple, many=True)] = Field(
         default=(),
-        description="Give a command at a console, a time [s] after the force profile began, such as "
-        "'2.5 set controller law=wave'; may be repeated",
+        description="Give a console command at a time [s] after the force profile began, such as '2.5 set controller "
+        "law=wave'; may be repeated",
     )
     both_sites: Annotated[bool, Option(("--both-sites",))] = Field(
         default=False,
-        description="Record at each site what it sends, as on two machines: session.mcap, far/session.mcap, and both "
-        "in both.mcap",
+        description="Record at each site the messages that it sends, as on two machines: session.mcap, "
+        "far/session.mcap, and both in both.mcap",
     )
 
     def commands(self) -> tuple[TimedCommand, ...]:

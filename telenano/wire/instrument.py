@@ -12,23 +12,25 @@ AfmProgramName = Annotated[str, about(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
 class AfmProgram(Message):
-    """What the instrument does by itself, whatever afm/command says; ten times a second, and when it ends."""
+    """Progress of a program that the instrument runs regardless of afm/command; ten times a second, and at its end."""
 
     program: Annotated[
         AfmProgramName,
         about(
-            "scan: an image; curve: a force curve; tactile: a path felt; or the program of a package",
+            "scan: an image; curve: a force curve; tactile: a path that the hand feels; or the program of a package",
             examples=["scan", "curve", "tactile"],
         ),
     ]
     state: Annotated[
         Literal["running", "paused", "finished", "ended"],
-        about("finished: all of it was done; ended: before that, see text"),
+        about("finished: the program was completed; ended: it ended before that, see text"),
     ]
-    text: Annotated[str, about("One sentence for a person: what it is at, or why it ended", max_length=MOST_TEXT)]
-    done_percent: Annotated[Percent, about("How much of it is done [%]")]
-    line: Annotated[Count, about("Lines that are finished, there and back")]
-    lines: Annotated[Count, about("Lines in all; 0 where it has none")]
+    text: Annotated[
+        str, about("One sentence for a person: its present action, or the reason why it ended", max_length=MOST_TEXT)
+    ]
+    done_percent: Annotated[Percent, about("Share of the program that is done [%]")]
+    line: Annotated[Count, about("Lines that are finished, trace and retrace")]
+    lines: Annotated[Count, about("Lines in total; 0 for a program without lines")]
     values: Annotated[
-        Facts | None, about("What it has measured so far, by name with the unit; of a push where the particle is")
+        Facts | None, about("Values measured so far, by name with the unit; for a push, the place of the particle")
     ] = None

@@ -57,7 +57,7 @@ Scalar = bool | int | float | str
 
 
 def about(description: str | None = None, pattern: str | None = None, **rules: Any) -> Meta:
-    """Return description and rules of a field; its pattern ends with `$`, and the text must end there, too."""
+    """Return the description and rules of a field; the `$` that ends a pattern matches only at the end of the text."""
     # In Python `$` also matches before a final newline, and `\Z` does not.
     whole = pattern and pattern.removesuffix("$") + r"\Z"
     return Meta(description=description, pattern=whole, **rules)
@@ -99,7 +99,7 @@ class Record(
 
 
 class Message(Record):
-    """What every message begins with: the header."""
+    """The header: the fields with which every message begins."""
 
     version: ClassVar[int] = 1
 
@@ -111,7 +111,7 @@ class Message(Record):
 
 
 class _OfHand(Message):
-    """A message that descends from a sample of the hand: what the age of the loop is measured with."""
+    """A message that descends from a sample of the hand; the time of that sample gives the age of the loop."""
 
     hand_seq: Annotated[Count, about("seq of the haptic/state that this message answers or descends from")]
     hand_t_ns: Annotated[Count, about("t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")]
@@ -165,14 +165,14 @@ SampleAgeS = Annotated[
 HandArmed = Annotated[
     bool | None,
     about(
-        "The hand was armed in the sample of hand_seq, and had a fresh answer of the tip's site at most 0.35 s before: "
-        "a tip follows no other command; absent counts as false"
+        "In the sample of hand_seq the hand was armed and had a fresh answer of the tip's site at most 0.35 s before; "
+        "the tip follows only commands for which this is true; absent counts as false"
     ),
 ]
 
 
 class HapticState(Message):
-    """The operator's device: what was measured and what was really applied."""
+    """The operator's device: measured values, and the values applied after every limit."""
 
     buttons: Annotated[
         Annotated[int, Meta(ge=0, le=2**16 - 1)] | None,
@@ -184,11 +184,11 @@ class HapticState(Message):
     ] = None
     hand_energy_j: Annotated[
         EnergyJ | None,
-        about("Energy that the hand has put into the forces of its device, less what it got [J]; impedance type"),
+        about("Net energy that the hand has put into the forces of its device [J]; impedance type"),
     ] = None
     coupling_energy_j: Annotated[
         EnergyJ | None,
-        about("Energy that the virtual coupling has taken in, less what it gave out [J]; below 0 it makes energy"),
+        about("Net energy that the virtual coupling has absorbed [J]; below 0 the coupling has generated energy"),
     ] = None
     # Raw values of the handle, so that a better calibration can be applied later.
     position_raw: Annotated[RawCount | None, about("Position as the handle sent it [counts]")] = None
@@ -206,7 +206,7 @@ class HapticState(Message):
     reference_m: Annotated[
         PositionVector, about("Position reference after every limit [m]; meaningful in mode position")
     ]
-    mode: Annotated[Literal["off", "position", "force"], about("What the motor does; off is zero force")]
+    mode: Annotated[Literal["off", "position", "force"], about("Mode of the motor; off is zero force")]
     estop: Annotated[bool, about("Emergency stop is latched")]
     limited: Annotated[bool, about("A travel, speed or force limit is acting")]
     session_s: Annotated[
@@ -214,30 +214,30 @@ class HapticState(Message):
     ]
     answered_seq: Annotated[Count, about("hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")]
     answered_t_ns: Annotated[Count, about("hand_t_ns of the newest haptic/command [ns]; 0 = none yet")]
-    answered_at_ns: Annotated[Count, about("When that command reached this device, on this clock [ns]")]
+    answered_at_ns: Annotated[Count, about("Time at which that command reached this device, on the clock of t_ns [ns]")]
     step_s: Annotated[DurationS, about("Time that this step of the device covers [s]")]
     device: DeviceState = None
     sample_age_s: SampleAgeS = None
     armed: Annotated[
         bool | None,
         about(
-            "A person has armed the hand since its start and its last emergency stop, and it is there: a tip "
-            "follows no other hand; absent counts as false"
+            "A person has armed the hand since its start and its last emergency stop, and its device is not lost; the "
+            "tip follows only a hand for which this is true; absent counts as false"
         ),
     ] = None
 
 
 class OperatorForce(Message):
-    """The force of an operator who has no device, for a simulated one: from the page of the view."""
+    """Force of an operator without a device, entered on the page of the view, for the simulated device."""
 
     force_n: Annotated[
         ForceVector, about("Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z")
     ]
-    by: Annotated[PersonName | None, about("Name of the holder of control, where one was given")] = None
+    by: Annotated[PersonName | None, about("Name of the person who holds control, if it is known")] = None
 
 
 class HapticCommand(_OfHand):
-    """What the master half of the law asks of the device."""
+    """Command of the master half of the law to the operator's device."""
 
     mode: Annotated[Literal["off", "position", "force"], about("off, track position_m, or render force_n")]
     position_m: Annotated[PositionVector, about("Position reference in the master frame [m]; z = -x_mr")]
@@ -246,7 +246,7 @@ class HapticCommand(_OfHand):
 
 
 class _Teleop(_OfHand):
-    """What the two halves of a law send to each other; a law that has no use for an optional part sends nil."""
+    """Signal from one half of a law to the other; a law that does not use an optional field sends nil."""
 
     law: Annotated[LawName, about("Law that this message belongs to")]
     active: Annotated[bool, about("The device of the sending site follows the law")]
@@ -258,13 +258,13 @@ class _Teleop(_OfHand):
 
 
 class TeleopForward(_Teleop):
-    """From the master half of a law to the slave half."""
+    """Signal from the master half of a law to the slave half."""
 
     hand_armed: HandArmed = None
 
 
 class TeleopBackward(_Teleop):
-    """From the slave half of a law to the master half."""
+    """Signal from the slave half of a law to the master half."""
 
     separation_m: Annotated[PositionM, about("Tip-sample distance h [m]; 0 when separation_valid is false")]
     separation_valid: Annotated[bool, about("The instrument knows the tip-sample distance")]
@@ -272,7 +272,7 @@ class TeleopBackward(_Teleop):
 
 
 class AfmCommand(_OfHand):
-    """What the slave half of the law asks of the AFM."""
+    """Command of the slave half of the law to the AFM."""
 
     mode: Annotated[Literal["position", "hold", "retract"], about("Follow base_position_m, stay, or withdraw")]
     base_position_m: Annotated[
@@ -281,18 +281,16 @@ class AfmCommand(_OfHand):
     lateral_m: Annotated[
         tuple[PositionM, PositionM] | None,
         about(
-            "Where a hand that moves the tip across the sample wants the stage, x and y in the AFM frame [m]; "
-            "absent while it does not"
+            "Place of the stage that the hand commands, x and y in the AFM frame [m]; absent while no hand moves the "
+            "tip across the sample"
         ),
     ] = None
     hand_armed: HandArmed = None
-    hand_force_n: Annotated[
-        ForceN | None, about("What the hand presses with in the sample of hand_seq [N], towards the sample > 0")
-    ] = None
+    hand_force_n: Annotated[ForceN | None, about("Force of the hand at hand_seq [N]; towards the sample > 0")] = None
 
 
 class AfmState(_OfHand):
-    """The AFM: what was measured and what was really applied."""
+    """The AFM: measured values, and the values applied after every limit."""
 
     # Raw values of the converters of a real instrument, before any calibration.
     output_v: Annotated[VoltageV | None, about("Output to the stage, read back [V]")] = None
@@ -300,14 +298,16 @@ class AfmState(_OfHand):
     # A measured channel that the hand feels instead of the force on the tip, converted by a table of the instrument.
     felt_channel: Annotated[
         Literal["frequency_shift", "current", "amplitude", "phase"] | None,
-        about("Channel that tip_force_n along z is made of, which is no force then; absent otherwise"),
+        about(
+            "Measured channel from which a table computes tip_force_n along z, which is no force then; absent otherwise"
+        ),
     ] = None
-    felt_value: Annotated[ChannelValue | None, about("Its value [Hz, A, m or rad]; absent where it is no number")] = (
-        None
-    )
+    felt_value: Annotated[
+        ChannelValue | None, about("Value of that channel [Hz, A, m or rad]; absent if it is not a number")
+    ] = None
     felt_clamp: Annotated[
         Literal["", "saturated", "bounds", "rate", "left"] | None,
-        about("What limits the force made of it; left: the value has left the branch of the table"),
+        about("Limit acting on the force computed from it; left: the value has left the branch of the table"),
     ] = None
     command_seq: Annotated[Count, about("seq of the afm/command in force; meaningful once hand_t_ns > 0")]
     base_position_m: Annotated[PositionVector, about("Base position applied after every limit [m]; z = -x_s")]
@@ -317,7 +317,7 @@ class AfmState(_OfHand):
     separation_valid: Annotated[bool, about("The instrument knows the tip-sample distance")]
     in_contact: Annotated[bool, about("The tip touches the sample")]
     meniscus: Annotated[bool, about("A liquid bridge joins tip and sample")]
-    mode: Annotated[Literal["retracted", "follow", "hold", "retracting", "estop"], about("What the AFM does")]
+    mode: Annotated[Literal["retracted", "follow", "hold", "retracting", "estop"], about("Mode of the AFM")]
     limited: Annotated[bool, about("A travel or speed limit is acting")]
     step_s: Annotated[DurationS, about("Time that this step of the instrument covers [s]")]
     device: DeviceState = None
@@ -328,26 +328,26 @@ class AfmState(_OfHand):
     placed: Annotated[
         bool | None,
         about(
-            "The commanded base has reached its reference after every limit, or the program that was begun with "
-            "arming is under way"
+            "The commanded base has reached its reference after every limit, or the program that began with arming is "
+            "running"
         ),
     ] = None
     offset_m: Annotated[
         PositionM | None,
         about(
-            "How far the base is away from the sample of the place that afm/command asks for [m]: the hand is set off "
-            "by as much; absent where it is not"
+            "Distance by which the base stays further from the sample than afm/command asks for [m], the offset "
+            "between hand and base; absent if there is none"
         ),
     ] = None
     return_place_m: Annotated[
         PositionM | None,
         about(
-            "Where the instrument would let the base go back to for an arm with this as place_m, towards the sample "
-            "> 0 [m]; absent where there is no way back"
+            "Position to which the base would return after a command arm with this as place_m [m], towards the sample "
+            "> 0; absent if there is no way back"
         ),
     ] = None
-    return_speed_m_per_s: Annotated[VelocityMPerS | None, about("How fast it would go there [m/s]")] = None
-    return_s: Annotated[DurationS | None, about("How long it would take [s]")] = None
+    return_speed_m_per_s: Annotated[VelocityMPerS | None, about("Speed of that return [m/s]")] = None
+    return_s: Annotated[DurationS | None, about("Duration of that return [s]")] = None
 
 
 class AfmScanline(Message):
@@ -366,40 +366,61 @@ class AfmScanline(Message):
     ] = None
     torsion_rad: Annotated[
         Angles | None,
-        about("Torsion of the cantilever that this force makes: over lateral stiffness and height of the tip [rad]"),
+        about(
+            "Torsion of the cantilever under this force [rad]: the force divided by lateral stiffness and tip height"
+        ),
     ] = None
     dissipated_j: Annotated[
         Energies | None,
-        about("Energy that the sample takes from the tip in a period of its vibration [J]; absent in contact mode"),
+        about("Energy that the tip loses to the sample in a period of its vibration [J]; absent in contact mode"),
     ] = None
 
 
 class LawStatus(Message):
-    """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
+    """State of one half of the law: its energy, passivity and reception; energies at the hand's scale."""
 
     law: Annotated[LawName, about("Law in force at this half")]
-    switching: Annotated[bool, about("The half waits for the other one to change to this law; its device stands still")]
-    port_energy_j: Annotated[EnergyJ, about("Energy that has entered the law at this port since it is in force [J]")]
+    switching: Annotated[
+        bool, about("The half waits until the other one has changed to this law; meanwhile its device stands still")
+    ]
+    port_energy_j: Annotated[
+        EnergyJ, about("Energy that has entered the law at this port since it came into force [J]")
+    ]
     port_power_w: Annotated[PowerW, about("Power entering at this port, mean since the last report [W]")]
     net_valid: Annotated[bool, about("The energy of the other port is known too")]
-    net_energy_j: Annotated[EnergyJ, about("Energy that has entered at both ports less what left [J]; stored or lost")]
-    left_j: Annotated[EnergyJ, about("Energy reported by the other half and not yet given out [J]; 0 if not counted")]
-    dissipated_j: Annotated[EnergyJ, about("Energy that the controller has taken out on purpose [J]; 0 if not counted")]
-    passive: Annotated[bool, about("Neither the net energy nor the energy left has shown that energy was made")]
+    net_energy_j: Annotated[
+        EnergyJ, about("Net energy that has entered the law at both ports [J]; it is stored or lost there")
+    ]
+    left_j: Annotated[
+        EnergyJ, about("Energy reported by the other half that this half has not yet spent [J]; 0 if not counted")
+    ]
+    dissipated_j: Annotated[
+        EnergyJ, about("Energy that the controller has dissipated on purpose [J]; 0 if not counted")
+    ]
+    passive: Annotated[
+        bool, about("Neither the net energy nor the energy left shows that the law has generated energy")
+    ]
     saved_percent: Annotated[
-        Percent, about("Signals to the other half that the dead band kept back, since this law is in force [%]")
+        Percent,
+        about(
+            "Share of the signals to the other half that the dead band has kept back since this law came into force [%]"
+        ),
     ]
     heard: Annotated[bool, about("A signal of the other half in this law has been received")]
-    silence_s: Annotated[DurationS, about("Time since the last one [s]; 0 if never received")]
+    silence_s: Annotated[DurationS, about("Time since the last such signal [s]; 0 if none was received")]
     round_trip_valid: Annotated[bool, about("The round trip was measured; at the master only")]
     round_trip_s: Annotated[DurationS, about("Age of the hand's sample that the newest answer descends from [s]")]
 
 
 class LinkDirection(Record):
-    """One direction of the link: the settings in force and what it did since the last report."""
+    """One direction of the link: settings in force, counts since the start, and delays since the last report."""
 
     profile: Annotated[
-        Text, about("Name of the network in force: profile, constant delay, custom, or as in `lte, changed`")
+        Text,
+        about(
+            "Name of the network in force: a profile, `constant delay`, `custom`, or a changed profile as in `lte, "
+            "changed`"
+        ),
     ]
     settings: Annotated[Facts, about("Settings in force, by dotted key; SI units in the names")]
     messages_in: Annotated[Count, about("Messages taken in since the start")]
@@ -419,12 +440,13 @@ class LinkClock(Record):
     """Offset between the clocks of the sites, from four time stamps; figures are 0 when valid is false."""
 
     valid: Annotated[bool, about("An exchange with the slave's site was completed")]
-    offset_s: Annotated[TimeS, about("What the slave's clock is ahead of the master's [s]")]
+    offset_s: Annotated[TimeS, about("Slave's clock minus the master's clock [s]")]
     uncertainty_s: Annotated[
-        DurationS, about("Bound of the error of offset_s [s]: half the shortest round trip of the exchanges in view")
+        DurationS,
+        about("Bound of the error of offset_s [s]: half the shortest round trip in the window of the minimum filter"),
     ]
-    round_trip_s: Annotated[DurationS, about("Least round trip of the present [s]: a longer route counts at once")]
-    exchanges: Annotated[Count, about("Number of exchanges in view of the minimum filter")]
+    round_trip_s: Annotated[DurationS, about("Present least round trip [s]; a change to a longer route shows at once")]
+    exchanges: Annotated[Count, about("Number of exchanges in the window of the minimum filter")]
     round_trip_low_s: Annotated[
         DurationS | None, about("Lower end of the interval of round_trip_s [s]; absent before the first exchange")
     ] = None
@@ -432,39 +454,44 @@ class LinkClock(Record):
         DurationS | None, about("Upper end of the interval of round_trip_s [s]; absent before the first exchange")
     ] = None
     round_trip_since_ns: Annotated[
-        Count | None, about("Since when the round trip is so, on the asking clock [ns]; absent before the first")
+        Count | None,
+        about(
+            "Start of the present state of the round trip, on the asking clock [ns]; absent before the first exchange"
+        ),
     ] = None
 
 
 class LinkStatus(Message):
-    """The link, both directions."""
+    """State of the link in both directions."""
 
     forward: Annotated[LinkDirection, about("From the master to the slave")]
     backward: Annotated[LinkDirection, about("From the slave to the master")]
-    clock: Annotated[LinkClock, about("Offset between the clocks of the sites, past the impairments")]
+    clock: Annotated[
+        LinkClock, about("Offset between the clocks of the sites, from exchanges that bypass the impairments")
+    ]
     answer_sent_ns: Annotated[
         Count | None, about("t_ns of the newest clock/pong, on the answering clock [ns]; absent before the first")
     ] = None
     answer_received_ns: Annotated[
-        Count | None, about("When that clock/pong arrived at the link, on the asking clock [ns]")
+        Count | None, about("Time at which that clock/pong arrived at the link, on the asking clock [ns]")
     ] = None
 
 
 class LinkDelay(Message):
-    """What the way between the sites adds to the age of the hand's samples, from one sample on.
+    """Delay that the way between the sites adds to the age of the hand's samples, from one sample on.
 
-    It is sent before the first message that descends from that sample, whenever the delay changes by a step, and
-    with every link/status. With it a reader knows what part of an age is the experiment, and what is a fault.
+    The link sends it before the first message that descends from that sample, whenever the delay changes by a step,
+    and with every link/status. It tells a reader which part of an age is the experiment's delay, and which a fault.
     """
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
     hand_t_ns: Annotated[Count, about("t_ns of the first haptic/state that it applies to, on its own clock [ns]")]
     delay_ns: Annotated[Count, about("Delay applied on purpose, rounded down to whole milliseconds [ns]")]
     transit_ns: Annotated[
-        Count, about("Least time that a message takes between two machines besides, at present [ns]; 0 on one machine")
+        Count, about("Present least additional time of a message between two machines [ns]; 0 on one machine")
     ]
     clock_ahead_ns: Annotated[
-        Stamp, about("What the slave's clock is ahead of the master's [ns]; 0 where no difference is resolved")
+        Stamp, about("Slave's clock minus the master's clock [ns]; 0 if no difference is resolved")
     ]
 
     @staticmethod
@@ -483,12 +510,16 @@ class LinkFate(Record):
     topic: Annotated[Name, about("Topic of the message")]
     seq: Annotated[Count, about("seq of the message")]
     is_duplicate: Annotated[bool, about("This is the duplicate, not the message itself")]
-    arrived_ns: Annotated[Count, about("When it reached the link, on the link's clock [ns]")]
+    arrived_ns: Annotated[Count, about("Time at which it reached the link, on the link's clock [ns]")]
     delay_ns: Annotated[Count, about("Delay applied, everything included [ns]; 0 when dropped")]
     queue_ns: Annotated[Count, about("Part of it spent in the queue of a rate limit or delivery trace [ns]")]
     held_ns: Annotated[Count, about("Part of it spent waiting for the end of an outage [ns]")]
     dropped: Annotated[
-        Name, about("What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue, stop; else empty")
+        Name,
+        about(
+            "Cause of its loss: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue, stop; empty if not "
+            "dropped"
+        ),
     ]
     duplicated: Annotated[bool, about("A duplicate was made of it")]
     reordered: Annotated[bool, about("It was released before a message of its topic that had arrived earlier")]
@@ -496,10 +527,12 @@ class LinkFate(Record):
 
 
 class LinkFates(Message):
-    """What the link did to each message of one direction since the last such report."""
+    """Fate of each message of one direction in the link since the last such report."""
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]
-    fates: Annotated[tuple[LinkFate, ...], about("In the order in which they were decided", max_length=MAX_ROWS)]
+    fates: Annotated[
+        tuple[LinkFate, ...], about("Fates in the order in which the link decided them", max_length=MAX_ROWS)
+    ]
 
 
 class ClockPing(Message):
@@ -510,7 +543,7 @@ class ClockPong(Message):
     """Answer to a clock/ping; its own t_ns is the time of sending on the answering clock."""
 
     ping_t_ns: Annotated[Count, about("t_ns of the question, on the asking clock [ns]")]
-    received_ns: Annotated[Count, about("When the question arrived, on the answering clock [ns]")]
+    received_ns: Annotated[Count, about("Time at which the question arrived, on the answering clock [ns]")]
 
 
 class SessionControl(Message):
@@ -525,9 +558,9 @@ class SessionControl(Message):
         ),
     ]
     target: Annotated[str, about("Nodes concerned: node@site, node, or *; wildcards as in file names", max_length=64)]
-    parameters: Annotated[Facts, about("What the command needs, by dotted key; units in the names")]
+    parameters: Annotated[Facts, about("Parameters of the command by dotted key; units in the names")]
     validity_s: Annotated[
-        DurationS | None, about("Time after t_ns for which it may be carried out [s]; 1 s if absent")
+        DurationS | None, about("Time after t_ns within which a node may carry it out [s]; 1 s if absent")
     ] = None
     node_t_ns: Annotated[
         Counts | None,
@@ -536,33 +569,37 @@ class SessionControl(Message):
     node_latch: Annotated[
         Latches | None,
         about(
-            "By node@site: latch in the data of the refusal that this answers, which names the node's run and "
-            "counts its emergency stops"
+            "By node@site: `latch` from the data of the refusal that this command answers; it names the node's run "
+            "and counts its emergency stops"
         ),
     ] = None
     by: Annotated[
-        PersonName | None, about("Name of who gave it, where they were given one; the answers repeat it in their data")
+        PersonName | None,
+        about("Name of the person who gave the command, if it is known; the answers repeat it in their data"),
     ] = None
 
 
 class SessionEvent(Message):
-    """What happened at a node."""
+    """An event at a node: the answer to a command, a change of state, a mark or a fault."""
 
-    id: Annotated[str, about("Id of the command answered; empty = unasked", pattern=r"^[A-Za-z0-9_-]{0,64}$")]
+    id: Annotated[
+        str,
+        about("Id of the command answered; empty if no command asked for the event", pattern=r"^[A-Za-z0-9_-]{0,64}$"),
+    ]
     kind: Annotated[
         Literal["ack", "refused", "mode", "link", "network", "node", "recording", "mark", "fault"],
         about(
-            "ack and refused answer a command; mode: a device changed mode; link, network, node, recording: what "
-            "became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
+            "ack and refused answer a command; mode: a device changed mode; link, network, node, recording: a change "
+            "of their state; mark: a mark of the operator; fault: a fault occurred and was handled"
         ),
     ]
-    level: Annotated[Literal["info", "warning", "error"], about("How much it matters")]
+    level: Annotated[Literal["info", "warning", "error"], about("Severity")]
     text: Annotated[Text, about("One sentence for a person")]
-    data: Annotated[Facts, about("The same for a program; units in the names")]
+    data: Annotated[Facts, about("The same facts for a program; units in the names")]
 
 
 class InputHealth(Record):
-    """What a node knows of one topic from one source."""
+    """Reception of one topic from one source at a node."""
 
     topic: Annotated[Text, about("Topic")]
     src: Annotated[Text, about("Publisher, node@site; empty when nothing was ever received")]
@@ -572,26 +609,26 @@ class InputHealth(Record):
     repeated: Annotated[Count, about("Messages that came twice or out of order since the start")]
     restarts: Annotated[Count, about("Restarts of the publisher seen since the start")]
     age_valid: Annotated[bool, about("At least one message was received")]
-    age_s: Annotated[TimeS, about("Time since the publisher sent the newest message [s], across two clocks")]
+    age_s: Annotated[TimeS, about("Time since the publisher sent the newest message [s]; it compares two clocks")]
 
 
 class NodeHealth(Message):
-    """How a process is doing."""
+    """Health of the process of a node: state, timing of the loop, inputs and device."""
 
     pid: Annotated[Count, about("Process id")]
-    state: Annotated[Literal["starting", "ready", "running", "safe", "stopping"], about("What the node is at")]
+    state: Annotated[Literal["starting", "ready", "running", "safe", "stopping"], about("State of the node")]
     uptime_s: Annotated[DurationS, about("Time since the node started [s]")]
     rate_hz: Annotated[RateHz, about("Steps a second since the last report")]
     period_s: Annotated[DurationS, about("Nominal period of the loop [s]; 0 = acts on messages only")]
     lateness_p50_s: Annotated[DurationS, about("Median lateness against the deadline since the last report [s]")]
-    lateness_p99_s: Annotated[DurationS, about("99 % lateness since the last report [s]")]
+    lateness_p99_s: Annotated[DurationS, about("99th percentile of the lateness since the last report [s]")]
     lateness_max_s: Annotated[DurationS, about("Greatest lateness since the last report [s]")]
     overruns: Annotated[Count, about("Deadlines missed by a period or more since the start")]
     rejected: Annotated[
         Counts,
         about(
-            "Frames and connections refused since the start, by reason; superseded: a newer message of a latest "
-            "topic was waiting as well; stale: older than the deadline of its topic"
+            "Frames and connections refused since the start, by reason; superseded: a newer message of a `latest` "
+            "topic was already waiting; stale: older than the deadline of its topic"
         ),
     ]
     cpu_percent: Annotated[Percent, about("Processor time used since the last report [% of one core]")]
@@ -601,13 +638,13 @@ class NodeHealth(Message):
     replay: Annotated[bool, about("The messages of this node come from a recording, not from an instrument")]
     inputs: Annotated[
         tuple[InputHealth, ...],
-        about("Every input of the node; of many sources, those that sent most", max_length=MAX_ROWS),
+        about("Every input of the node; of too many sources, those that sent most", max_length=MAX_ROWS),
     ]
     device_latency_s: Annotated[
         DurationS | None,
         about(
-            "What a real device is declared to add to the round trip [s]: from a command to the sample that answers "
-            "it, in the mean; absent if simulated"
+            "Latency that a real device is declared to add to the round trip [s]: mean time from a command to the "
+            "sample that answers it; absent if simulated"
         ),
     ] = None
     device_age_s: Annotated[
@@ -627,7 +664,7 @@ class NodeHealth(Message):
     deaf_s: Annotated[
         Annotated[dict[str, DurationS], Meta(max_length=MAX_KEYS)] | None,
         about(
-            "Publishers that send and that this node does not hear, each with how long it has not been heard [s]; "
+            "Publishers that send but from which this node receives nothing, each with the duration of that [s]; "
             "absent if there are none"
         ),
     ] = None

@@ -260,14 +260,17 @@ def foxglove(
         ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each channel per second; 0: all.")
+        float,
+        typer.Option(
+            "--rate", min=0.0, metavar="HZ", help="Greatest number of messages of each channel per second; 0: all."
+        ),
     ] = LiveRecording.VIEWER_HZ,
     duration: DurationOption = None,
 ) -> None:
     """Serve every topic with its schema to Foxglove and Lichtblick, until Ctrl-C; prints the address to open.
 
-    It ends with a token, that of TELENANO_BRIDGE_TOKEN or a new one. Where the output is no terminal it goes to a file
-    that only its owner can read.
+    The address ends with a token, that of TELENANO_BRIDGE_TOKEN or a new one. If the output is no terminal, the address
+    goes to a file that only its owner can read.
     """
     with report_errors(False):
         config = validated(ViewConfig, {**given, "port": port})

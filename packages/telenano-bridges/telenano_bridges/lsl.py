@@ -261,13 +261,13 @@ def check_library() -> list[Finding]:
 def lsl(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     name: Annotated[
-        str, typer.Option("--name", metavar="NAME", help="What the names of the streams begin with.")
+        str, typer.Option("--name", metavar="NAME", help="Prefix of the names of the streams.")
     ] = DEFAULT_NAME,
     duration: DurationOption = None,
 ) -> None:
     """Publish states, events and trials on the Lab Streaming Layer, until Ctrl-C, with the error of their time.
 
-    It only sends. Streams of LSL are plain, and every machine of the network can find and read them.
+    It only sends. Streams of LSL are not encrypted: every machine of the network can find and read them.
     """
     with report_errors(False):
         open_stream, clock = lsl_streams()

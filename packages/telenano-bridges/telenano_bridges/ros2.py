@@ -341,9 +341,12 @@ def ros2(
     domain: Annotated[
         int, typer.Option("--domain", min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="Domain of ROS.")
     ] = 0,
-    namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="What stands before each topic.")] = "",
+    namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="Prefix of each topic.")] = "",
     rate: Annotated[
-        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most messages of each topic per second; 0: all.")
+        float,
+        typer.Option(
+            "--rate", min=0.0, metavar="HZ", help="Greatest number of messages of each topic per second; 0: all."
+        ),
     ] = LiveRecording.VIEWER_HZ,
     duration: DurationOption = None,
 ) -> None:

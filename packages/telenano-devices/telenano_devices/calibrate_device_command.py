@@ -30,7 +30,7 @@ def calibrate_handle(
         float, typer.Option("--stiffness", min=1e-3, metavar="N/M", help="Gain of the device's servo [N/m].")
     ],
     max_force: Annotated[
-        float, typer.Option("--max-force", min=1e-6, metavar="N", help="Most force that the drive may give [N].")
+        float, typer.Option("--max-force", min=1e-6, metavar="N", help="Greatest force that the drive may give [N].")
     ],
     saturation: Annotated[
         float, typer.Option("--saturation", min=1e-6, metavar="N", help="Force at which the sensor saturates [N].")

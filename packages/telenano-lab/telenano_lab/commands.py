@@ -19,11 +19,11 @@ COMMANDS = {
     ),
     "study advise": (
         "telenano_lab.experiments.advise_command:advise",
-        "Say which law to take for a network and a sample: what the benchmark's cells say, tried on the line itself.",
+        "Advise a law for a network and a sample, by the benchmark's cells and a trial on the line itself.",
     ),
     "study drift": (
         "telenano_lab.experiments.drift_command:drift",
-        "What each law makes of a drift in z: one that stands, and one that wanders as heat makes it.",
+        "Measure the effect of a drift in z on each law: a steady one, and one that wanders as thermal drift does.",
     ),
     "reproduce": (
         "telenano_lab.studies.reproduce_command:reproduce",
@@ -31,7 +31,7 @@ COMMANDS = {
     ),
     "topic pub": (
         "telenano_lab.networks.publish_command:pub",
-        "Publish messages in the place of a node that does not run, for trials and tests.",
+        "Publish messages instead of a node that does not run, for trials and tests.",
     ),
     "link fit": (
         "telenano_lab.networks.fit_command:fit",
@@ -39,11 +39,11 @@ COMMANDS = {
     ),
     "link picture": (
         "telenano_lab.networks.picture_command:picture",
-        "Draw the way forward of networks: delay, its distribution and autocorrelation, stalls, losses, and age.",
+        "Draw the forward direction of networks: delay, its distribution and autocorrelation, stalls, losses, and age.",
     ),
     "link report": (
         "telenano_lab.networks.report_command:report",
-        "Show what the link did to the messages of a recording: delay, loss, stalls and order, by direction.",
+        "Show the effect of the link on the messages of a recording: delay, loss, stalls and order, by direction.",
     ),
     "link udp": (
         "telenano_lab.networks.udp_command:udp",
@@ -88,7 +88,7 @@ COMMANDS = {
     ),
     "bag recalibrate": (
         "telenano_lab.calibration.recalibrate_command:recalibrate",
-        "Read what real devices sent with another calibration, into a new recording.",
+        "Apply another calibration to the raw values of real devices, and write a new recording.",
     ),
     "budget": (
         "telenano_lab.calibration.budget_command:budget",
@@ -96,11 +96,11 @@ COMMANDS = {
     ),
     "calibrate": (
         "telenano_lab.calibration.calibrate_command:app",
-        "Calibrate read-out and stiffness from own measurements.",
+        "Calibrate read-out and stiffness from your own measurements.",
     ),
     "inspect": (
         "telenano_lab.afm_files.inspect_command:inspect",
-        "Show how a file is read: format, columns, units, sign, what was left out, and which command uses it.",
+        "Show how a file is read: format, columns, units, sign, parts left out, and the command that uses it.",
     ),
     "sample import": (
         "telenano_lab.afm_files.map_commands:import_map",
@@ -108,6 +108,6 @@ COMMANDS = {
     ),
     "sample info": (
         "telenano_lab.afm_files.map_commands:info",
-        "Show what a recorded map contains, or what it lacks to be felt.",
+        "Show the contents of a recorded map, or the facts that it lacks to be felt.",
     ),
 }

@@ -129,7 +129,7 @@ class BoundedModelConfig(MassConfig):
     update_s: float = parameter(0.05, "s", "Time constant with which the model follows [s]")
     update_force_n_per_s: float = parameter(10.0, "N/s", "Fastest change of the force at the hand by an update [N/s]")
     update_margin_n: float = parameter(
-        0.5, "N", "Force over that of the tip up to which an update may raise that at the hand [N]"
+        0.5, "N", "Force above the tip's up to which an update may raise the force at the hand [N]"
     )
     lag_damping: float = parameter(0.85, "1", "Share c_1 of K tau that the hand feels as a damper in contact; 0 = none")
     lag_inertia: float = parameter(0.22, "1", "Share c_2 of K tau^2 that the hand feels as a mass in contact; 0 = none")
@@ -143,10 +143,12 @@ class BoundedModelConfig(MassConfig):
         0.0, "N", "Force by which the tip may meet the sample harder than the hand presses F_0 [N]"
     )
     start_energy_j: float = parameter(
-        7.5e-4, "J", "Energy that each side has before it has taken or received any E_0 [J]", zero=True
+        7.5e-4, "J", "Energy that each side has at the start, before it has taken or received any E_0 [J]", zero=True
     )
     energy_cap_j: float = parameter(1e-2, "J", "Most energy that a side keeps [J]")
-    well_energy_j: float = parameter(5e-4, "J", "Deepest well of a pull that the model may have E_a [J]", zero=True)
+    well_energy_j: float = parameter(
+        5e-4, "J", "Deepest well of an attraction that the model may have E_a [J]", zero=True
+    )
     exchange_s: float = parameter(
         0.05, "s", "Time constant with which a tip's store that is nearly empty is filled [s]"
     )

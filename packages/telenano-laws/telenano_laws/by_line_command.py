@@ -37,7 +37,9 @@ def by_line(
     ] = _WANTED,
     stiffness: Annotated[
         float | None,
-        typer.Option("--stiffness", min=0.0, metavar="N/M", help="Stiffest sample, where the scenario does not say."),
+        typer.Option(
+            "--stiffness", min=0.0, metavar="N/M", help="Stiffest sample, where the scenario does not state it."
+        ),
     ] = None,
     duration: DurationOption = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
@@ -45,7 +47,7 @@ def by_line(
     """Watch the line of a running rig and change to the first law that tolerates it, until Ctrl-C.
 
     A law is changed at most once in 10 s, while the hand is nearly at rest, and never to one whose stated limit the
-    sample is beyond. Each change is a `set law=...` of the session, and leaves a mark with its reason in the recording.
+    sample exceeds. Each change is a `set law=...` of the session, and leaves a mark with its reason in the recording.
     """
     made = 0
     with report_errors(False):

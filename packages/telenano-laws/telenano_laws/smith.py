@@ -73,7 +73,7 @@ class SmithConfig(ImpedanceConfig):
         10.0, "N/m", "Stiffness of the environment at the tip K_e, or first estimate of it [N/m]", zero=True
     )
     environment_stiffness_max_n_per_m: float = parameter(60.0, "N/m", "Largest estimate of K_e [N/m]")
-    estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
+    estimate: bool = Field(default=True, description="Whether K_e is estimated from the returned signals")
     memory_s: float = parameter(0.2, "s", "Time constant of forgetting in the estimate [s]")
     least_motion_m: float = parameter(
         5e-11, "m", "Motion of the tip in memory (standard deviation) below which K_e is kept [m]"

@@ -111,7 +111,7 @@ class TdpaConfig(PaidConfig):
         0.5, "s", "Time without a signal from the other half after which the hand is let go [s]"
     )
     drift_rate_per_s: float = parameter(
-        20.0, "1", "Rate at which the tip makes up for what it is behind the hand kappa [1/s]; 0 = none"
+        20.0, "1", "Rate at which the tip makes up for its lag behind the hand kappa [1/s]; 0 = none"
     )
     start_energy_j: float = parameter(1e-3, "J", "Energy that may leave each port at the start E_0 [J]", zero=True)
     energy_cap_j: float = parameter(5e-3, "J", "Most energy that a port keeps [J]")

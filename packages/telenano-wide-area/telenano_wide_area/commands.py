@@ -3,7 +3,7 @@
 COMMANDS = {
     "bag fetch": (
         "telenano_wide_area.fetch_command:fetch",
-        "Fetch what the slave's site recorded of a session, and merge it with DIR.",
+        "Fetch the slave's part of a session's recording, and merge it with DIR.",
     ),
     "relay": ("telenano_wide_area.relay.relay_command:relay", "Run a relay between two sites that can only dial out."),
 }

@@ -28,7 +28,7 @@ def fetch(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fetch what the slave's site recorded of a session, and merge it with DIR; continues where it was ended."""
+    """Fetch the slave's part of a session's recording, and merge it with DIR; continues a fetch that was ended."""
     with report_errors(as_json):
         session = SessionFolder(folder)
         names = None if files is None else session.parts(files, "--file")

@@ -55,7 +55,7 @@ def info(
     full: Annotated[bool, typer.Option("--full", help="Read every message, also of a long recording.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a recording contains; of a long one that was closed, by its index."""
+    """Show the contents of a recording; those of a long one that was closed are read from its index."""
     with report_errors(as_json):
         summary = _read(file, full=full)
     if not as_json:
@@ -90,7 +90,9 @@ def _read(file: Path, *, full: bool) -> dict[str, Any]:
 
 @app.command("list")
 def list_files(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to look through, with all below.")] = Path(),
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder to search, with all its subfolders.")
+    ] = Path(),
     as_json: JsonOption = False,
 ) -> None:
     """List the recordings in a folder: length, messages, size, and whether they were closed properly."""
@@ -150,7 +152,9 @@ def merge(
     sites: Annotated[
         bool,
         typer.Option(
-            "--sites", help="Of the two sites of one session, the master's first: on its clock, each message once."
+            "--sites",
+            help="The files are of the two sites of one session, the master's first: merge on its clock, each message "
+            "once.",
         ),
     ] = False,
     same_session: SameSessionOption = False,
@@ -254,7 +258,7 @@ def rerun(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
+    """Run a node's code on recorded inputs and compare its output with the recorded one; exit code 1 if it differs."""
     with report_errors(as_json):
         from telenano.recording.field_differences import Tolerances
         from telenano.recording.reader import Recording

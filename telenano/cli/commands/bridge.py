@@ -7,4 +7,4 @@ app = command_group()
 
 @app.callback()
 def bridge() -> None:
-    """Hand the messages of a running rig to other programs."""
+    """Publish the messages of a running rig to other programs."""

@@ -24,7 +24,7 @@ _BY_ID = Path("/dev/serial/by-id")
 
 @app.command("list")
 def list_devices(as_json: JsonOption = False) -> None:
-    """List the serial ports, by names that stay, and the drivers of packages, with what each still needs."""
+    """List the serial ports, by names that stay the same, and the drivers of packages with their missing parts."""
     with report_errors(as_json):
         rows, packages = serial_ports(), package_rows()
     if as_json:

@@ -47,7 +47,8 @@ _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 def doctor(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     stage: Annotated[
-        Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml of an instrument that is to be reached.")
+        Path | None,
+        typer.Option("--stage", metavar="FILE", help="stage.yaml of an instrument whose connection is to be checked."),
     ] = None,
     warm: Annotated[
         bool, typer.Option("--warm", help="Check nothing, and compile the models of every law in Fig. 12 beforehand.")

@@ -9,7 +9,7 @@ from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOp
 def estop(
     target: TargetOption = "*", site: SiteOption = None, site_file: RigFileOption = None, as_json: JsonOption = False
 ) -> None:
-    """Stop the devices at once, whoever else sends commands; exit code 1 if one does not answer.
+    """Stop the devices at once, regardless of what else sends commands; exit code 1 if one does not answer.
 
     Without --rig and --site-file it stops each rig of this user: those of the folder that TELENANO_RUNTIME_DIR names,
     or else those of every folder on this machine. Where there are several, each answer begins with its rig or folder.

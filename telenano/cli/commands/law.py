@@ -20,7 +20,7 @@ LawArgument = Annotated[
 
 @app.command("list")
 def list_laws(as_json: JsonOption = False) -> None:
-    """List the laws, those of installed packages included, and what keeps one from being used."""
+    """List the laws, those of installed packages included, and the reason why one cannot be used."""
     with report_errors(as_json):
         from telenano.sections.controller_section import LAWS, PACKAGE_LAWS
 
@@ -36,7 +36,7 @@ def list_laws(as_json: JsonOption = False) -> None:
 
 @app.command()
 def show(law: LawArgument, as_json: JsonOption = False) -> None:
-    """Show what a law is, and its parameters with default, range and unit."""
+    """Show the properties of a law, and its parameters with default, range and unit."""
     with report_errors(as_json):
         from telenano.sections.controller_section import LAWS
 

@@ -37,7 +37,7 @@ app = command_group()
 def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
     """Show the settings in force, the traffic, the delay applied, and the offset of the other site's clock.
 
-    Between two machines it also shows what the network really did: sent, arrived, late, lost, one-way delay.
+    Between two machines it also shows the real network: datagrams sent, arrived, late, lost, and one-way delay.
     """
     with report_errors(as_json):
         with open_observer(site_file, "link/status") as observer:
@@ -75,7 +75,7 @@ def profile(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Apply a named profile, in place of all settings but the seed; or list the profiles, or show one."""
+    """Apply a named profile, instead of all settings but the seed; or list the profiles, or show one."""
     if name is not None and not shown:
         _change([f"profile={name}"], site_file, as_json=as_json)
         return

@@ -26,7 +26,7 @@ def node(
         ),
     ],
 ) -> None:
-    """Run one node alone; what follows NAME goes to the node, whose --help lists it. `list` lists the nodes."""
+    """Run one node alone; arguments after NAME go to the node, whose --help lists them. `list` lists the nodes."""
     if name in ("--help", "-h"):
         typer.echo(context.get_help())
         return

@@ -16,7 +16,7 @@ app = command_group()
 ScenarioOption = Annotated[
     str,
     typer.Option(
-        "--scenario", metavar="NAME|FILE", help="Scenario whose values are meant.", autocompletion=scenario_names
+        "--scenario", metavar="NAME|FILE", help="Scenario whose values are shown.", autocompletion=scenario_names
     ),
 ]
 
@@ -29,7 +29,7 @@ def list_all(
             metavar="PREFIX", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
         ),
     ] = "",
-    every: Annotated[bool, typer.Option("--all", help="List every key, not only those that people change first.")] = (
+    every: Annotated[bool, typer.Option("--all", help="List every key, not only those that are changed most.")] = (
         False
     ),
     as_json: JsonOption = False,

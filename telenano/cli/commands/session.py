@@ -40,7 +40,7 @@ def session(
         bool,
         typer.Option(
             "--return",
-            help="With arm: let the tip go back to a place; place, speed and time are printed, and a key ends it.",
+            help="With arm: let the tip go back to a place; place, speed and time are printed, and any key stops it.",
         ),
     ] = False,
     take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
@@ -53,7 +53,7 @@ def session(
 
     `set` without --target is for the nodes that have the key; those that do not know it do not count.
 
-    While a person at a page holds control, only stop, estop and mark are taken. TELENANO_NAME names who sends it.
+    While a person at a page holds control, only stop, estop and mark are accepted. TELENANO_NAME names the sender.
     """
     if command == "estop":
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))

@@ -64,7 +64,7 @@ def simulate(
 ) -> None:
     """Run the nodes of a rig on a bus in memory, in virtual time, and write recording, figure and summary.
 
-    The same seed gives the same messages at the same times on every processor. Devices have to be simulated ones.
+    The same seed gives the same messages at the same times on every processor. All devices have to be simulated.
     """
     if allow_code:
         permit_code()

@@ -100,7 +100,7 @@ def _chosen(fields: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
 
 @app.command()
 def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
-    """Show what a topic is: message, publishers, readers, rate, and its fields with unit and description."""
+    """Show the facts of a topic: message, publishers, readers, rate, and its fields with unit and description."""
     with report_errors(as_json):
         name, _ = known_name(topic)
         row = TOPICS[name]

@@ -87,7 +87,7 @@ def up(
     ] = False,
     no_view: Annotated[
         bool,
-        typer.Option("--no-view", help="Serve no page; nor do --json, --headless, --quiet and --site slave."),
+        typer.Option("--no-view", help="Serve no page; --json, --headless, --quiet and --site slave imply this."),
     ] = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,

@@ -92,7 +92,7 @@ class InstrumentCalibration(Settings):
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this file's form")
     instrument: InstrumentIdentity
-    calibrated: AwareDatetime = Field(description="When, with time zone")
+    calibrated: AwareDatetime = Field(description="Time of the calibration, with time zone")
     network: NetworkCalibration
     stage: StageCalibration
     deflection: DeflectionCalibration

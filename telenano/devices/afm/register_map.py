@@ -25,7 +25,7 @@ class Register(Settings):
 
     name: str = Field(min_length=1, max_length=64, description="Name in the manual of the device")
     address: int = Field(ge=0, le=65535, description="Address of the first register, from 0")
-    per_channel: int = Field(0, ge=0, le=16, description="What a channel adds to the address")
+    per_channel: int = Field(0, ge=0, le=16, description="Increment of the address per channel")
     type: RegisterType = Field(description="float32, int16, uint16, int32 or uint32")
     scale: float = Field(1.0, ge=-1e9, le=1e9, description="Unit of the value for one raw count")
     offset: float = Field(0.0, ge=-1e9, le=1e9, description="Value at raw 0")
@@ -79,8 +79,8 @@ class Setting(Register):
 class Check(Register):
     """A register with a known value, which shows the kind of the device and the order of its words."""
 
-    value: float = Field(description="What the device must answer")
-    hint: str = Field("", max_length=200, description="What it means if it does not")
+    value: float = Field(description="Value that the device must answer")
+    hint: str = Field("", max_length=200, description="Meaning of another answer")
 
 
 class Watchdog(Settings):
@@ -98,7 +98,7 @@ class Heartbeat(Settings):
     """
 
     script: str = Field(pattern=r"^[a-z0-9_]+\.lua$", description="File beside the maps")
-    version: float = Field(ge=1.0, le=1e6, description="What the script writes to `running`")
+    version: float = Field(ge=1.0, le=1e6, description="Value that the script writes to `running`")
     beat: Register
     limit_ms: Register
     safe_v: Register
@@ -122,7 +122,7 @@ class RegisterMap(Settings):
     """A kind of Modbus instrument."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this file's form")
-    model: str = Field(min_length=1, max_length=32, description="What the device is called")
+    model: str = Field(min_length=1, max_length=32, description="Name of the device")
     word_order: Literal["big", "little"] = Field(description="big: the high word of two comes first")
     exchange: Literal["feedback", "read_write", "write_then_read"] = Field(
         description="feedback: function 76 (LabJack); read_write: function 23; write_then_read: functions 16 and 3"

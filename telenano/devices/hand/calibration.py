@@ -70,7 +70,7 @@ class HandleCalibration(Settings):
     device_id: str = Field(
         pattern=r"^[0-9a-f]{16}$", description="Device that it belongs to, as `device probe` shows it"
     )
-    calibrated: AwareDatetime = Field(description="When, with time zone")
+    calibrated: AwareDatetime = Field(description="Time of the calibration, with time zone")
     position: PositionCalibration
     force: ForceCalibration
     drive: DriveCalibration
@@ -79,7 +79,7 @@ class HandleCalibration(Settings):
         None, ge=0.0, le=1.0, description="Declared latency, as measured on this device [s]; none: that of the protocol"
     )
     watchdog_s: float = Field(0.02, ge=0.005, le=0.1, description="Silence after which the device is off [s]")
-    max_force_n: float = Field(gt=0.0, le=1e5, description="Most force that the device gives its drive [N]")
+    max_force_n: float = Field(gt=0.0, le=1e5, description="Greatest force that the device gives its drive [N]")
 
     @model_validator(mode="after")
     def _fits_the_device(self) -> "HandleCalibration":

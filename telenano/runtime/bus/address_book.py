@@ -51,7 +51,7 @@ class NodeEntry(Settings):
     network: str | None = Field(default=None, description="tcp://host:port for readers on other machines")
     machine: MachineName | None = Field(
         default=None,
-        description="Machine that the node runs on; the node's site, and master for the link, if not given",
+        description="Machine on which the node runs; default: the node's site, and master for the link",
     )
 
     @model_validator(mode="after")
@@ -66,7 +66,7 @@ class NodeEntry(Settings):
 
 
 class LinkSection(Settings):
-    """How the link crosses between two machines; the other keys are those of its transport, which a package brings."""
+    """Transport of the link between two machines; the other keys are those of the transport, which a package brings."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -103,17 +103,17 @@ class AddressBook(Settings):
     )
     bind: dict[MachineName, str] = Field(
         default={},
-        description="Address that a machine binds in place of its own, such as 0.0.0.0 behind a router; "
+        description="Address that a machine binds instead of its own, such as 0.0.0.0 behind a router; "
         "TELENANO_BIND_ADDRESS in the environment replaces it",
     )
     nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
         description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
     )
-    link: LinkSection = Field(default=LinkSection(), description="How the link crosses between two machines")
+    link: LinkSection = Field(default=LinkSection(), description="Transport of the link between two machines")
     relay: str | None = Field(
         default_factory=lambda: os.environ.get(RELAY_VARIABLE) or None,
-        description="host:port of a relay (`telenano relay`) between machines that can only dial out, in the place of "
-        "the addresses of `machines`; without it TELENANO_RELAY of the environment",
+        description="host:port of a relay (`telenano relay`) between machines that can only dial out, instead of the "
+        "addresses in `machines`; default: TELENANO_RELAY in the environment",
     )
     insecure: bool = Field(
         default=False, description="Plain tcp:// without keys: every process that reaches a port can read it"

@@ -35,9 +35,9 @@ def conformance(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Connect a client in any language, and tell it what it does wrong, a line for each rule of the wire.
+    """Connect a client in any language, and print its faults, a line for each rule of the wire.
 
-    Commands that are sent to it are marks, which move nothing. The exit code is 1 where a rule was broken.
+    The commands sent to it are marks, which move nothing. The exit code is 1 where a rule was broken.
     """
     with report_errors(as_json):
         if (server_key is None) != (key_file is None):

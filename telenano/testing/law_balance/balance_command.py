@@ -20,16 +20,16 @@ def law_balance(
     cases: Annotated[int, typer.Option("--cases", min=1, metavar="N", help="Draws of each kind.")] = 8,
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the draws.")] = 1,
     longest: Annotated[
-        float, typer.Option("--longest", min=5.0, metavar="S", help="Longest order, in the time of the rig [s].")
+        float, typer.Option("--longest", min=5.0, metavar="S", help="Longest sequence, in the time of the rig [s].")
     ] = 60.0,
     kind: Annotated[
         list[str] | None, typer.Option("--kind", metavar="KIND", help=f"One of: {', '.join(ALL_KINDS)}; default: all.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run orders of events that an adversary draws against laws, and print what energy each makes.
+    """Run random sequences of events against laws, and print the energy that each generates.
 
-    The exit code is 1 where a law that states passivity gives out more than came in and was granted.
+    The exit code is 1 if a law that states passivity gives out more energy than came in and was granted.
     """
     with report_errors(as_json):
         kinds = tuple(kind or ALL_KINDS)

@@ -49,11 +49,10 @@ def accept(
     ] = Path("out/accept"),
     as_json: JsonOption = False,
 ) -> None:
-    """Lead through a motion of a minute, and tell of each of its checks: pass, fail, retake or cannot say.
+    """Lead through a motion of one minute, and report each check: pass, fail, retake or cannot say.
 
     A device is driven in the step *hold*: keep a hand at its independent stop. An instrument (--calibration, or a key
-    afm_node.*) approaches its sample behind the guard. The exit code is 1 if a check fails or asks for the motion once
-    more.
+    afm_node.*) approaches its sample behind the guard. The exit code is 1 if a check fails or asks for a retake.
     """
     with report_errors(as_json):
         from telenano_devices.acceptance.haptic_device.checks import HAPTIC_DEVICE

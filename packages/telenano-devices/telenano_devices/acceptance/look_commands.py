@@ -91,7 +91,9 @@ def monitor(
         str | None, typer.Option("--device", metavar="DRIVER", help="Driver of an installed package, for either node.")
     ] = None,
     settings: SetOption = None,
-    duration: Annotated[float, typer.Option("--duration", min=0.1, metavar="S", help="How long to look [s].")] = 2.0,
+    duration: Annotated[
+        float, typer.Option("--duration", min=0.1, metavar="S", help="Time for which to look [s].")
+    ] = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Read a device at 1 kHz without driving it, and report age of its samples, losses and bad frames."""

@@ -32,10 +32,13 @@ class PiezoCalibration(Settings):
     min_m: float = Field(ge=-_REACH_M, le=_REACH_M, description="Least z that may be sent [m]")
     max_m: float = Field(ge=-_REACH_M, le=_REACH_M, description="Greatest z that may be sent [m]")
     tolerance_m: float = Field(
-        1e-9, gt=0.0, le=1e-6, description="Difference to what was sent above which somebody else has moved the tip [m]"
+        1e-9,
+        gt=0.0,
+        le=1e-6,
+        description="Difference from the value sent above which somebody else has moved the tip [m]",
     )
     unsafe_wiring_acknowledged: bool = Field(
-        False, description="true: retract_m is not where the piezo goes when the controller ends"
+        False, description="true: you know that the piezo does not go to retract_m when the controller ends"
     )
 
     @model_validator(mode="after")
@@ -51,21 +54,21 @@ class PiezoCalibration(Settings):
 
 
 class StageCentre(Settings):
-    """The lateral stage: place of the controller at the middle of the sample, and how fast it goes."""
+    """The lateral stage: place of the controller at the middle of the sample, and its speed."""
 
     x_m: float | None = Field(
         None,
         ge=-_REACH_M,
         le=_REACH_M,
-        description="x of the controller at the rig's x = 0 [m]; none: where it is found",
+        description="x of the controller at the rig's x = 0 [m]; none: where the stage is first found",
     )
     y_m: float | None = Field(
         None,
         ge=-_REACH_M,
         le=_REACH_M,
-        description="y of the controller at the rig's y = 0 [m]; none: where it is found",
+        description="y of the controller at the rig's y = 0 [m]; none: where the stage is first found",
     )
-    reach_m: float = Field(gt=0.0, le=_REACH_M, description="Reach either way of there [m]")
+    reach_m: float = Field(gt=0.0, le=_REACH_M, description="Reach either way of that place [m]")
     speed_m_per_s: float = Field(5e-5, gt=0.0, le=1.0, description="Speed that is set for motions [m/s]")
     tolerance_m: float = Field(
         5e-9, gt=0.0, le=1e-6, description="Difference at rest above which somebody else has moved the tip [m]"
@@ -75,7 +78,9 @@ class StageCentre(Settings):
 class SignalCalibration(Settings):
     """The deflection: zeta = (value - zero) / per_m, in the unit of the controller's signal."""
 
-    signal: str = Field(min_length=1, max_length=100, description="Its name at the controller, such as adc1 or in3")
+    signal: str = Field(
+        min_length=1, max_length=100, description="Name of the signal at the controller, such as adc1 or in3"
+    )
     zero: float = Field(ge=-1e6, le=1e6, description="Value of a free cantilever")
     per_m: float = Field(description="Change for a metre of deflection away from the sample, not 0")
     limit: float = Field(gt=0.0, le=1e6, description="Greatest value either way at which it is not saturated")
@@ -90,8 +95,10 @@ class SignalCalibration(Settings):
 class ChannelSignal(Settings):
     """A signal of the controller that is felt by `afm_node.feel`, or shown beside the force."""
 
-    signal: str = Field(min_length=1, max_length=100, description="Its name at the controller, such as Current (A)")
-    si: float = Field(1.0, description="Its unit in the SI unit of the channel (Hz, A, m, rad); not 0")
+    signal: str = Field(
+        min_length=1, max_length=100, description="Name of the signal at the controller, such as Current (A)"
+    )
+    si: float = Field(1.0, description="Unit of the signal in the SI unit of the channel (Hz, A, m, rad); not 0")
 
     @model_validator(mode="after")
     def _scaled(self) -> "ChannelSignal":
@@ -105,7 +112,7 @@ class ControllerCalibration(Settings):
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this file's form")
     controller: str = Field(min_length=1, max_length=32, description="Name of the driver")
-    calibrated: AwareDatetime = Field(description="When, with time zone")
+    calibrated: AwareDatetime = Field(description="Time of the calibration, with time zone")
     network: ControllerAddress
     z: PiezoCalibration
     stage: StageCentre | None = Field(None, description="None: the tip moves along z only")

@@ -53,7 +53,7 @@ def simulate_gwyscope(
 def guard_gwyscope(
     calibration: GuardedOption,
     controller: Annotated[
-        str, typer.Option("--controller", metavar="HOST:PORT", help="Where the server of the Gwyscope is.")
+        str, typer.Option("--controller", metavar="HOST:PORT", help="Address of the Gwyscope's server.")
     ] = "127.0.0.1:51000",
     host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="TCP port for the rig.")] = 51001,

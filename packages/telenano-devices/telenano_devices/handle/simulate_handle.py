@@ -32,7 +32,7 @@ def simulate_handle(
 ) -> None:
     """Run an emulated handle: the firmware, the motor and the hand, on a port of its own. Ctrl-C ends it.
 
-    SIGUSR1, or the Enter key, pulls the cable out, and puts it in again; SIGUSR2 resets the board. For a calibration,
+    SIGUSR1, or the Enter key, unplugs the cable, and plugs it in again; SIGUSR2 resets the board. For a calibration,
     `gauge M` puts the arm at a position [m] and `mass KG` hangs a mass at its sensor [kg].
     """
     with report_errors(as_json=False, interrupted="the emulated handle has ended"):

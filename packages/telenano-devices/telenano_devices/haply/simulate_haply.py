@@ -27,7 +27,10 @@ def simulate_haply(
         float, typer.Option("--damping", min=0.0, max=100.0, metavar="N S/M", help="Damper at the start [N s/m].")
     ] = 0.0,
     person: Annotated[
-        bool, typer.Option("--person", help="A person goes through the motion of `device accept`, instead of the hand.")
+        bool,
+        typer.Option(
+            "--person", help="Simulate a person who goes through the motion of `device accept`, instead of the hand."
+        ),
     ] = False,
     mass: Annotated[
         float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass that the person hangs at the handle.")
@@ -35,9 +38,9 @@ def simulate_haply(
 ) -> None:
     """Run an emulated Inverse Service with an Inverse3, a VerseGrip and a hand on it. Ctrl-C ends it.
 
-    A line on its input puts a fault in: pull, plug, freeze, thaw, nan, number, jump M, sign, late S, drive-late S,
+    A line on its input injects a fault: pull, plug, freeze, thaw, nan, number, jump M, sign, late S, drive-late S,
     sleep, wake, press a, release a, lose-home, home. The hand is that of the scenario, and begins with the session;
-    `push N`, `arm M` and `loose` put another one in its place.
+    `push N`, `arm M` and `loose` replace it by another one.
     """
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
         from telenano_devices.haply.haply import ARM

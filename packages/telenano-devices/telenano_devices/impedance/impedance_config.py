@@ -60,11 +60,11 @@ class CouplingConfig(Settings):
         default=None,
         ge=0.0,
         le=1e6,
-        description="K along the paper's axis [N/m]; none: the stable bound over the margin, and no more than"
-        " the device declares",
+        description="K along the paper's axis [N/m]; none: the stable bound divided by the margin, and no more than "
+        "the device declares",
     )
     damping_n_s_per_m: float | None = Field(
-        default=None, ge=0.0, le=1e4, description="B [N s/m]; none: half of what the device declares"
+        default=None, ge=0.0, le=1e4, description="B [N s/m]; none: half of the value that the device declares"
     )
     lateral_stiffness_n_per_m: float = Field(
         default=0.0, ge=0.0, le=1e6, description="K of the lateral axes, towards the lateral reference [N/m]"
@@ -76,10 +76,16 @@ class CouplingConfig(Settings):
         default=STABLE_MARGIN, ge=1.0, le=100.0, description="Margin of the default K below the stable bound"
     )
     max_force_n: float | None = Field(
-        default=None, ge=1e-3, le=1e3, description="Greatest force on the hand [N]; none: what the device declares"
+        default=None,
+        ge=1e-3,
+        le=1e3,
+        description="Greatest force on the hand [N]; none: the value that the device declares",
     )
     max_slew_n_per_s: float | None = Field(
-        default=None, ge=1e-3, le=1e6, description="Fastest change of the force [N/s]; none: the greatest in 10 ms"
+        default=None,
+        ge=1e-3,
+        le=1e6,
+        description="Fastest change of the force [N/s]; none: the greatest force in 10 ms",
     )
     velocity_filter_hz: float = Field(
         default=200.0, ge=0.0, le=1e5, description="Low-pass of the velocity in the damper [Hz]; 0 for none"
@@ -94,12 +100,14 @@ class CouplingConfig(Settings):
         default=0.1,
         ge=0.02,
         le=1.0,
-        description="Oldest report of the button that counts; grips report at some 50 Hz [s]",
+        description="Greatest age at which a report of the button counts [s]; grips report at some 50 Hz",
     )
     rest_s: float = Field(
-        default=0.2, ge=0.0, le=10.0, description="How long the hand has to be at rest before there is force [s]"
+        default=0.2, ge=0.0, le=10.0, description="Time for which the hand has to be at rest before there is force [s]"
     )
-    rest_m: float = Field(default=2e-3, ge=1e-6, le=0.1, description="How far a hand at rest may move [m]")
+    rest_m: float = Field(
+        default=2e-3, ge=1e-6, le=0.1, description="Greatest motion of a hand that counts as at rest [m]"
+    )
     jump_m: float = Field(
         default=5e-3, ge=1e-4, le=0.1, description="Motion in one sample, beyond 2 m/s, that is refused [m]"
     )
@@ -107,7 +115,7 @@ class CouplingConfig(Settings):
         default=0.1,
         ge=0.0,
         le=10.0,
-        description="How long a position may stay exactly the same under a changing force [s]; 0: for ever",
+        description="Time for which a position may stay exactly the same under a changing force [s]; 0: for ever",
     )
     frozen_force_n: float | None = Field(
         default=None,
@@ -205,13 +213,13 @@ MODELS: dict[ModelName, DeviceModel] = {
 class SimulatedImpedanceConfig(Settings):
     """Section `haptic_node.impedance`: the simulated device of three axes, for driver simulated_impedance."""
 
-    model: ModelName = Field(default="inverse3", description="Constants that hold where none are given here")
+    model: ModelName = Field(default="inverse3", description="Constants that apply where none are given here")
     mass_kg: float | None = Field(default=None, ge=1e-3, le=10.0, description="Moving mass m [kg]")
     damping_n_s_per_m: float | None = Field(default=None, ge=0.0, le=1e3, description="Damping b [N s/m]")
     max_force_n: float | None = Field(default=None, ge=0.1, le=1e3, description="Greatest force [N]")
-    rate_hz: float | None = Field(default=None, ge=100.0, le=1e4, description="Rate of its servo [Hz]")
+    rate_hz: float | None = Field(default=None, ge=100.0, le=1e4, description="Rate of the device's servo [Hz]")
     delay_s: float | None = Field(
-        default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; none: one sample time"
+        default=None, ge=0.0, le=0.05, description="Time from a sample to its force, D [s]; none: one sample time"
     )
     lateral_path: LateralPath = Field(
         default=(),

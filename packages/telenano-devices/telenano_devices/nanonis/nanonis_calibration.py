@@ -14,12 +14,12 @@ class NanonisCalibration(ControllerCalibration):
     safe_tip: float = Field(
         gt=0.0,
         le=1e6,
-        description="Value of its own safe tip, in the unit of its signal: nothing else withdraws the tip without this"
-        " rig",
+        description="Threshold of the controller's own safe tip, in the unit of its signal: nothing else withdraws "
+        "the tip without this rig",
     )
     tip_lift_m: float = Field(
-        0.0, ge=0.0, le=1e-6, description="How far it lifts the tip when its z-controller is switched off [m]"
+        0.0, ge=0.0, le=1e-6, description="Distance by which it lifts the tip when its z-controller is switched off [m]"
     )
     logger_port: int | None = Field(
-        None, ge=1, le=65535, description="Port of its TCP Logger, where its module runs; none: values are polled"
+        None, ge=1, le=65535, description="Port of its TCP Logger, if that module runs; none: values are polled"
     )

@@ -81,7 +81,8 @@ def approach_nanonis(
         float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
     ],
     lift: Annotated[
-        float, typer.Option("--lift", min=0.0, max=1000.0, metavar="NM", help="How far it lifts the tip then [nm].")
+        float,
+        typer.Option("--lift", min=0.0, max=1000.0, metavar="NM", help="Distance by which it then lifts the tip [nm]."),
     ] = 210.0,
 ) -> None:
     """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""

@@ -21,7 +21,8 @@ def simulate_t7(
         typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose AFM is behind the converters."),
     ] = None,
     latency: Annotated[
-        float, typer.Option("--latency", min=0.0, max=1.0, metavar="S", help="Time that it takes for a request [s].")
+        float,
+        typer.Option("--latency", min=0.0, max=1.0, metavar="S", help="Time that the device takes for a request [s]."),
     ] = 1.2e-3,
     noise: Annotated[
         float, typer.Option("--noise", min=0.0, max=1.0, metavar="V", help="Noise of the input [V], one sigma.")

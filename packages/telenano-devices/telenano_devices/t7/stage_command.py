@@ -16,7 +16,7 @@ _PERIOD_S = 1e-3
 
 
 def calibrate_stage(
-    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Where the instrument is reached.")],
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address of the instrument.")],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Calibration file to write.")],
     outputs: Annotated[
         list[float], typer.Option("--output", metavar="V", help="Voltage at which the gauge is read [V] (repeat).")
@@ -28,7 +28,8 @@ def calibrate_stage(
         float, typer.Option("--stiffness", min=1e-3, metavar="N/M", help="Spring constant of the cantilever [N/m].")
     ],
     stiffness_error: Annotated[
-        float, typer.Option("--stiffness-error", min=0.0, metavar="N/M", help="Its standard error [N/m].")
+        float,
+        typer.Option("--stiffness-error", min=0.0, metavar="N/M", help="Standard error of the spring constant [N/m]."),
     ],
     rest: Annotated[float, typer.Option("--rest", metavar="V", help="Voltage at x_s = 0, near the sample [V].")] = 2.5,
     serial: Annotated[
@@ -44,7 +45,7 @@ def calibrate_stage(
     ] = 25.0,
     step: Annotated[float, typer.Option("--step", min=1e-6, metavar="V", help="Step while pressing [V].")] = 0.01,
     press_nm: Annotated[
-        float, typer.Option("--press", min=1e-3, max=1e5, metavar="NM", help="How far to press after touch [nm].")
+        float, typer.Option("--press", min=1e-3, max=1e5, metavar="NM", help="Distance to press after touch [nm].")
     ] = 10.0,
 ) -> None:
     """Measure a stage with a gauge, press on a hard sample, and write the calibration file; the tip ends retracted.

@@ -43,7 +43,11 @@ def fit(
     most_refused: Annotated[
         float,
         typer.Option(
-            "--most-refused", min=0.0, max=1.0, metavar="SHARE", help="Above this share of refused curves it fails."
+            "--most-refused",
+            min=0.0,
+            max=1.0,
+            metavar="SHARE",
+            help="Share of refused curves above which the command fails.",
         ),
     ] = 0.5,
     lacking: Annotated[
@@ -51,13 +55,13 @@ def fit(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="What the files lack: stiffness_n_per_m, sensitivity_m_per_v; of a text table columns=1,2, "
+            help="Facts that the files lack: stiffness_n_per_m, sensitivity_m_per_v; of a text table columns=1,2, "
             "way_unit=nm, value_unit=nN, value_sign=-1.",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit a contact to all force curves of files: a table with a row for each, or why it is refused, and pictures."""
+    """Fit a contact to all force curves of files: a table with a row or a refusal for each, and pictures."""
     with report_errors(as_json):
         if out.suffix.lower() != ".csv":
             raise ConfigError(f"--out {out}: must end with .csv")

@@ -39,7 +39,7 @@ def inspect(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a file is taken for: format, columns, units, sign, what was left out, and which command takes it."""
+    """Show how a file is read: format, columns, units, sign, parts left out, and the command that uses it."""
     with report_errors(as_json):
         overrides = flag_overrides(lacking or ())
         if unknown := sorted(set(overrides) - set(TableOptions._fields)):

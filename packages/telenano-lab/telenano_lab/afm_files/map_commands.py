@@ -24,8 +24,8 @@ MembersOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="What the file lacks, such as stiffness_n_per_m=0.1, or of a text table columns=1,2, way_unit=nm and "
-        "value_unit=nN (repeatable).",
+        help="Facts that the file lacks, such as stiffness_n_per_m=0.1, or of a text table columns=1,2, way_unit=nm "
+        "and value_unit=nN (repeatable).",
     ),
 ]
 MapChannelOption = Annotated[
@@ -69,9 +69,9 @@ def import_map(
         Correction | None,
         typer.Option(
             "--correct",
-            help="What to subtract, as measured in free air: the mean of each curve (offset), also the slope common to "
-            "all (tilt), or nothing; default: offset for curves, nothing for a plain grid. "
-            "--set sign=-1 inverts all values.",
+            help="Background to subtract, as measured in free air: the mean of each curve (offset), also the slope "
+            "common to all (tilt), or nothing; default: offset for curves, nothing for a plain grid. --set sign=-1 "
+            "inverts all values.",
         ),
     ] = None,
     baseline: Annotated[
@@ -88,7 +88,7 @@ def import_map(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring a recorded map into a file that `afm_node.sample.map` feels."""
+    """Convert a recorded map into a file for `afm_node.sample.map`."""
     with report_errors(as_json):
         if out.suffix.lower() != ".npz":
             raise ConfigError(f"--out {out}: must be a .npz")
@@ -103,7 +103,7 @@ def import_map(
 def info(
     file: FileArgument, members: MembersOption = None, channel: MapChannelOption = None, as_json: JsonOption = False
 ) -> None:
-    """Show what a recorded map is, or what it lacks to be felt."""
+    """Show the contents of a recorded map, or the facts that it lacks to be felt."""
     with report_errors(as_json):
         imported = _read(file, members, channel, as_json)
     print_document(_about(imported), str(file), as_json=as_json)

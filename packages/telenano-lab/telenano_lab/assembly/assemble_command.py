@@ -36,7 +36,8 @@ def particles(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Image: .gsf, .npy, or what a package reads.")],
     channel: ChannelOption = None,
     size: Annotated[
-        float | None, typer.Option("--size", metavar="NM", help="Side of the image [nm], for .npy, which does not say.")
+        float | None,
+        typer.Option("--size", metavar="NM", help="Side of the image [nm], for .npy, which does not state it."),
     ] = None,
     tip_radius: Annotated[
         float, typer.Option("--tip-radius", min=0.1, max=1e4, metavar="NM", help="Radius of the apex of the tip [nm].")

@@ -6,24 +6,24 @@ from telenano.wire import Array, Lengths, Message, Topic, about
 
 
 class AfmParticles(Message):
-    """Where the particles of a simulated instrument really are: no instrument knows it, and who plans must not read it.
+    """True places of the particles of a simulated instrument: no instrument knows them, and no planner may read them.
 
-    For who judges a session afterwards; 20 times a second while one moves, else once a second.
+    They serve the judgement of a session afterwards; sent 20 times a second while a particle moves, else once a second.
     """
 
     simulated: Annotated[
         bool,
         about(
-            "Always true: this is the truth of a simulation, and no measurement",
+            "Always true: this is the truth of a simulation, not a measurement",
             extra_json_schema={"const": True, "examples": [True]},
         ),
     ]
     places_m: Annotated[Lengths, about("Centres on the sample, 0, 0 its middle, shape (n, 2) [m]")]
     radii_m: Annotated[Lengths, about("Radii, shape (n,) [m]")]
-    moving: Annotated[Array, about("Which of them have moved within their time of rest, shape (n,), 0 or 1")]
+    moving: Annotated[Array, about("1 for a particle that has moved within its time of rest, else 0, shape (n,)")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError for what is said to be no simulation."""
+        """Raise ValueError unless `simulated` is true."""
         if self.simulated is not True:
             raise ValueError("simulated must be true: no instrument knows where particles are")
 

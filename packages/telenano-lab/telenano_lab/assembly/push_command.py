@@ -32,7 +32,7 @@ _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
 @with_options(PushSettings, leave_out=_ENDS)
 def push(
     begin: Annotated[
-        str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [nm].")
+        str, typer.Option("--from", metavar="X,Y", help="Assumed place of the particle on the sample [nm].")
     ],
     goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Its target on the sample [nm].")],
     given: dict[str, Any],
@@ -41,7 +41,7 @@ def push(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Push one particle with the tip from one place to another; print what was felt, and where it is believed to be."""
+    """Push one particle with the tip from one place to another; print the forces felt, and its assumed place."""
     with report_errors(as_json):
         ends = (*_place("--from", begin), *_place("--to", goal))
         given |= dict(zip(_ENDS, ends, strict=True))

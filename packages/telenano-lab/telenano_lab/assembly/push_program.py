@@ -78,11 +78,11 @@ class PushSettings(ProgramSettings):
     mode: Literal["straight", "steered", "sweep"] = Field(
         "steered", description="straight: along the line; steered: by the force that is felt; sweep: lines across."
     )
-    x0_m: Position = Field(0.0, description="Where the particle is believed to be [m].")
-    y0_m: Position = Field(0.0, description="Where the particle is believed to be [m].")
-    x1_m: Position = Field(1e-6, description="Where it is to go [m].")
-    y1_m: Position = Field(0.0, description="Where it is to go [m].")
-    radius_m: Length = Field(250e-9, description="Its radius [m].")
+    x0_m: Position = Field(0.0, description="Assumed place of the particle [m].")
+    y0_m: Position = Field(0.0, description="Assumed place of the particle [m].")
+    x1_m: Position = Field(1e-6, description="Goal of the particle [m].")
+    y1_m: Position = Field(0.0, description="Goal of the particle [m].")
+    radius_m: Length = Field(250e-9, description="Radius of the particle [m].")
     tip_radius_m: Length = Field(10e-9, description="Radius of the apex of the tip [m].")
     cone_deg: float = Field(15.0, ge=1.0, le=60.0, description="Half-angle of the tip behind its apex [degrees].")
     hold: Literal["height", "force"] = Field(
@@ -92,8 +92,8 @@ class PushSettings(ProgramSettings):
     setpoint_n: Force = Field(12e-9, description="Force of the touch, and of a push with hold=force [N].")
     speed_m_per_s: Speed = Field(2e-6, description="Speed of the tip [m/s].")
     approach_m_per_s: Speed = Field(500e-9, description="Speed of the approach [m/s].")
-    stop_on_loss: bool = Field(True, description="Whether it ends where the particle is lost.")
-    lateral_limit_n: float = Field(200e-9, gt=0.0, le=1e-3, description="Lateral force at which it ends [N].")
+    stop_on_loss: bool = Field(True, description="Whether the push ends where the particle is lost.")
+    lateral_limit_n: float = Field(200e-9, gt=0.0, le=1e-3, description="Lateral force at which the push ends [N].")
     tolerance_m: Length = Field(5e-9, description="Distance from the goal at which the particle has arrived [m].")
     gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of the feedback with hold=force [1/s].")
     pitch: float = Field(0.25, gt=0.0, lt=1.0, description="Distance of the lines of a sweep, as a share of d.")

@@ -38,7 +38,7 @@ FigureOption = Annotated[
     typer.Option(
         "--figure",
         metavar="FILE",
-        help="Draw the data, what was left out and the fit, as .png, .svg, .pdf.",
+        help="Draw the data, the parts left out and the fit, as .png, .svg, .pdf.",
         callback=_figure,
     ),
 ]
@@ -51,8 +51,8 @@ def sensitivity(
         typer.Option(
             "--curve",
             metavar="FILE",
-            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads. The"
-            " way may rise towards the sample or away from it: the end where the lever is free tells.",
+            help="A curve on a hard sample: text of way [nm] and deflection [V], or a file that a package reads. The "
+            "way may rise towards the sample or away from it: the end where the lever is free shows which.",
         ),
     ],
     part: Annotated[
@@ -78,9 +78,9 @@ def sensitivity(
     figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error.
+    """Find the deflection per volt: the slope of way over voltage in contact with a hard sample, with its error.
 
-    The approach is taken, and what is left out of the curve is printed.
+    It uses the approach, and prints which parts of the curve it leaves out.
     """
     with report_errors(as_json):
         document = _sensitivity(curve, part, way_unit, deflection_unit, columns, anyway=anyway, figure=figure)

@@ -19,7 +19,7 @@ def recalibrate(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Read what real devices sent with another calibration, into a new recording."""
+    """Apply another calibration to the raw values of real devices, and write a new recording."""
     with report_errors(as_json):
         from telenano.cli import print_document
         from telenano.devices import HandleCalibration, InstrumentCalibration

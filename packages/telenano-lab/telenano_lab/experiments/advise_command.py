@@ -24,7 +24,7 @@ def advise(
     table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
-    """Say which law to take for a network and a sample: what the benchmark's cells say, tried on the line itself."""
+    """Advise a law for a network and a sample, by the benchmark's cells and a trial on the line itself."""
     with report_errors(as_json, INTERRUPTED):
         from telenano_lab.experiments.benchmark import line_advice
 

@@ -34,7 +34,7 @@ _OF_FIELDS = {"law": "--law", "network": "--network", "instrument": "--instrumen
 def benchmark(
     what: Annotated[
         Literal["all", "cell"],
-        typer.Argument(help="all: the benchmark; cell: make kept runs again, and compare."),
+        typer.Argument(help="all: the benchmark; cell: make kept runs again, and compare them."),
     ] = "all",
     out: Annotated[
         Path,
@@ -77,8 +77,8 @@ def benchmark(
 ) -> None:
     """Run the benchmark of laws: fixed tasks, networks and hands in lockstep; one page, and a digest of the runs.
 
-    With `cell` the runs that are named are made again and compared with those that are kept with the package; exit code
-    1 where one differs.
+    With `cell` the runs that are named are made again and compared with those kept with the package; the exit code is 1
+    if one differs.
     """
     with report_errors(as_json, INTERRUPTED):
         chosen = {"--task": task, "--arm": arm, "--seed": seed, "--draw": draw, "--draw-seed": draw_seed}

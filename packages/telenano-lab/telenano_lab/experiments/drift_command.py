@@ -27,17 +27,19 @@ def drift(
     network: Annotated[str, typer.Option("--network", metavar="NAME", help="The network between the sites.")] = "clean",
     speed: Annotated[
         str,
-        typer.Option("--speed", metavar="PM/S[,PM/S]", help="Speeds [pm/s]; of a wander the root mean square."),
+        typer.Option(
+            "--speed", metavar="PM/S[,PM/S]", help="Speeds [pm/s]; for a wandering one, its root mean square."
+        ),
     ] = "10,50",
     time_constant: Annotated[
         str,
-        typer.Option("--time-constant", metavar="S[,S]", help="Over which a speed that wanders forgets itself [s]."),
+        typer.Option("--time-constant", metavar="S[,S]", help="Correlation time of a speed that wanders [s]."),
     ] = "5,60",
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=1000, help="Draws of each wander.")] = 4,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Press a spring and follow a swing while the base drifts in z: felt stiffness, and how far hand and tip part."""
+    """Press a spring and follow a swing while the base drifts in z: felt stiffness, and distance of hand and tip."""
     with report_errors(as_json, INTERRUPTED):
         from telenano_lab.experiments.drift_study import DRIFT_RUNS, rows_of, runs_of
 

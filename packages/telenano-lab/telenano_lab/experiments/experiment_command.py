@@ -35,7 +35,7 @@ app = command_group()
 people = command_group()
 app.command()(analyse)
 app.command("plan")(plan_for_power)
-app.add_typer(people, name="people", help="Note what is known of participants: consent, handedness, exclusion.")
+app.add_typer(people, name="people", help="Record facts about participants: consent, handedness, exclusion.")
 
 _FILE = "experiment.yaml"
 ApparatusName = Literal["live", "lockstep"]
@@ -69,7 +69,7 @@ def new(
     base: Annotated[str, typer.Option("--from", metavar="NAME|FILE", help="Experiment to begin with.")] = "template",
     as_json: JsonOption = False,
 ) -> None:
-    """Write the file of an experiment of your own, with what each key means."""
+    """Write the file of an experiment of your own, with the meaning of each key."""
     with report_errors(as_json):
         path = out or Path(f"{name}.yaml")
         if path.exists():
@@ -89,7 +89,7 @@ def new(
 
 @app.command()
 def check(file: FileArgument, as_json: JsonOption = False) -> None:
-    """Check an experiment: how many trials, how long, which factor varies where, and whether the order is balanced."""
+    """Check an experiment: number of trials, duration, where each factor varies, and whether the order is balanced."""
     with report_errors(as_json):
         from telenano_lab.experiments.summary import summary_of
 
@@ -121,7 +121,7 @@ def run(
     ] = None,
     participant: ParticipantOption = None,
     apparatus: Annotated[
-        ApparatusName | None, typer.Option("--apparatus", help="Run on this, in place of what the file says.")
+        ApparatusName | None, typer.Option("--apparatus", help="Apparatus to run on, instead of that of the file.")
     ] = None,
     marks: MarksOption = None,
     baud: BaudOption = 115200,
@@ -158,7 +158,7 @@ def resume(
 
 @app.command()
 def status(folder: FolderArgument, as_json: JsonOption = False) -> None:
-    """Show how far an experiment is: trials done, left and disturbed of each participant."""
+    """Show the progress of an experiment: trials done, left and disturbed of each participant."""
     with report_errors(as_json):
         from telenano_lab.experiments import journal
         from telenano_lab.experiments.runner import folder_plan
@@ -235,7 +235,7 @@ def add(
 def exclude(
     folder: FolderArgument,
     pseudonym: PseudonymArgument,
-    reason: Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why; empty takes the participant back.")],
+    reason: Annotated[str, typer.Option("--reason", metavar="TEXT", help="Reason; empty takes the participant back.")],
     as_json: JsonOption = False,
 ) -> None:
     """Exclude a participant's data with a reason, or take them back with an empty one; nothing is deleted."""

@@ -41,13 +41,17 @@ class Factor(Settings):
     """A factor: levels that are given, or that a psychophysical method chooses from trial to trial."""
 
     levels: Annotated[Any, PlainValidator(_levels)] = Field(
-        default=None, description="Values of the key; or names of levels, each with the dotted keys that it means"
+        default=None, description="Values of the key; or names of levels, each with the dotted keys that it sets"
     )
     adaptive: dict[str, Any] | None = Field(
         default=None, description="Settings of a psychophysical method, which chooses the level of each trial"
     )
-    measure: str = Field(default="correct", description="The measure of the task that tells the method right or wrong")
-    key: str | None = Field(default=None, description="Dotted key, or task.PARAMETER, where the name is another")
+    measure: str = Field(
+        default="correct", description="Measure of the task by which the method takes a trial as right or wrong"
+    )
+    key: str | None = Field(
+        default=None, description="Dotted key, or task.PARAMETER, where the factor has another name"
+    )
 
     @model_validator(mode="after")
     def _levels_or_method(self) -> Self:
@@ -75,17 +79,19 @@ class TaskEntry(Settings):
 
 
 class Blocks(Settings):
-    """What is held for a block of trials, and the order of the blocks."""
+    """Factors that keep their level for a block of trials, and the order of the blocks."""
 
     factors: tuple[str, ...] = Field(default=(), description="Factors whose level is the same for all of a block")
     order: OrderKind = Field(default="shuffle", description="Order of the blocks")
 
 
 class Criterion(Settings):
-    """When a task has been practised enough: the mean of a measure over the last trials, where right counts as 1."""
+    """Criterion of sufficient practice: the mean of a measure over the last trials, where right counts as 1."""
 
     measure: str = Field(description="Measure of the task, such as success")
-    last: int = Field(default=4, ge=1, le=1000, description="Over how many of the last practice trials it is the mean")
+    last: int = Field(
+        default=4, ge=1, le=1000, description="Number of the last practice trials over which the mean is taken"
+    )
     at_least: float | None = Field(default=None, description="The mean is not below this")
     at_most: float | None = Field(default=None, description="The mean is not above this")
 
@@ -109,11 +115,14 @@ class Practice(Settings):
     """Trials that do not count, before the first block of each task in a session."""
 
     trials: int = Field(
-        default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn; with `until` at most"
+        default=0,
+        ge=0,
+        le=1000,
+        description="Number of trials, of the conditions of that block in turn; with `until` the greatest number",
     )
     until: dict[str, Criterion] = Field(default={}, description="Criterion that ends the practice of a task, by task")
     missed: Literal["keep", "exclude"] = Field(
-        default="keep", description="What becomes of a participant who does not meet it in these trials"
+        default="keep", description="Consequence for a participant who does not meet the criterion in these trials"
     )
 
     @model_validator(mode="after")
@@ -127,7 +136,7 @@ class Practice(Settings):
 
 
 class Breaks(Settings):
-    """Rests."""
+    """Rests within and between blocks."""
 
     every_trials: int | None = Field(default=None, ge=1, description="Number of trials of a block before a rest")
     duration_s: float = Field(default=60.0, ge=0.0, le=3600.0, description="Length of a rest [s]")
@@ -135,17 +144,24 @@ class Breaks(Settings):
 
 
 class Disturbed(Settings):
-    """When a trial counts as disturbed, and what becomes of it."""
+    """Condition on which a trial counts as disturbed, and its repetition."""
 
     stall_s: float = Field(
-        default=0.02, gt=0.0, le=10.0, description="The longest standstill of a process of the loop [s]"
+        default=0.02,
+        gt=0.0,
+        le=10.0,
+        description="Longest standstill of a process of the loop in an undisturbed trial [s]",
     )
-    again: Literal["at_once", "end_of_block"] = Field(default="end_of_block", description="When a trial is repeated")
-    most_attempts: int = Field(default=3, ge=1, le=100, description="Attempts at one trial, the first one included")
+    again: Literal["at_once", "end_of_block"] = Field(
+        default="end_of_block", description="Time at which a disturbed trial is repeated"
+    )
+    most_attempts: int = Field(
+        default=3, ge=1, le=100, description="Greatest number of attempts at one trial, the first one included"
+    )
 
 
 class Stop(Settings):
-    """What ends a run before its plan is done; `resume` continues."""
+    """Conditions that end a run before its plan is done; `resume` continues it."""
 
     disturbed_in_a_row: int = Field(
         default=5, ge=1, description="Stop after this number of disturbed attempts in a row"
@@ -167,12 +183,12 @@ class Item(Settings):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="Name of the item in the table")
     text: str = Field(max_length=128, description="The question")
-    low: str = Field(default="", max_length=128, description="What the lower end of the scale means")
-    high: str = Field(default="", max_length=128, description="What its upper end means")
+    low: str = Field(default="", max_length=128, description="Meaning of the lower end of the scale")
+    high: str = Field(default="", max_length=128, description="Meaning of its upper end")
     least: float = Field(default=1.0, description="Lowest value")
     most: float = Field(default=7.0, description="Highest value")
     step: float = Field(default=1.0, gt=0.0, description="Distance of the values")
-    options: tuple[str, ...] = Field(default=(), max_length=16, description="What can be chosen, in place of a scale")
+    options: tuple[str, ...] = Field(default=(), max_length=16, description="Choices, instead of a scale")
 
     def question(self) -> Question:
         """Return the item as a question for the page."""
@@ -186,26 +202,26 @@ Paragraph = Annotated[str, Field(max_length=1024)]
 
 
 class QuestionWords(Settings):
-    """A question of a task in other words; what is empty stays as it is."""
+    """A question of a task in other words; the task's own text stands where one is empty."""
 
     text: Heading = Field(default="", description="The question")
-    low: Heading = Field(default="", description="What the lower end of its scale means")
-    high: Heading = Field(default="", description="What its upper end means")
-    options: tuple[Heading, ...] = Field(default=(), max_length=16, description="What can be chosen, in its order")
+    low: Heading = Field(default="", description="Meaning of the lower end of its scale")
+    high: Heading = Field(default="", description="Meaning of its upper end")
+    options: tuple[Heading, ...] = Field(default=(), max_length=16, description="Choices, in their order")
 
 
 class TaskWords(Settings):
-    """A task in other words; what is empty stays as it is."""
+    """A task in other words; the task's own text stands where one is empty."""
 
     title: Heading = Field(default="", description="Heading")
     instruction: Paragraph = Field(
-        default="", description="What is to be done; a parameter of the task in braces stands for its value"
+        default="", description="Instruction; a parameter of the task in braces stands for its value"
     )
     questions: dict[str, QuestionWords] = Field(default={}, description="Its questions by name")
 
 
 class Words(Settings):
-    """What a participant reads, in the words and the language of the experiment."""
+    """Texts that a participant reads, in the words and the language of the experiment."""
 
     language: str = Field(
         default="en",
@@ -213,21 +229,21 @@ class Words(Settings):
         description="Language by BCP 47, such as de or ar, which gives the direction of writing as well",
     )
     consent_title: Heading = Field(default="Consent", description="Heading of the consent")
-    consent: Paragraph = Field(default=CONSENT_TEXT, description="What a participant agrees to")
-    consent_question: Heading = Field(default=CONSENT.text, description="What is asked then")
+    consent: Paragraph = Field(default=CONSENT_TEXT, description="Text to which a participant agrees")
+    consent_question: Heading = Field(default=CONSENT.text, description="Question that follows the consent")
     agree: Heading = Field(default=CONSENT.options[0], description="Answer of one who takes part")
     disagree: Heading = Field(default=CONSENT.options[1], description="Answer of one who does not")
     questions: Heading = Field(default="A few questions", description="Heading of questionnaires")
     rest: Heading = Field(default="Rest", description="Heading of a rest")
     pause: Heading = Field(default="Pause", description="Heading of a pause that the experimenter makes")
     end: Heading = Field(default="Thank you", description="Heading of the end")
-    end_text: Paragraph = Field(default="The session is over.", description="What stands below it")
+    end_text: Paragraph = Field(default="The session is over.", description="Text below that heading")
     begin: Heading = Field(default="Begin", description="Button below an instruction")
     end_rest: Heading = Field(default="Continue", description="Button that ends a rest")
     submit: Heading = Field(default="Continue", description="Button below questions")
-    practice: Heading = Field(default="Practice", description="What stands beside the bar in practice")
+    practice: Heading = Field(default="Practice", description="Text beside the bar in practice")
     trial: Heading = Field(
-        default="Trial {number} of {total}", description="What stands there otherwise; with {number} and {total}"
+        default="Trial {number} of {total}", description="Text beside the bar otherwise; with {number} and {total}"
     )
     tasks: dict[str, TaskWords] = Field(default={}, description="Tasks by name")
 
@@ -250,7 +266,7 @@ class Words(Settings):
 
 
 class Operator(Settings):
-    """Who does the trials."""
+    """The person or simulated operator who does the trials."""
 
     kind: Literal["person", "simulated"] = Field(default="simulated", description="A person, or a simulated operator")
     profile: dict[str, Any] = Field(default={}, description="Settings of the simulated operator")
@@ -263,17 +279,17 @@ class Experiment(Settings):
     """The file of an experiment."""
 
     name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
-    title: str = Field(default="", max_length=200, description="What it is about")
+    title: str = Field(default="", max_length=200, description="Subject of the experiment")
     scenario: str = Field(description="Scenario that every trial begins from: a name or a YAML file")
-    settings: dict[str, Any] = Field(default={}, description="Dotted keys of the scenario that hold in every trial")
+    settings: dict[str, Any] = Field(default={}, description="Dotted keys of the scenario that apply in every trial")
     seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of every order and of every trial")
     apparatus: Literal["live", "lockstep"] = Field(default="live", description="A rig of processes, or simulated time")
     participants: Annotated[int, Field(ge=1, le=999)] | tuple[str, ...] = Field(
-        description="How many, which are then numbered; or their pseudonyms"
+        description="Number of participants, who are then numbered; or their pseudonyms"
     )
-    pseudonym: Prefix = Field(default="P", description="What a pseudonym begins with; a number follows")
+    pseudonym: Prefix = Field(default="P", description="Beginning of a pseudonym; a number follows")
     sessions: int = Field(default=1, ge=1, le=100, description="Visits of a participant, each with all blocks")
-    operator: Operator = Field(default=Operator(), description="Who does the trials")
+    operator: Operator = Field(default=Operator(), description="Person or simulated operator who does the trials")
     tasks: tuple[Annotated[TaskEntry, BeforeValidator(_name_alone)], ...] = Field(
         min_length=1, max_length=50, description="Tasks, each in blocks of its own"
     )
@@ -281,16 +297,18 @@ class Experiment(Settings):
         default={},
         description="Factors by name: law, round_trip_ms, delay_ms, network, a dotted key, or task.PARAMETER",
     )
-    repetitions: int = Field(default=1, ge=1, le=10_000, description="How often a condition comes in a block")
+    repetitions: int = Field(
+        default=1, ge=1, le=10_000, description="Number of times that a condition comes in a block"
+    )
     order: OrderKind = Field(default="shuffle", description="Order of the conditions of a block")
-    blocks: Blocks = Field(default=Blocks(), description="What is held for a block")
+    blocks: Blocks = Field(default=Blocks(), description="Factors that keep their level for a block")
     practice: Practice = Field(default=Practice(), description="Trials that do not count")
     breaks: Breaks = Field(default=Breaks(), description="Rests")
     disturbed: Disturbed = Field(default=Disturbed(), description="Trials that are repeated")
-    stop: Stop = Field(default=Stop(), description="What ends a run early")
+    stop: Stop = Field(default=Stop(), description="Conditions that end a run early")
     questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Your own instruments, by name")
     ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
-    words: Words = Field(default=Words(), description="What participants read, in your own words")
+    words: Words = Field(default=Words(), description="Texts for participants, in your own words")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -52,7 +52,9 @@ class Profile(Parameters):
     reaction_time_s: float = Field(0.25, ge=1e-3, le=5.0, description="Reaction time [s]")
     gain: float = Field(0.6, gt=0.0, le=1.9, description="Share of an error that a move corrects")
     noise: float = Field(0.1, ge=0.0, le=1.0, description="Standard deviation of that share, relative to it")
-    tolerance_n: float = Field(0.05, gt=0.0, le=10.0, description="Error of the felt force that is left [N]")
+    tolerance_n: float = Field(
+        0.05, gt=0.0, le=10.0, description="Error of the felt force that the operator leaves uncorrected [N]"
+    )
     arm: Literal["soft", "ordinary", "stiff"] = Field("ordinary", description="Arm of the hand")
     threshold_n: float = Field(0.15, gt=0.0, le=10.0, description="Change of the felt force that is noticed [N]")
     weber: float = Field(0.2, gt=0.0, le=5.0, description="Scatter of the perceived logarithm of a ratio of stiffness")

@@ -28,12 +28,12 @@ _CHUNK = 1 << 20
 
 
 class Person(Settings):
-    """What is known of a participant."""
+    """Facts about a participant."""
 
     handedness: Literal["left", "right", "both", "unknown"] = Field(default="unknown", description="The hand used")
     consent: bool = Field(default=False, description="Whether consent was given in writing, or at the page")
     simulated: bool = Field(default=False, description="Whether this is a simulated operator")
-    excluded: str = Field(default="", max_length=200, description="Why the data do not count; empty if they do")
+    excluded: str = Field(default="", max_length=200, description="Reason why the data do not count; empty if they do")
 
 
 class _File(Settings):

@@ -63,14 +63,16 @@ def curve(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="What the measured file lacks: stiffness_n_per_m, sensitivity_m_per_v; for a text table columns=1,2, "
-            "way_unit=nm, value_unit=nN, value_sign=-1.",
+            help="Facts that the measured file lacks: stiffness_n_per_m, sensitivity_m_per_v; for a text table "
+            "columns=1,2, way_unit=nm, value_unit=nN, value_sign=-1.",
         ),
     ] = None,
     reduced_modulus: Annotated[
         float | None,
         typer.Option(
-            "--reduced-modulus", metavar="PA", help="Reduced modulus of the measured contact [Pa]; default: of --afm."
+            "--reduced-modulus",
+            metavar="PA",
+            help="Reduced modulus of the measured contact [Pa]; default: that of --afm.",
         ),
     ] = None,
     live: LiveOption = False,

@@ -20,7 +20,7 @@ AfmOption = Annotated[
     typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
 ]
 LiveOption = Annotated[
-    bool, typer.Option("--live", help="By the instrument of the running rig, with its sample and cantilever.")
+    bool, typer.Option("--live", help="Use the instrument of the running rig, with its sample and cantilever.")
 ]
 
 

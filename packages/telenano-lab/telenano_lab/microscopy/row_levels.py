@@ -29,17 +29,17 @@ _PASSES = 3
 
 AlignOption = Annotated[
     Literal["median", "mean", "polynomial"] | None,
-    typer.Option("--align-rows", help="Take this off each row: its median, its mean, or a parabola."),
+    typer.Option("--align-rows", help="Subtract this from each row: its median, its mean, or a parabola."),
 ]
 AboveOption = Annotated[
     float | None,
     typer.Option(
-        "--mask-above", min=0.0, metavar="NM", help="Leave out what is higher than this over the ground [nm]."
+        "--mask-above", min=0.0, metavar="NM", help="Leave out points higher than this above the ground [nm]."
     ),
 ]
 BelowOption = Annotated[
     float | None,
-    typer.Option("--mask-below", min=0.0, metavar="NM", help="Leave out what is lower than this under it [nm]."),
+    typer.Option("--mask-below", min=0.0, metavar="NM", help="Leave out points lower than this below the ground [nm]."),
 ]
 
 

@@ -37,7 +37,7 @@ def sample(
     below: BelowOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a sample and what a tip of this radius sees of it, as .gwy, .gsf and PNG."""
+    """Write a sample, and its image by a tip of this radius, as .gwy, .gsf and PNG."""
     if context.invoked_subcommand is not None:
         return
     with report_errors(as_json):

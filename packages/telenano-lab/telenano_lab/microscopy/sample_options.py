@@ -21,7 +21,9 @@ SampleOption = Annotated[
 ]
 SampleSizeOption = Annotated[
     float | None,
-    typer.Option("--size", metavar="NM", help="Side of the sample [nm], for all but files that say it; default: 150."),
+    typer.Option(
+        "--size", metavar="NM", help="Side of the sample [nm], for all but files that state it; default: 150."
+    ),
 ]
 ChannelOption = Annotated[
     str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a file's channel; default: height.")

@@ -27,8 +27,8 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="What `ping -D` printed, tables with columns such as sent_ms and received_ms (or delay_ms), "
-            "recordings of a rig, or traces of when a line could deliver [ms].",
+            help="Output of `ping -D`, tables with columns such as sent_ms and received_ms (or delay_ms), recordings "
+            "of a rig, or traces of the times at which a line could deliver [ms].",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for settings, profile and page.")] = Path(
@@ -43,24 +43,26 @@ def fit(
     ] = False,
     without_memory: Annotated[
         bool,
-        typer.Option("--without-memory", help="The same distribution, each message drawn by itself: for comparison."),
+        typer.Option(
+            "--without-memory", help="Draw each message by itself from the same distribution, for comparison."
+        ),
     ] = False,
     period: Annotated[
         float | None,
         typer.Option("--period", metavar="S", min=1e-6, help="Time between two messages of a log without times [s]."),
     ] = None,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write the settings also where the model is not like the log.")
+        bool, typer.Option("--anyway", help="Write the settings even if the model is not like the log.")
     ] = False,
-    about: Annotated[str, typer.Option("--about", metavar="TEXT", help="What the line is, in one line.")] = "",
+    about: Annotated[str, typer.Option("--about", metavar="TEXT", help="The line (network) in one line.")] = "",
     cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Source of the log.")] = "",
     taken: Annotated[
         str | None,
         typer.Option(
             "--taken",
             metavar="TEXT",
-            help="What was used of the log that --cite names, and how; default: all messages of the log, by telenano"
-            " link fit.",
+            help="Part of the log of --cite that was used, and how; default: all messages of the log, by telenano "
+            "link fit.",
         ),
     ] = None,
     histogram: Annotated[
@@ -69,14 +71,14 @@ def fit(
     ] = False,
     direction: Annotated[
         Literal["forward", "backward"] | None,
-        typer.Option("--direction", help="Which way of a recording counts; default: forward."),
+        typer.Option("--direction", help="Direction of a recording that counts; default: forward."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of what is generated.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the generated messages.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.
 
-    The fit of the first half of the log is held against the second half, which it has not seen; when they disagree in a
+    The fit of the first half of the log is compared with the second half, which it has not seen; if they disagree in a
     statistic the exit code is 3, and no settings are written without --anyway.
     """
     with report_errors(as_json):

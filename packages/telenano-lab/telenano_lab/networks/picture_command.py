@@ -30,7 +30,7 @@ def picture(
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the networks.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw what networks do forward: delay, its distribution and autocorrelation, stalls, losses, and age.
+    """Draw the forward direction of networks: delay, its distribution and autocorrelation, stalls, losses, and age.
 
     The age is that of the newest message at a reader. 200 messages a second are sent for ten minutes. There is a
     picture of each network, one of up to eight over one another, and the curves in networks.json.

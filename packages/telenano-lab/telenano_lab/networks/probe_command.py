@@ -35,11 +35,11 @@ def probe(
         "out/probe"
     ),
     duration: Annotated[
-        float, typer.Option("--duration", metavar="S", min=2.0, max=1e6, help="How long to measure [s].")
+        float, typer.Option("--duration", metavar="S", min=2.0, max=1e6, help="Time for which to measure [s].")
     ] = 30.0,
     recording: Annotated[
         Path | None,
-        typer.Option("--from", metavar="FILE", help="Take what a recording holds in the place of a running rig."),
+        typer.Option("--from", metavar="FILE", help="Use a recording instead of a running rig."),
     ] = None,
     site_file: SiteFileOption = TWO_SITES_FILE,
     as_json: JsonOption = False,

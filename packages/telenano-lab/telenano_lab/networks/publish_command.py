@@ -17,7 +17,7 @@ def pub(
     ],
     src: Annotated[
         str,
-        typer.Option("--as", metavar="NODE@SITE", help="Node in whose place it is published; it must not run."),
+        typer.Option("--as", metavar="NODE@SITE", help="Node as which the message is published; it must not run."),
     ] = VIEW,
     rate: Annotated[
         float, typer.Option("--rate", min=0.01, max=1000.0, metavar="HZ", help="Messages a second.")
@@ -26,11 +26,11 @@ def pub(
         int | None, typer.Option("--count", "-n", min=1, metavar="N", help="End after this many messages.")
     ] = None,
     site_file: Annotated[
-        Path, typer.Option("--site-file", metavar="FILE", help="Site file: which node is reached where.")
+        Path, typer.Option("--site-file", metavar="FILE", help="Site file with the addresses of the nodes.")
     ] = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
+    """Publish messages instead of a node that does not run, until Ctrl-C or a number; for trials and tests."""
     with report_errors(as_json):
         from telenano.cli import print_answer
         from telenano.runtime import AddressBook, known_name

@@ -24,7 +24,7 @@ def report(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what the link did to the messages of a recording: delay, loss, stalls and order, by direction."""
+    """Show the effect of the link on the messages of a recording: delay, loss, stalls and order, by direction."""
     with report_errors(as_json):
         fates = fates_in(recording)
         ways = {way: figures(rows, topic) for way, rows in fates.items()}

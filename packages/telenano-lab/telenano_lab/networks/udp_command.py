@@ -36,22 +36,23 @@ def udp(
         str,
         typer.Argument(
             metavar="LISTEN",
-            help="Where clients send to: PORT of this machine alone, HOST:PORT or [HOST]:PORT; [::]:PORT for all.",
+            help="Address to which clients send: PORT of this machine alone, HOST:PORT or [HOST]:PORT; [::]:PORT for "
+            "all.",
         ),
     ],
-    target: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the datagrams are forwarded.")],
+    target: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Address to which the datagrams are forwarded.")],
     profile: Annotated[
-        str, typer.Option("--profile", metavar="NAME", help="Network, of those that `telenano link profile` lists.")
+        str, typer.Option("--profile", metavar="NAME", help="Network from the list of `telenano link profile`.")
     ] = "clean",
     keys: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Setting of the link, such as forward.delay_s=0.02 or seed=3."),
     ] = None,
     record: Annotated[
-        Path | None, typer.Option("--record", metavar="FILE", help="Keep what became of each datagram (MCAP).")
+        Path | None, typer.Option("--record", metavar="FILE", help="Record the fate of each datagram (MCAP).")
     ] = None,
     clients: Annotated[
-        int, typer.Option("--clients", metavar="N", min=1, max=1000, help="Most clients at a time.")
+        int, typer.Option("--clients", metavar="N", min=1, max=1000, help="Greatest number of clients at a time.")
     ] = 64,
     duration: DurationOption = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,

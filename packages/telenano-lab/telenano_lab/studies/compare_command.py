@@ -33,7 +33,7 @@ def compare(
     ] = Path("out/compare"),
     paper: Annotated[
         bool,
-        typer.Option("--paper", help="Draw what the paper says of its Fig. 12 beneath; one session is enough then."),
+        typer.Option("--paper", help="Draw the paper's values of its Fig. 12 beneath; one session is enough then."),
     ] = False,
     published: Annotated[
         list[Path] | None,

@@ -16,7 +16,7 @@ _SIZE = (100, 12)
 def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")],
     fields: Annotated[
-        list[str], typer.Argument(metavar="TOPIC.FIELD", help="What to draw, such as afm/state.tip_force_n.2.")
+        list[str], typer.Argument(metavar="TOPIC.FIELD", help="Field to draw, such as afm/state.tip_force_n.2.")
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")

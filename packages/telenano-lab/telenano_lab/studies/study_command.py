@@ -167,7 +167,7 @@ def validate(
     ] = None,
     sample_seed: Annotated[int, typer.Option("--sample-seed", min=0, help="Seed of the draw.")] = 1,
     network: Annotated[
-        str, typer.Option("--network", metavar="NAME[,NAME]", help="Networks in the place of the delays.")
+        str, typer.Option("--network", metavar="NAME[,NAME]", help="Networks instead of the delays.")
     ] = "",
     site_file: RigFileOption = None,
     table: TableOption = "parquet",

@@ -21,7 +21,11 @@ def relay(
     mbit_per_s: Annotated[
         float,
         typer.Option(
-            "--mbit-per-s", metavar="MBIT", min=0.1, max=1e5, help="Most that is carried for each site [Mbit/s]."
+            "--mbit-per-s",
+            metavar="MBIT",
+            min=0.1,
+            max=1e5,
+            help="Greatest rate that is carried for each site [Mbit/s].",
         ),
     ] = 50.0,
     join: Annotated[
@@ -34,7 +38,7 @@ def relay(
     ] = None,
     site_file: SiteFileOption = TWO_SITES_FILE,
 ) -> None:
-    """Carry what is sealed between two sites that can only dial out, until Ctrl-C; it needs the keys of both."""
+    """Relay encrypted messages between two sites that can only dial out, until Ctrl-C; it needs the keys of both."""
     with report_errors(as_json=False):
         beside_the_loop()
         if join is not None:

@@ -43,8 +43,8 @@ def trial(
 ) -> None:
     """Try a device of your own with a question before each step, and write one file; or make its page.
 
-    It is read first, then driven without load, then with load. `end` or Ctrl-C ends it at any time: the device is let
-    go of, and the file has what was found until then. The exit code is 1 if a check fails or was not made.
+    The device is read first, then driven without load, then with load. `end` or Ctrl-C ends the trial at any time: the
+    device is released, and the file has the findings so far. The exit code is 1 if a check fails or was not made.
     """
     with report_errors(as_json=False):
         from telenano_devices.acceptance.trial.questions import Questions

@@ -23,15 +23,17 @@ Place = Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
 
 
 class ParticlesConfig(Settings):
-    """Spheres on the sample which the tip moves. The presets are to teach with: real pairs scatter by a factor of 3."""
+    """Spheres on the sample, which the tip moves. The presets are for teaching: real pairs scatter by a factor of 3."""
 
     preset: Literal[tuple(KINDS)] = Field(  # type: ignore[valid-type]
         "latex_250", description="Kind of particle and substrate: " + ", ".join(KINDS) + "."
     )
-    count: int = Field(8, ge=0, le=MOST_PARTICLES, description="How many lie at places that the seed decides, to 50.")
+    count: int = Field(
+        8, ge=0, le=MOST_PARTICLES, description="Number of particles at places drawn from the seed, to 50."
+    )
     seed: int = Field(0, ge=0, lt=2**63, description="Seed of these places.")
     places: Annotated[tuple[Place, ...], Field(strict=False)] | None = Field(
-        None, max_length=MOST_PARTICLES, description="Places x, y [m] in place of drawn ones; 0, 0 is the middle."
+        None, max_length=MOST_PARTICLES, description="Places x, y [m] instead of drawn ones; 0, 0 is the middle."
     )
     radius_m: float | None = Field(None, ge=1e-9, le=1e-5, description="Radius [m]; default that of the preset.")
     adhesion_j_per_m2: float | None = Field(
@@ -40,8 +42,10 @@ class ParticlesConfig(Settings):
     shear_pa: float | None = Field(
         None, gt=0.0, le=1e10, description="Shear strength tau of the interface [Pa]; default that of the preset."
     )
-    kinetic_share: float = Field(0.5, gt=0.0, le=1.0, description="Kinetic over static friction, 0.3 to 0.6 measured.")
-    motion: Motion = Field("slide", description="slide, roll, or auto: what needs less force.")
+    kinetic_share: float = Field(
+        0.5, gt=0.0, le=1.0, description="Ratio of kinetic to static friction; 0.3 to 0.6 were measured."
+    )
+    motion: Motion = Field("slide", description="slide, roll, or auto: whichever needs less force.")
     rest_s: float = Field(10e-3, ge=0.0, le=1e3, description="Rest after which the static friction is back [s].")
     loaded_area: bool = Field(False, description="Whether the load that the tip puts on a particle adds to its hold.")
     cone_deg: float = Field(15.0, ge=1.0, le=60.0, description="Half-angle of the tip behind its apex [degrees].")

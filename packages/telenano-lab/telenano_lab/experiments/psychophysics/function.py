@@ -33,7 +33,7 @@ _RAREST = 1e-9
 
 
 class Psychometric(Settings):
-    """The family of functions that answers are described by."""
+    """The family of functions that describes answers."""
 
     shape: Shape = Field(
         default="logistic",

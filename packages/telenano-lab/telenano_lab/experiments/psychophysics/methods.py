@@ -24,7 +24,7 @@ class Range(Settings):
 
     low: float = Field(description="The least value")
     high: float = Field(description="The greatest value")
-    count: int = Field(default=31, ge=2, le=201, description="How many there are")
+    count: int = Field(default=31, ge=2, le=201, description="Number of values")
 
     @model_validator(mode="after")
     def _has_a_length(self) -> "Range":
@@ -69,7 +69,7 @@ class ConstantSettings(_Adaptive):
 
     method: Literal["constant"]
     levels: tuple[float, ...] = Field(min_length=2, max_length=100, description="The levels")
-    repetitions: int = Field(ge=1, le=1000, description="How often each level is presented")
+    repetitions: int = Field(ge=1, le=1000, description="Number of presentations of each level")
 
     @model_validator(mode="after")
     def _fits_the_axis(self) -> "ConstantSettings":
@@ -97,7 +97,10 @@ class StaircaseSettings(_Adaptive):
     high: float = Field(description="The greatest level")
     reversals: int = Field(default=12, ge=2, le=1000, description="Number of reversals with which it ends")
     discarded: int = Field(
-        default=4, ge=0, le=1000, description="The first reversals, which the mean of the reversals leaves out"
+        default=4,
+        ge=0,
+        le=1000,
+        description="Number of the first reversals, which the mean of the reversals leaves out",
     )
     trials: int = Field(default=200, ge=1, le=_MOST_TRIALS, description="Largest number of trials, after which it ends")
 

@@ -25,8 +25,10 @@ CONTACT = "contact"
 class DetectContact(Parameters):
     """Parameters of the task."""
 
-    contact_n: float = Field(1e-9, gt=0.0, le=1e-6, description="Force from which on the tip counts as touching [N]")
-    limit_s: float = Field(10.0, gt=0.0, le=600.0, description="How long a trial takes [s]")
+    contact_n: float = Field(
+        1e-9, gt=0.0, le=1e-6, description="Force on the tip from which on it counts as touching [N]"
+    )
+    limit_s: float = Field(10.0, gt=0.0, le=600.0, description="Duration of a trial [s]")
     window_s: float = Field(2.0, gt=0.0, le=60.0, description="Longest time from touch to answer that counts [s]")
 
 

@@ -32,9 +32,9 @@ class DiscriminateStiffness(Parameters):
 
     standard_n_per_m: float = Field(20.0, gt=0.0, le=1e4, description="Stiffness of the standard [N/m]")
     ratio: float = Field(1.3, ge=1.0, le=10.0, description="Stiffness of the comparison over that of the standard")
-    interval_s: float = Field(4.0, gt=0.0, le=120.0, description="How long each of the two is felt [s]")
+    interval_s: float = Field(4.0, gt=0.0, le=120.0, description="Time for which each of the two is felt [s]")
     rest_position_m: float = Field(
-        10e-9, ge=0.0, le=1e-6, description="How far the base goes from its rest until it touches [m]"
+        10e-9, ge=0.0, le=1e-6, description="Way of the base from its rest until the tip touches [m]"
     )
 
 

@@ -24,12 +24,14 @@ from telenano_lab.experiments.tasks.common import rms, steady_force
 class FollowProfile(Parameters):
     """Parameters of the task."""
 
-    force_n: float = Field(10e-9, gt=0.0, le=1e-6, description="Force on the tip to keep [N]")
-    band: float = Field(0.3, gt=0.0, lt=1.0, description="Half the width of the band about it, as a share of it")
+    force_n: float = Field(10e-9, gt=0.0, le=1e-6, description="Force on the tip that the hand has to keep [N]")
+    band: float = Field(
+        0.3, gt=0.0, lt=1.0, description="Half the width of the band about that force, as a share of it"
+    )
     period_m: float = Field(200e-9, gt=0.0, le=1e-5, description="Period of the grating [m]")
-    height_m: float = Field(5e-9, gt=0.0, le=1e-6, description="Height of its ridges [m]")
-    way_m: float = Field(800e-9, gt=0.0, le=1e-5, description="Way across it [m]")
-    duration_s: float = Field(24.0, gt=1.0, le=600.0, description="How long a trial takes [s]")
+    height_m: float = Field(5e-9, gt=0.0, le=1e-6, description="Height of the grating's ridges [m]")
+    way_m: float = Field(800e-9, gt=0.0, le=1e-5, description="Way across the grating [m]")
+    duration_s: float = Field(24.0, gt=1.0, le=600.0, description="Duration of a trial [s]")
     lead_in_s: float = Field(
         4.0, ge=0.0, le=60.0, description="Time in which the hand reaches the force, not judged [s]"
     )

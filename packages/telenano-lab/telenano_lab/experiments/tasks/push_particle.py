@@ -19,8 +19,10 @@ class PushParticle(Parameters):
     """Parameters of the task."""
 
     way_m: float = Field(500e-9, gt=0.0, le=1e-5, description="Distance of the target from the particle [m]")
-    tolerance_m: float = Field(100e-9, gt=0.0, le=1e-6, description="Distance to the target that counts as there [m]")
-    limit_s: float = Field(40.0, gt=0.0, le=600.0, description="How long a trial takes [s]")
+    tolerance_m: float = Field(
+        100e-9, gt=0.0, le=1e-6, description="Distance to the target at which the particle counts as arrived [m]"
+    )
+    limit_s: float = Field(40.0, gt=0.0, le=600.0, description="Duration of a trial [s]")
     preset: str = Field("latex_250", description="Kind of particle, see afm_node.sample.particles.preset")
 
 

@@ -23,11 +23,15 @@ from telenano_lab.experiments.tasks.common import rms, steady_force
 class TouchAndHold(Parameters):
     """Parameters of the task."""
 
-    force_n: float = Field(10e-9, gt=0.0, le=1e-6, description="Force on the tip to hold [N]")
-    band: float = Field(0.15, gt=0.0, lt=1.0, description="Half the width of the band about it, as a share of it")
-    hold_s: float = Field(1.0, gt=0.0, le=60.0, description="How long the force has to stay in the band [s]")
-    limit_s: float = Field(12.0, gt=0.0, le=600.0, description="How long a trial takes [s]")
-    contact_n: float = Field(1e-9, gt=0.0, le=1e-6, description="Force from which on the tip counts as touching [N]")
+    force_n: float = Field(10e-9, gt=0.0, le=1e-6, description="Force on the tip that the hand has to hold [N]")
+    band: float = Field(
+        0.15, gt=0.0, lt=1.0, description="Half the width of the band about that force, as a share of it"
+    )
+    hold_s: float = Field(1.0, gt=0.0, le=60.0, description="Time for which the force has to stay in the band [s]")
+    limit_s: float = Field(12.0, gt=0.0, le=600.0, description="Duration of a trial [s]")
+    contact_n: float = Field(
+        1e-9, gt=0.0, le=1e-6, description="Force on the tip from which on it counts as touching [N]"
+    )
 
 
 class _Task(Plain):

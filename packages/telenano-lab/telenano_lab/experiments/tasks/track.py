@@ -31,14 +31,16 @@ class Track(Parameters):
     """Parameters of the task."""
 
     quantity: Literal["force", "position"] = Field(
-        "force", description="What follows the target: force on the tip, base"
+        "force", description="Quantity that follows the target: force on the tip, or position of the base"
     )
     centre: float = Field(10e-9, ge=-1e-5, le=1e-5, description="Middle of the target [N] or [m]")
-    amplitude: float = Field(5e-9, gt=0.0, le=1e-5, description="Largest distance of the target from it [N] or [m]")
-    frequencies_hz: tuple[float, ...] = Field(
-        (0.1, 0.17, 0.29), min_length=1, max_length=12, description="Frequencies of its sines [Hz], up to 1"
+    amplitude: float = Field(
+        5e-9, gt=0.0, le=1e-5, description="Greatest distance of the target from its middle [N] or [m]"
     )
-    duration_s: float = Field(20.0, ge=4.0, le=600.0, description="How long a trial takes [s]")
+    frequencies_hz: tuple[float, ...] = Field(
+        (0.1, 0.17, 0.29), min_length=1, max_length=12, description="Frequencies of the target's sines [Hz], up to 1"
+    )
+    duration_s: float = Field(20.0, ge=4.0, le=600.0, description="Duration of a trial [s]")
     lead_in_s: float = Field(3.0, ge=0.0, le=60.0, description="Time at the beginning that is not judged [s]")
     on_target: float = Field(
         0.25, gt=0.0, description="Error that counts as on the target, as a share of the amplitude"

@@ -51,7 +51,7 @@ class Question(StrictSettings):
 
     network: Annotated[str | None, Option(("--network",), "NAME")] = Field(
         default=None,
-        description="Network of those that `telenano link profile` lists, in place of --delay, --jitter and --loss",
+        description="Network from the list of `telenano link profile`, instead of --delay, --jitter and --loss",
     )
     round_trip_ms: Annotated[float, Option(("--delay",), "MS", written="that of --network")] = Field(
         default=math.nan, ge=0.0, le=LONGEST_MS, description="Round trip of the network [ms]"
@@ -67,10 +67,10 @@ class Question(StrictSettings):
         default="ordinary", description="soft: 5 N/m, ordinary: 20 N/m, stiff: 80 N/m at the tip"
     )
     stiffness_n_per_m: Annotated[float | None, Option(("--stiffness",), "N/M")] = Field(
-        default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
+        default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], instead of --sample"
     )
     instrument: Annotated[str, Option(("--instrument",), "NAME")] = Field(
-        default="real", description="What disturbs the AFM: ideal, real, real_drifting, paper_bridge"
+        default="real", description="Named disturbances of the AFM: ideal, real, real_drifting, paper_bridge"
     )
     seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network or instrument")
 

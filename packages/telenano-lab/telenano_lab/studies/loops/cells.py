@@ -79,7 +79,7 @@ WRONG_RESTS: tuple[str, ...] = ("nothing_moved", "off_force", "struck")
 
 
 class Conditions(Settings):
-    """What all cells of a study have in common. `settings` are keys of `controller` that differ from their defaults."""
+    """Conditions shared by all cells of a study. `settings` are keys of `controller` that differ from the defaults."""
 
     environment: Environment = Field(
         description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; tip_sample: the"
@@ -88,11 +88,11 @@ class Conditions(Settings):
     )
     hand: Annotated[Hand, Option(("--hand", "--arm"))] = Field(
         default="force",
-        description="force: a constant force whatever the device does; else an arm of 50, 300 or 1000 N/m on its way"
-        " along a path",
+        description="force: a constant force regardless of the device's motion; else an arm of 50, 300 or 1000 N/m on "
+        "its way along a path",
     )
     mass_kg: Annotated[float, Option(("--mass",), "KG")] = Field(
-        default=0.01, gt=0.0, le=1e3, description="Mass of the body, at the tip [kg]; of no other environment"
+        default=0.01, gt=0.0, le=1e3, description="Mass of the body, at the tip [kg]; no other environment has one"
     )
     damping_n_s_per_m: Annotated[float, Option(("--body-damping",), "N*S/M")] = Field(
         default=0.02, ge=0.0, le=1e6, description="Damper of the body, at the tip [N s/m]"
@@ -101,7 +101,7 @@ class Conditions(Settings):
         default=0.0,
         ge=0.0,
         le=1e3,
-        description="What real devices add to the round trip [ms]: the sum of device_latency_s in node/health",
+        description="Latency that real devices add to the round trip [ms]: the sum of device_latency_s in node/health",
     )
     seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
     session_s: Annotated[float | None, Option(("--duration",), "S")] = Field(
@@ -132,7 +132,7 @@ class Cell(Conditions):
     play_out: bool = Field(default=False, description="A play-out buffer at the end of each direction")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
     burst: float | None = Field(
-        default=None, ge=1.0, le=1e4, description="Mean number of messages lost in a row; none: each by itself"
+        default=None, ge=1.0, le=1e4, description="Mean number of messages lost in a row; none: each is lost by itself"
     )
     uneven: Uneven | None = Field(
         default=None, description="A link that is uneven in time both ways, instead of jitter and loss"

@@ -44,7 +44,10 @@ class Axes(Conditions):
         default=(0.0,), description="Share of messages lost each way, 0 to 1, or n%"
     )
     seeds: int = Field(
-        default=1, ge=1, le=10_000, description="Seeds of whatever is random, from --seed on: mean and interval of each"
+        default=1,
+        ge=1,
+        le=10_000,
+        description="Number of seeds of all random parts, from --seed on: mean and interval over them",
     )
 
     def lines(self) -> list["Line"]:

@@ -31,9 +31,9 @@ class Feel(Axes):
     ] = Field(default=frequencies(_FREQUENCIES), description="Sines of the hand [Hz]")
     instruments: Annotated[
         tuple[str, ...], Option(("--instrument",), "NAME[,NAME]", named_instruments, written="ideal")
-    ] = Field(default=("ideal",), description="Of the table of felt stiffness: names of instruments")
+    ] = Field(default=("ideal",), description="Names of instruments for the table of felt stiffness")
     draws: Annotated[int, Option(("--draws",), "N")] = Field(
-        default=4, ge=2, le=1000, description="Sessions of a cell of that table: force, swing and noise differ"
+        default=4, ge=2, le=1000, description="Sessions per cell of that table; they differ in force, swing and noise"
     )
     tuned: Annotated[bool, Option(("--tuned",))] = Field(
         default=False, description="Tune each law for each delay, by the rule of `study advise`"
