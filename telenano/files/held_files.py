@@ -31,7 +31,10 @@ class _Entry(NamedTuple):
 
 
 class HeldFiles:
-    """Files held for child processes; `table` is the descriptor of the list of them, which `receive` reads."""
+    """Contents of files, kept in memory for child processes that read them in place of the files at their paths.
+
+    `table` is the file descriptor of the list of them, which a child reads by `receive`.
+    """
 
     def __init__(self) -> None:
         self._entries: dict[str, _Entry] = {}

@@ -41,7 +41,7 @@ class Asked(NamedTuple):
 
 
 class PanelRig(Protocol):
-    """Interface of a desk to the rig that its page shows."""
+    """Interface by which the desk of a panel (its part on the server) reads and commands the rig of its page."""
 
     def publish(self, topic: str, **fields: Any) -> object:
         """Publish on a topic, as `view@master`."""

@@ -385,7 +385,7 @@ class DirectionSettings(Impairment):
         return any(matches(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:
-        """Return the complete settings for one key in `topics`; '' returns those of the direction."""
+        """Return the settings for one key in `topics`: its own over those of the direction; '' for the latter alone."""
         own = self.model_dump(exclude={"topics", "reliable"}, exclude_unset=True)
         if pattern:
             own = merge(own, self.topics[pattern].model_dump(exclude_unset=True))

@@ -161,7 +161,7 @@ class LineWindow:
                     counts.popleft()
 
     def line(self) -> Line | None:
-        """Return the statistics of the line, or None before the first answer."""
+        """Return the statistics of the network line between the sites, or None before the first measured round trip."""
         if not self._ages:
             return None
         ages = sorted(age for _, age, _ in self._ages)

@@ -156,7 +156,10 @@ def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
 
 
 def sample_text(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> str:
-    """Return a remark on the sample for the person who arms the tip; empty for none."""
+    """Return how the sample was levelled and the range of its heights, for the person who arms the tip.
+
+    Without lateral reach it is the remark of the driver. Empty if there is nothing to tell.
+    """
     if reach is None:
         return getattr(driver, "about", "")
     surface, sample = reach.surface, config.sample

@@ -123,7 +123,7 @@ class ConfigAnswer(NamedTuple):
 
 
 class HandleState(NamedTuple):
-    """One sample of the device."""
+    """One sample of the haptic device, as the frame on its serial line has it: numbers in the units of the device."""
 
     flags: int
     seq: int
