@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.envelope import WINDOWS, band_n, by_envelope, envelope_of, recurs, sizes_of, turns_of
+from telenano.analysis.envelope import WINDOWS, by_envelope, envelope_of, recurs, sizes_of, turns_of
 from telenano.analysis.findings import Cause, Finding, on_its_way
 from telenano.analysis.modes import LINE_OVER_NOISE, Mode, centred, rms
 from telenano.analysis.motion_fit import (
@@ -30,7 +30,7 @@ from telenano.analysis.motion_fit import (
     leaves_noise,
     modes_near,
 )
-from telenano.analysis.read_out import goes_over_steps, gone_of, level, line_n
+from telenano.analysis.read_out import gone_of, line_n
 from telenano.analysis.verdict_thresholds import (
     ERROR_SHARE,
     LEAST_CHANGE,
@@ -81,13 +81,11 @@ def _swings_in(envelope: Finding, parts: list[Window]) -> bool:
 
 def _hidden_in(envelope: Finding, parts: list[Window], motion: Motion) -> Finding | None:
     """Return the doubt about a swing that may last in an envelope at rest, which would not show it; None of none."""
-    last, needs_n = motion.values[-max(2, len(motion.values) // 4) :], SMALL_SHARE * motion.hand_n
-    if envelope.cause is Cause.AT_REST and goes_over_steps(last, motion.step_n, needs_n):
-        size_n = float(np.ptp(last))
-        return Finding("cannot_say", Cause.WITHIN_A_STEP, size_n, envelope.growth_per_s, size_n, needs_noise_n=needs_n)
     swing_n, at_hz = _lasting(parts, MAY_LAST) if envelope.cause is Cause.AT_REST else (0.0, 0.0)
+    last = motion.values[-max(2, len(motion.values) // 4) :]
     if not swing_n or shown_beside(swing_n, at_hz, last, motion.period_s * len(last)):
         return None
+    needs_n = SMALL_SHARE * motion.hand_n
     cause = Cause.WITHIN_A_STEP if needs_n < swing_n <= motion.small_n else Cause.IRREGULAR_UNKNOWN
     return Finding("cannot_say", cause, swing_n, envelope.growth_per_s, swing_n, needs_noise_n=needs_n)
 
@@ -232,8 +230,6 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
         return None
     if _is_open(found, window) and not (fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
         return None
-    if _hides_a_swing(found, window, motion):
-        return None
     gone_n = gone_of(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
     if gone_n > max(ERROR_SHARE * motion.hand_n, _WAY_OVER_LEFT * rms(window.fit.left)):
         # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
@@ -253,12 +249,7 @@ def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
     turns = turns_of(window.values)
     if found.kind != "stable" or turns < 2.0 * LEAST_TURNS or (leaves_noise(window) and not cancels(window)):
         return True
-    return _is_less_than_before(window, motion)
-
-
-def _is_less_than_before(window: Window, motion: Motion) -> bool:
-    """Return whether a part is smaller at its end than in its middle and when it begins."""
-    sizes = envelope_of(window.values, motion, turns_of(window.values))
+    sizes = envelope_of(window.values, motion, turns)
     return sizes[-1] < min(sizes[0], sizes[WINDOWS // 2])
 
 
@@ -286,34 +277,6 @@ def _is_open(found: Finding, window: Window) -> bool:
     others = [mode.begin_n for mode in window.fit.modes if mode.growth_per_s * window.length_s < -LEAST_CHANGE]
     falls = found.cause is Cause.GOES_ON and max(others, default=0.0) > found.decisive_n
     return falls or found.cause is Cause.CHANGE_UNKNOWN
-
-
-def _hides_a_swing(found: Finding, window: Window, motion: Motion) -> bool:
-    """Return whether a part of which each mode is small at its end swings there, and is not surely less than before."""
-    if found.kind != "stable" or found.size_n > window.small_n or not swings_at_end(window):
-        return False
-    return not (fits_to_the_end(window) and _is_less_than_before(window, motion))
-
-
-def swings_at_end(window: Window) -> bool:
-    """Return whether a force swings in the last quarter of a window although each of its modes is small there.
-
-    | what is there at the end                                            | swings                           |
-    |---|---|
-    | what the modes make together, about a straight line                 | if it is large                   |
-    | what the fit leaves beyond noise, most of it in one octave          | if it is large                   |
-    | what the fit leaves otherwise, of the spectrum of coloured noise    | not                              |
-    | values of a read-out that rounds, less the step that rounding makes | if they go farther than is small |
-    """
-    modelled = window.fit.motion - window.fit.left
-    if float(np.ptp(level(modelled[-max(2, len(modelled) // 4) :]))) > window.small_n:
-        return True
-    if goes_over_steps(window.last, window.rounded_n / 1.5, window.unrounded_n):
-        return True
-    if leaves_noise(window):
-        return False
-    ends = [window.fit.left[-max(2, round(share * len(window.fit.left))) :] for share in TAILS[2:]]
-    return any(band_n(end, window.noise_n) > window.small_n for end in ends)
 
 
 def _hides(motion: Motion, window: Window, found: Finding, earlier: list[Window], swings_hz: list[float]) -> bool:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from telenano.analysis.findings import Cause, Finding, on_its_way
 from telenano.analysis.modes import centred, rms
 from telenano.analysis.motion_fit import Fate, Motion, coloured_share
-from telenano.analysis.read_out import gone_of, level, moved_of
+from telenano.analysis.read_out import gone_of, moved_of
 from telenano.analysis.verdict_thresholds import ERROR_SHARE, LEAST_CHANGE, LEAST_TURNS, LEFT_SHARE, SURE_ERRORS
 
 Series = npt.NDArray[np.float64]
@@ -155,22 +155,6 @@ def falls_as_noise(values: Series, noise_n: float) -> bool:
     falls = all(-error < step < _STEEPEST + error for step, error in zip(steps, errors, strict=False))
     slope = (levels[0] - levels[-1]) / (len(levels) - 1)
     return bool(falls and 0.25 * _STEEPEST < slope < _STEEPEST and not any(map(has_line, above)))
-
-
-def band_n(values: Series, noise_n: float) -> float:
-    """Return how far a motion goes [N] that has most of its power, beyond white noise, in one octave; 0 of any other.
-
-    The octave begins at four turns or above: 1/f noise has as much power in each, and in the lowest that of few lines.
-    """
-    count, bare = len(values), level(values)
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
-    power = np.abs(np.fft.rfft(bare * window)) ** 2 / float(np.cumsum(window * window)[-1])
-    octaves = [power[2**k : 2 ** (k + 1)] for k in range(int(math.log2(max(len(power), 2))))]
-    above = [max(float(np.cumsum(own)[-1]) - len(own) * noise_n * noise_n, 0.0) for own in octaves]
-    first = int(math.log2(2.0 * LEAST_TURNS))
-    if max(above[first:], default=0.0) <= 0.5 * math.fsum(above):
-        return 0.0
-    return 2.0 * math.sqrt(2.0 * max(rms(bare) ** 2 - noise_n * noise_n, 0.0))
 
 
 def has_line(power: Series) -> bool:

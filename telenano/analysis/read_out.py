@@ -42,21 +42,6 @@ def gone_of(values: Series) -> float:
     return abs(last - first) if (last - then) * (last - first) > 0.5 * (last - first) ** 2 else 0.0
 
 
-def goes_over_steps(values: Series, step_n: float, small_n: float) -> bool:
-    """Return whether a force surely goes farther than is small, by a read-out that rounds to a step; False of others.
-
-    Rounding moves each end by half a step at most.
-    """
-    return step_n > 0.0 and float(np.ptp(level(values))) - step_n > small_n
-
-
-def level(values: Series) -> Series:
-    """Return a series without the straight line that leaves least of it."""
-    at = np.arange(len(values)) - 0.5 * (len(values) - 1)
-    bare = centred(values)
-    return bare - float(np.cumsum(at * bare)[-1]) / max(float(np.cumsum(at * at)[-1]), 1.0) * at
-
-
 def line_n(left: Series, turns: float) -> float:
     """Return from peak to peak what a series has at a line that turns so often in it [N]."""
     angle = 2.0 * math.pi * turns * np.arange(len(left)) / max(1, len(left) - 1)

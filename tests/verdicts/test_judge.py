@@ -5,7 +5,6 @@ import pytest
 from confusion import answer
 from courses import course
 from judge import judge_course
-from nonlinear import nonlinear_course
 
 # as many courses as a few seconds of a processor judge
 PART = range(60)
@@ -44,15 +43,6 @@ ONCE_WRONG = (
     60414,
     60789,
 )
-
-# the same of `nonlinear.py`: small modes that are large together, steps of a read-out, a growth in 1/f noise, and a
-# swing that has become smaller and stays
-ONCE_AT_REST = (1001197, 1002181, 1002542, 1002893)
-
-
-@pytest.mark.parametrize("seed", ONCE_AT_REST)
-def test_a_swing_that_was_once_called_rest_is_not_again(seed: int) -> None:
-    assert not confusion.missed_swing(answer(judge_course, nonlinear_course(seed)))
 
 
 @pytest.mark.parametrize("seed", ONCE_WRONG)
