@@ -1,11 +1,11 @@
-"""What a motion does, by the modes of all of it and of its last parts, and by its envelope.
+"""Decision on a motion, by the modes of the whole motion and of its last parts, and by its envelope.
 
-A fit is believed where it leaves noise alone and no mode bends away from its exponential. Where it is not, the last
-half, quarter and eighth are fitted: a blow, a landing and a growth that has reached its limit come before that. A short
-part knows a growth less well than the whole: it decides only what it surely tells otherwise (`beside`). What no modes
-explain is judged by its envelope. A motion is at rest, and goes on, only if its end is and does: a swing that may last
-is at rest only in a part that would show it, and what goes on by a fit that leaves more than noise may surely die out
-in a later part.
+A fit is accepted if its residual is only noise and no mode bends away from its exponential. Otherwise the last half,
+quarter and eighth are fitted, because a blow, a landing and a growth that has reached its limit are over by then. A
+short part measures a growth less well than the whole, so it overrules the parts before it only where it surely
+differs (`beside`). A motion that no modes explain is judged by its envelope. A motion is at rest, or goes on, only if
+its end does: a swing that may last counts as at rest only in a part that would show it, and a motion that goes on
+according to a fit with more than noise in its residual may surely die out in a later part.
 """
 
 import math
@@ -41,16 +41,16 @@ from telenano.analysis.verdict_thresholds import (
 )
 
 Series = npt.NDArray[np.float64]
-# the last shares of a motion that are fitted, all of it first
+# last shares of a motion that are fitted, in this order
 TAILS = (1.0, 0.5, 0.25, 0.125)
-# a motion that is there is as large as what a fit leaves [1]; sizes of few turns err by a third
+# least ratio of a motion to the residual that would show it [1]: sizes measured over few turns err by a third
 _SHOWN_OVER_LEFT = 1.5
-# a way is half of what is left, in power, where it is this multiple of its root mean square [1]
+# A drift has half the power of the residual if its length is this multiple of the residual's root mean square [1].
 _WAY_OVER_LEFT = 2.5
 
 
 def decide(motion: Motion) -> Finding:
-    """Judge by the modes of the motion and of its last parts, and by its envelope where these may be wrong.
+    """Judge a motion by the modes of it and of its last parts, and by its envelope where these may be wrong.
 
     | the modes                                      | the envelope                                    | counts        |
     |---|---|---|
@@ -75,12 +75,12 @@ def decide(motion: Motion) -> Finding:
 
 
 def _swings_in(envelope: Finding, parts: list[Window]) -> bool:
-    """Return whether most of an envelope that dies out is a swing that lasts."""
+    """Return whether an envelope dies out although most of it is a swing that lasts."""
     return envelope.cause is Cause.DIES_OUT and _lasting(parts, MAY_LAST[:1])[0] > 0.5 * envelope.size_n
 
 
 def _hidden_in(envelope: Finding, parts: list[Window], motion: Motion) -> Finding | None:
-    """Return the doubt about a swing that may last in an envelope at rest, which would not show it; None of none."""
+    """Return the doubt whether an envelope at rest hides a swing that may last; None if there is no such swing."""
     last, needs_n = motion.values[-max(2, len(motion.values) // 4) :], SMALL_SHARE * motion.hand_n
     if envelope.cause is Cause.AT_REST and goes_over_steps(last, motion.step_n, needs_n):
         size_n = float(np.ptp(last))
@@ -93,10 +93,10 @@ def _hidden_in(envelope: Finding, parts: list[Window], motion: Motion) -> Findin
 
 
 def _settles(envelope: Finding, doubt: "Doubt") -> bool:
-    """Return whether an envelope decides what is in doubt: it moves or dies out, and is mostly of that motion."""
+    """Return whether the envelope resolves a doubt: it goes on or dies out, and is mostly the motion in doubt."""
     growth, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
     is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0
-    # The motion that dies out is another one where that in doubt grows.
+    # If the motion in doubt grows, the one that dies out is a different one.
     falls = envelope.cause is Cause.DIES_OUT and growth < 0.0
     is_motion = is_cycle or falls or envelope.kind == "diverged"
     is_of_it = doubt.found.decisive_n > 0.5 * envelope.size_n
@@ -104,10 +104,10 @@ def _settles(envelope: Finding, doubt: "Doubt") -> bool:
 
 
 class Doubt(NamedTuple):
-    """What the first fit that explains a motion cannot say, and whether that fit may be wrong.
+    """The undecided finding of the first fit that explains a motion, and whether that fit may be wrong.
 
-    It may be where it leaves more than noise, or has a motion grow, or change by less than 0.3: what grows comes to a
-    limit. A fit that leaves noise alone, of a motion that dies out slowly, says itself how little is known.
+    It may be wrong if its residual is more than noise, or if a mode grows, or changes by less than 0.3, because growth
+    comes to a limit. A fit of a slowly dying motion with only noise as residual states its own uncertainty.
     """
 
     found: Finding
@@ -115,16 +115,16 @@ class Doubt(NamedTuple):
 
 
 def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]]:
-    """Return what the modes of the motion say, or of the first of its last parts that decides; else the doubt.
+    """Return the finding of the first part that decides, the whole motion first; else the doubt; and the fitted parts.
 
-    The parts are returned as well, of which none decided.
+    Finding and doubt are None if no modes explain the motion or any of its last parts.
     """
     doubt: Doubt | None = None
     swings_hz: list[float] = []
     earlier: list[Window] = []
     for share in TAILS:
         window = motion.last(share)
-        # less than half of a motion shows too little of a force on its way
+        # Less than half of the motion shows too little of a force that is on its way.
         is_short = share < TAILS[1] and doubt is not None and doubt.found.cause is Cause.ON_ITS_WAY
         if window is None or is_short:
             break
@@ -148,7 +148,7 @@ def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]
 
 
 def beside(earlier: list[Window], found: Finding | None, window: Window, motion: Motion) -> Finding | None:
-    """Return what a last part says beside the parts that it is in the end of; None where it says nothing new.
+    """Return the finding of a last part in the light of the longer parts that contain it; None if it adds nothing.
 
     | the part           | the parts before it                                  | it says           |
     |---|---|---|
@@ -173,7 +173,7 @@ def beside(earlier: list[Window], found: Finding | None, window: Window, motion:
 
 
 def _is_less_at_end(motion: Motion) -> bool:
-    """Return whether a motion is smaller in its last window than in the one before; one of few turns does not show."""
+    """Return whether a motion is smaller in its last window than in the one before; True if it has too few turns."""
     turns = turns_of(motion.values)
     sizes = envelope_of(motion.values, motion, turns)
     return turns < WINDOWS or sizes[-1] < sizes[-2]
@@ -184,7 +184,7 @@ def _as_doubt(found: Finding) -> Finding:
 
 
 def _falls_as_before(found: Finding, window: Window, earlier: list[Window]) -> bool:
-    """Return whether what goes on or grows in a last part may change there as it surely dies out before."""
+    """Return whether a swing that goes on or grows in a last part may have the rate at which it surely fell before."""
     if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz:
         return False
     near = [(mode, own) for own in earlier for mode in modes_near(own, found.frequency_hz, 1.0 / window.length_s)]
@@ -195,12 +195,12 @@ def _falls_as_before(found: Finding, window: Window, earlier: list[Window]) -> b
 
 
 def _grows_more(growth_per_s: float, error_per_s: float, mode: Mode) -> bool:
-    """Return whether a growth is surely larger than that of a mode."""
+    """Return whether a growth [1/s] with its standard error [1/s] is surely larger than that of a mode."""
     return growth_per_s - mode.growth_per_s > SURE_ERRORS * math.hypot(error_per_s, mode.error_per_s)
 
 
 def _at_the_end(motion: Motion, found: Finding, window: Window, share: float) -> Finding:
-    """Return a finding, or that of a later part by which the motion surely dies out where its fit is not sure."""
+    """Return the finding, or that of a later part where the swing surely dies out if the fit leaves more than noise."""
     if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz or leaves_noise(window):
         return found
     for later_share in TAILS:
@@ -217,14 +217,14 @@ def _at_the_end(motion: Motion, found: Finding, window: Window, share: float) ->
 
 
 def _lasting_hz(window: Window) -> list[float]:
-    """Return the frequencies of the large swings of a motion that do not die out."""
+    """Return the frequencies [Hz] of the large swings of a part that do not die out."""
     lasts = -LEAST_CHANGE / window.length_s
     large = [mode for mode in window.fit.modes if mode.end_n > window.small_n and mode.growth_per_s > lasts]
     return [mode.frequency_hz for mode in large if mode.frequency_hz * window.length_s >= 1.0]
 
 
 def _of_part(motion: Motion, window: Window) -> Finding | None:
-    """Return what the modes of a part say; None where they do not explain it."""
+    """Return the finding from the modes of a part; None if they do not explain it."""
     if not explains(window, motion.hand_n):
         return None
     found = decided_by_modes(window)
@@ -236,7 +236,7 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
         return None
     gone_n = gone_of(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
     if gone_n > max(ERROR_SHARE * motion.hand_n, _WAY_OVER_LEFT * rms(window.fit.left)):
-        # that is no swing and no exponential, more than an instrument drifts, and does not come to rest
+        # This is neither a swing nor an exponential, exceeds the drift of an instrument, and does not come to rest.
         found = on_its_way(found, gone_n, 4.0 * window.length_s)
     if found.cause is Cause.ON_ITS_WAY and motion.rest_n is not None:
         found = approaching(found, window.values, motion.rest_n)
@@ -246,9 +246,10 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
 
 
 def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
-    """Return whether a motion that dies out, and is still large, is smaller at its end than before.
+    """Return whether a motion whose modes die out is smaller at its end than before; True for any other motion.
 
-    Modes that all die out may cancel one another before, so that their sum grows.
+    Modes that all die out may cancel one another at first, so that their sum grows. Motions of fewer than four turns
+    are not checked, nor are those whose fit leaves more than noise.
     """
     turns = turns_of(window.values)
     if found.kind != "stable" or turns < 2.0 * LEAST_TURNS or (leaves_noise(window) and not cancels(window)):
@@ -257,7 +258,7 @@ def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
 
 
 def _is_less_than_before(window: Window, motion: Motion) -> bool:
-    """Return whether a part is smaller at its end than in its middle and when it begins."""
+    """Return whether the motion of a part is smaller at its end than at its start and in its middle."""
     sizes = envelope_of(window.values, motion, turns_of(window.values))
     return sizes[-1] < min(sizes[0], sizes[WINDOWS // 2])
 
@@ -268,7 +269,7 @@ def _may_be_wrong(found: Finding, window: Window) -> bool:
 
 
 def _overrules(found: Finding, doubt: Doubt, window: Window, share: float) -> bool:
-    """Return whether a last part decides what the whole leaves in doubt: by rest, or by a fit where that was wrong."""
+    """Return whether a last part resolves a doubt: it shows rest, or leaves only noise and the first may be wrong."""
     if _shows_rest(found, doubt.found.size_n, doubt.found.frequency_hz or 0.0, window):
         return True
     is_long = found.kind == "limit_cycle" or share == TAILS[1]
@@ -276,10 +277,10 @@ def _overrules(found: Finding, doubt: Doubt, window: Window, share: float) -> bo
 
 
 def _is_open(found: Finding, window: Window) -> bool:
-    """Return whether a finding is one only if its fit is right.
+    """Return whether a finding holds only if its fit is right.
 
-    It is where more is left than is small, where the change of a motion is not known, and where something larger dies
-    out beside what lasts.
+    That is so if the motion left at the end is not small, if the change of a motion is not known, or if something
+    larger dies out beside a motion that goes on.
     """
     if found.kind == "stable":
         return found.size_n > window.small_n
@@ -289,7 +290,7 @@ def _is_open(found: Finding, window: Window) -> bool:
 
 
 def _hides_a_swing(found: Finding, window: Window, motion: Motion) -> bool:
-    """Return whether a part of which each mode is small at its end swings there, and is not surely less than before."""
+    """Return whether a part swings at its end although each mode is small there, and did not surely become smaller."""
     if found.kind != "stable" or found.size_n > window.small_n or not swings_at_end(window):
         return False
     return not (fits_to_the_end(window) and _is_less_than_before(window, motion))
@@ -317,7 +318,7 @@ def swings_at_end(window: Window) -> bool:
 
 
 def _hides(motion: Motion, window: Window, found: Finding, earlier: list[Window], swings_hz: list[float]) -> bool:
-    """Return whether a last part that rests, or runs to one side, may hide a swing: it turns less than twice in it."""
+    """Return whether a last part at rest, or running to one side, is shorter than two turns of a swing."""
     slowest_hz = min(swings_hz, default=math.inf)
     if found.kind == "diverged" and found.frequency_hz == 0.0:
         modes = [(mode, own.length_s) for own in earlier for mode in own.fit.modes]
@@ -333,9 +334,9 @@ def _hides(motion: Motion, window: Window, found: Finding, earlier: list[Window]
 
 
 def _swing_at_the_end(motion: Motion, window: Window) -> Finding | None:
-    """Return what the last half says of a large swing, of a motion whose fit leaves more than noise; else None.
+    """Return the finding of the last half on a large swing, if the fit of the motion leaves more than noise; else None.
 
-    Where the fit of the half leaves more than noise as well, that it goes on or grows is a doubt.
+    If the fit of the half leaves more than noise as well, a swing that goes on or grows there is only a doubt.
     """
     left_n = 2.0 * math.sqrt(2.0) * window.left_n
     half = motion.last(TAILS[1]) if left_n > motion.small_n and not leaves_noise(window) else None
@@ -344,10 +345,10 @@ def _swing_at_the_end(motion: Motion, window: Window) -> Finding | None:
     found = decided_by_modes(half)
     if found.kind in ("limit_cycle", "diverged"):
         return found if leaves_noise(half) else _as_doubt(found)
-    # A fit that leaves noise alone knows a swing by one turn. What stands out for less may be a hand that wanders.
+    # If the residual is only noise, one turn identifies a swing. A shorter motion may be a hand that wanders.
     is_swing = (found.frequency_hz or 0.0) * half.length_s >= (0.5 if leaves_noise(half) else 1.0) * LEAST_TURNS
     is_seen = any(half.cycles(mode) >= 1.0 for mode in half.fit.modes if mode.end_n > motion.small_n)
-    # a line that is found in what is left has this size
+    # size of the smallest line that can be found in the residual [N]
     found_n = 4.0 * math.sqrt(2.0 * LINE_OVER_NOISE / len(half.fit.left)) * half.left_n
     last = half.values[len(half.values) // 2 :]
     stays_n = 2.0 * line_n(last, 0.5 * (found.frequency_hz or 0.0) * half.length_s)
@@ -356,37 +357,37 @@ def _swing_at_the_end(motion: Motion, window: Window) -> Finding | None:
 
 
 def _shows_rest(found: Finding, swing_n: float, frequency_hz: float, window: Window) -> bool:
-    """Return whether a last part is at rest that would show a swing of a size and a frequency."""
+    """Return whether a last part is at rest and would show a swing of this size [N] and frequency [Hz]."""
     at_rest = found.kind == "stable" and found.rest_from_s is not None
     near = modes_near(window, frequency_hz, 1.0 / window.length_s) if frequency_hz else []
     if any(mode.end_n > 0.5 * swing_n and mode.frequency_hz for mode in near):
-        # it is there, and no part of what is left
+        # The swing is in the part as a mode, and not in the residual.
         return False
     return at_rest and shown_beside(swing_n, frequency_hz, window.fit.left, window.length_s)
 
 
 def shown_beside(swing_n: float, frequency_hz: float, left: Series, length_s: float) -> bool:
-    """Return whether a swing would be seen: what is left is smaller, or is as large and has little at its frequency."""
+    """Return whether a swing would be seen: the residual is smaller, or similar but weak at the swing's frequency."""
     left_n = 2.0 * math.sqrt(2.0) * rms(centred(left))
     if swing_n > _SHOWN_OVER_LEFT * left_n or frequency_hz * length_s < 1.0:
         return swing_n > _SHOWN_OVER_LEFT * left_n
-    # the frequency is not known better than to half a turn in the part
+    # The frequency is known to half a turn in the part at best.
     lines_n = [line_n(left, frequency_hz * length_s + 0.25 * k) for k in range(-2, 3)]
     return swing_n > left_n / _SHOWN_OVER_LEFT and max(lines_n) < 0.5 * swing_n
 
 
 def _lasting(parts: list[Window], fates: tuple[Fate, ...]) -> tuple[float, float]:
-    """Return size and frequency of the largest swing at the end of parts that has one of these fates; 0 of none."""
+    """Return size [N] and frequency [Hz] of the largest swing at the end of parts with such a fate; 0 without one."""
     modes = [(mode, own) for own in parts for mode in own.fit.modes]
     swings = [(mode, own) for mode, own in modes if mode.frequency_hz * own.length_s >= LEAST_TURNS]
-    # the first line of a motion between two forces is larger than the motion
+    # The fundamental of a motion between two forces is larger than the motion itself, which bounds it here.
     large = [(mode, own) for mode, own in swings if min(mode.end_n, float(np.ptp(own.last))) > own.unrounded_n]
     lasting = [mode for mode, own in large if classify(mode, own) in fates]
     return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
 
 
 def _seems_to_fall(parts: list[Window]) -> bool:
-    """Return whether the largest swing of a part that is explained becomes smaller, by however little, as it seems."""
+    """Return whether the largest swing of a part that modes explain is likely to become smaller, by however little."""
     for own in parts:
         large = max(own.fit.modes, key=lambda mode: mode.end_n, default=None)
         if large is None or large.frequency_hz * own.length_s < 2.0 * LEAST_TURNS or large.end_n <= own.small_n:
@@ -398,7 +399,7 @@ def _seems_to_fall(parts: list[Window]) -> bool:
 
 
 def approaching(found: Finding, values: Series, rest_n: float) -> Finding:
-    """Return a finding that a force is on its way, which is stable if it goes to the rest of the law."""
+    """Return the finding on a force on its way, as stable if it clearly approaches rest_n, the law's rest force [N]."""
     part = max(1, len(values) // 20)
     off_n = [abs(float(np.cumsum(own)[-1]) / part - rest_n) for own in (values[:part], values[-part:])]
     if off_n[1] > off_n[0] * math.exp(-2.0 * LEAST_CHANGE):

@@ -1,4 +1,4 @@
-"""The envelope of a motion, its size in eight windows, and what it does where no modes explain the motion."""
+"""Envelope of a motion, its size in eight windows, and the verdict by it where no modes explain the motion."""
 
 import math
 from itertools import pairwise
@@ -14,15 +14,15 @@ from telenano.analysis.verdict_thresholds import ERROR_SHARE, LEAST_CHANGE, LEAS
 
 Series = npt.NDArray[np.float64]
 WINDOWS = 8
-# A motion that goes on is in its last window no less than this part of what it was [1]: a third of a turn goes as far
+# least size of a lasting motion in its last window, as a share of its earlier size [1]: a third of a turn goes as far
 _LEAST_END = 1.0 / 3.0
-# octaves of a spectrum that tell noise from a motion [1]
+# number of octaves of a spectrum that are needed to distinguish noise from a motion [1]
 _OCTAVES = 4
-# an octave with more than this of the density of white noise shows another motion [1]
+# An octave above this multiple of the density of white noise shows more than white noise [1].
 _WHITE_OVER = 3.0
-# fall of the density in an octave [1, logarithm] of noise whose density goes with the square of the frequency
+# fall per octave of the density of 1/f^2 noise [1, natural logarithm]
 _STEEPEST = 2.0 * math.log(2.0)
-# chance makes a line over the density of noise, of its neighbours in the octave, less than once in e to this
+# Noise makes a line that stands out of its neighbours in the octave with a probability of e to minus this [1].
 _LINE_NATS = 7.0
 
 
@@ -55,7 +55,7 @@ def by_envelope(motion: Motion) -> Finding:
         rest_s = motion.end_s - (WINDOWS - 1 - last) * window_s
         rest = values[len(values) * (last + 1) // WINDOWS :]
         if len(rest) >= WINDOWS and (gone_n := gone_of(rest)) > ERROR_SHARE * motion.hand_n:
-            # it is small in each window, and goes on from one to the next
+            # The motion is small in each window, but adds up from one to the next.
             return on_its_way(late, gone_n, 4.0 * WINDOWS * window_s)
         return Finding("stable", Cause.AT_REST, sizes[-1], rate, sizes[-1], rest_from_s=rest_s)
     turns, is_motion = turns_of(values), coloured_share(values) < ERROR_SHARE
@@ -72,7 +72,7 @@ def by_envelope(motion: Motion) -> Finding:
 
 
 def _fate(sizes: list[float], small_n: float) -> Fate:
-    """Return what an envelope does that is not small at its end: see `by_envelope`."""
+    """Return the fate of an envelope that is not small at its end: see the table of `by_envelope`."""
     half = WINDOWS // 2
     (late, late_error), (whole, whole_error) = _trend(sizes[half:], small_n), _trend(sizes, small_n)
     earlier, later = max(sizes[half:-2]), max(sizes[-2:])
@@ -82,16 +82,16 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
     early = _trend(sizes[:half], small_n)[0]
     if whole + whole_error < -LEAST_CHANGE and late < 0.0:
-        # A motion that falls to a swing that stays falls more slowly at the end.
+        # A motion that falls to a lasting swing falls more slowly at the end.
         return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
     stays = max(sizes[half:]) > 0.5 * max(sizes[:half]) and later > 0.5 * earlier
-    # the later half and all of it, each in its own errors, together tell of a fall
+    # The trends of the later half and of the whole, each in units of its error, are added.
     falls = late / max(late_error, 1e-9) + whole / max(whole_error, 1e-9) < -math.sqrt(2.0)
     return Fate.LASTING if stays and not falls and abs(late) < LEAST_TURNS * late_error else Fate.UNSURE
 
 
 def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
-    """Return by how much sizes change over all their windows [1, logarithm], and SURE_ERRORS of its standard errors."""
+    """Return the change of the sizes over all windows, and SURE_ERRORS of its standard errors [1, logarithm]."""
     count = len(sizes)
     logs = [math.log(max(size, 1e-3 * small_n)) for size in sizes]
     middle, mean = 0.5 * (count - 1.0), math.fsum(logs) / count
@@ -102,13 +102,13 @@ def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
 
 
 def sizes_of(motion: Motion) -> list[float]:
-    """Return how far the force goes in each of eight windows [N]: from end to end, or as a swing of its power does."""
+    """Return the size of the motion in each of eight windows [N]: its range, or that of a swing of equal power."""
     edges = np.linspace(0, len(motion.values), WINDOWS + 1).astype(int)
     return [_size(motion.values[first:last], motion) for first, last in pairwise(edges)]
 
 
 def envelope_of(values: Series, motion: Motion, turns: float) -> list[float]:
-    """Return how far the force goes about eight instants [N], in an eighth or in a turn if that is longer."""
+    """Return the size [N] about eight instants, each over an eighth of the series, or 1.25 turns if longer."""
     count = len(values)
     wide = math.ceil(count * max(1.0 / WINDOWS, 1.25 / turns))
     firsts = [round(min(max((k + 0.5) / WINDOWS * count - 0.5 * wide, 0.0), count - wide)) for k in range(WINDOWS)]
@@ -116,29 +116,29 @@ def envelope_of(values: Series, motion: Motion, turns: float) -> list[float]:
 
 
 def _size(values: Series, motion: Motion) -> float:
-    """Return how far a force goes [N], without what noise reaches, or adds to its power, or a step that flickers."""
+    """Return the peak-to-peak size of a motion [N], without noise and the flicker of a read-out by a step."""
     noise_n = max(motion.noise_n * math.sqrt(1.0 + SURE_ERRORS * math.sqrt(2.0 / len(values))), 0.5 * motion.step_n)
     power = rms(centred(values)) ** 2 - noise_n**2
     return max(moved_of(values, motion.noise_n), 2.0 * math.sqrt(2.0 * max(power, 0.0)))
 
 
 def turns_of(values: Series) -> float:
-    """Return how often the strongest line of a motion turns."""
+    """Return the number of turns of the strongest line of a motion, at least 1."""
     count = len(values)
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
     return float(1 + np.argmax(np.abs(np.fft.rfft(centred(values) * window))[1:]))
 
 
 def recurs(sizes: list[float], small_n: float) -> bool:
-    """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not."""
+    """Return whether a motion started from rest at least twice, as a cycle of snaps does and a landing does not."""
     return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= LEAST_TURNS
 
 
 def falls_as_noise(values: Series, noise_n: float) -> bool:
-    """Return whether the density of a motion falls from octave to octave as 1/f noise does, and no line stands out.
+    """Return whether the spectral density falls from octave to octave as that of 1/f noise, and no line stands out.
 
-    A cycle has a line, and one that is irregular has a band; the density of noise is greatest where it begins. It may
-    come to the white noise of the read-out.
+    A cycle has a line, and an irregular cycle a band, whereas the density of noise is greatest at the lowest octave.
+    At high frequencies it may fall to the white noise of the read-out.
     """
     count = len(values)
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
@@ -150,7 +150,7 @@ def falls_as_noise(values: Series, noise_n: float) -> bool:
         return False
     levels = [math.log(float(own.mean())) for own in above]
     steps = [before - after for before, after in pairwise(levels)]
-    # the logarithms of the means of n and 2 n neighbours under this window differ by so much, by chance
+    # chance difference of the logarithms of the means of n and 2 n neighbours under this window
     errors = [SURE_ERRORS * math.sqrt(3.0 / (len(own) - 0.5)) for own in above]
     falls = all(-error < step < _STEEPEST + error for step, error in zip(steps, errors, strict=False))
     slope = (levels[0] - levels[-1]) / (len(levels) - 1)
@@ -158,9 +158,9 @@ def falls_as_noise(values: Series, noise_n: float) -> bool:
 
 
 def band_n(values: Series, noise_n: float) -> float:
-    """Return how far a motion goes [N] that has most of its power, beyond white noise, in one octave; 0 of any other.
+    """Return the size [N] of a motion with most of its power, beyond white noise, in one octave; 0 for any other one.
 
-    The octave begins at four turns or above: 1/f noise has as much power in each, and in the lowest that of few lines.
+    The octave starts at four turns or above: 1/f noise has equal power in each octave, but few lines in the lowest.
     """
     count, bare = len(values), level(values)
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
@@ -174,10 +174,10 @@ def band_n(values: Series, noise_n: float) -> float:
 
 
 def has_line(power: Series) -> bool:
-    """Return whether a line stands out of the density of an octave as noise makes it once in a thousand times."""
+    """Return whether a line stands out of the density of an octave by more than noise does once in a thousand times."""
     at = int(np.argmax(power))
     others = np.concatenate([power[: max(at - 1, 0)], power[at + 2 :]])
-    # this number of them are independent under this window
+    # number of independent values among them under this window
     count = len(others) / 1.5
     if count < 2.0:
         return False
