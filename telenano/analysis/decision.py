@@ -52,15 +52,15 @@ _WAY_OVER_LEFT = 2.5
 def decide(motion: Motion) -> Finding:
     """Judge a motion by the modes of it and of its last parts, and by its envelope where these may be wrong.
 
-    | the modes                                      | the envelope                                    | counts        |
+    | the modes                                  | the envelope                              | the finding is       |
     |---|---|---|
-    | decide                                         | is not looked at                                | what they say |
-    | are in doubt, and their fit may be wrong       | moves or dies out, and is mostly of that motion | the envelope  |
-    | are in doubt otherwise                         | is anything                                     | the doubt     |
-    | explain nothing, and the largest seems to fall | goes on                                         | a doubt       |
-    | explain nothing, and a swing in them lasts     | dies out, and is less than twice that swing     | a doubt       |
-    | explain nothing, and a swing in them may last  | is at rest, and would not show that swing       | a doubt       |
-    | explain nothing                                | is anything else                                | the envelope  |
+    | decide                                     | is not used                               | that of the modes    |
+    | are in doubt, and their fit may be wrong   | moves or dies out, mostly by that motion  | that of the envelope |
+    | are in doubt otherwise                     | is of any kind                            | the doubt            |
+    | explain nothing; the largest seems to fall | goes on                                   | a doubt              |
+    | explain nothing; a swing in them lasts     | dies out, with less than twice that swing | a doubt              |
+    | explain nothing; a swing in them may last  | is at rest, but would not show that swing | a doubt              |
+    | explain nothing                            | is of any other kind                      | that of the envelope |
     """
     found, doubt, parts = by_parts(motion)
     if found is not None:
@@ -150,12 +150,12 @@ def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]
 def beside(earlier: list[Window], found: Finding | None, window: Window, motion: Motion) -> Finding | None:
     """Return the finding of a last part in the light of the longer parts that contain it; None if it adds nothing.
 
-    | the part           | the parts before it                                  | it says           |
+    | the last part     | the longer parts                                             | the finding is         |
     |---|---|---|
-    | is at rest         | show a swing that it would not                       | nothing           |
-    | goes on, or grows  | fall twice, and it does not surely change otherwise  | what the first says |
-    | goes on, or grows  | fall once, and it does not surely change otherwise   | a doubt           |
-    | is anything else   | are anything                                         | what it says      |
+    | is at rest        | have a swing that it would not show                          | None                   |
+    | goes on, or grows | fall in two parts, and it does not surely change differently | that of the first part |
+    | goes on, or grows | fall in one part, and it does not surely change differently  | a doubt                |
+    | is anything else  | are of any kind                                              | that of the last part  |
     """
     if found is None:
         return None
@@ -200,7 +200,7 @@ def _grows_more(growth_per_s: float, error_per_s: float, mode: Mode) -> bool:
 
 
 def _at_the_end(motion: Motion, found: Finding, window: Window, share: float) -> Finding:
-    """Return the finding, or that of a later part where the swing surely dies out if the fit leaves more than noise."""
+    """Return the finding; if its fit leaves more than noise, that of a later part where the swing surely dies out."""
     if found.kind not in ("limit_cycle", "diverged") or not found.frequency_hz or leaves_noise(window):
         return found
     for later_share in TAILS:
@@ -249,7 +249,7 @@ def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
     """Return whether a motion whose modes die out is smaller at its end than before; True for any other motion.
 
     Modes that all die out may cancel one another at first, so that their sum grows. Motions of fewer than four turns
-    are not checked, nor are those whose fit leaves more than noise.
+    are not checked, nor are those whose fit leaves only noise and has no modes that cancel.
     """
     turns = turns_of(window.values)
     if found.kind != "stable" or turns < 2.0 * LEAST_TURNS or (leaves_noise(window) and not cancels(window)):
@@ -299,12 +299,12 @@ def _hides_a_swing(found: Finding, window: Window, motion: Motion) -> bool:
 def swings_at_end(window: Window) -> bool:
     """Return whether a force swings in the last quarter of a window although each of its modes is small there.
 
-    | what is there at the end                                            | swings                           |
+    | the motion in the last quarter                              | swings                            |
     |---|---|
-    | what the modes make together, about a straight line                 | if it is large                   |
-    | what the fit leaves beyond noise, most of it in one octave          | if it is large                   |
-    | what the fit leaves otherwise, of the spectrum of coloured noise    | not                              |
-    | values of a read-out that rounds, less the step that rounding makes | if they go farther than is small |
+    | sum of the modes, about a straight line                     | if it is large                    |
+    | residual beyond noise, most of it in one octave             | if it is large                    |
+    | residual with the spectrum of coloured noise otherwise      | never                             |
+    | values of a read-out that rounds, less the step of rounding | if their range is more than small |
     """
     modelled = window.fit.motion - window.fit.left
     if float(np.ptp(level(modelled[-max(2, len(modelled) // 4) :]))) > window.small_n:

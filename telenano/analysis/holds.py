@@ -5,8 +5,8 @@ the link, the machine or the guard, and never by the motion of the loop:
 
 - the approach ends when the tip first touches after the hand began to press; if the tip leaves the surface later, that
   is motion of the loop;
-- the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, one deadline after the last
-  command came, and that command was in transit in the loop before;
+- the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, only one deadline after its
+  last command came, and commands stopped up to a transit earlier;
 - the tip is away while a program of the instrument, an operator or the guard moves it.
 
 `telenano.analysis.verdict` judges contact with the loop closed; everything else is a fact beside the verdict. If the
@@ -203,10 +203,10 @@ class SessionContext(NamedTuple):
     sites that fell silent; limits: those of the instrument's guard, if known; programs: start and end [s] of each
     program of the instrument; by_hand: whether a person is the hand, whose force swings with the loop; interruptions:
     spans with the loop open; late: delays of processes; deadline_s: time without a command after which a device opens
-    the loop [s]; transit_s: longest transit of a command [s]; rest_force: the force at the tip [N] at which the law
-    rests, as a function of the hand's force [N], None if the law does not state it; silences: topic of hand or tip,
-    with start and end [s] of a span in which its source sent nothing, so that nothing is lost; let_go: start and end
-    [s] of each span with the motor of the hand off.
+    the loop [s]; transit_s: longest transit of a command [s]; rest_force: alpha_f F_s [N] at which the law rests, as
+    a function of the hand's force [N], None if the law does not state it; silences: topic of hand or tip, with start
+    and end [s] of a span in which its source sent nothing, so that nothing is lost; let_go: start and end [s] of each
+    span with the motor of the hand off.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -413,7 +413,7 @@ class _Session(NamedTuple):
         return SMALL_SHARE * self.greatest_n
 
     def rest_n(self, force_n: float) -> float | None:
-        """Return the force at which the law rests for a force of the hand [N]; None if the law does not state it."""
+        """Return alpha_f F_s [N] at which the law rests for a force of the hand [N]; None if it does not state it."""
         rest_n = self.known.rest_force(force_n) if self.known.rest_force is not None else np.nan
         return rest_n if np.isfinite(rest_n) else None
 

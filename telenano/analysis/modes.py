@@ -363,7 +363,8 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
         shrunk = size * math.exp(-abs(growth))
         begin, end = (shrunk, size) if growth > 0.0 else (size, shrunk)
         if turn < _REAL_TURN:
-            # The size is the range in either half of the stretch, or the distance from the mode's own rest if smaller.
+            # The size at either end is the range in that half, or, if larger, the distance from the mode's own rest
+            # there, but no more than the range in the whole stretch.
             cosine, sine, _ = _pair(np.linspace(0.0, 1.0, 33), growth, turn)
             course = state.weights[place] * cosine + (state.weights[place + 1] * sine if turn else 0.0)
             way = float(np.ptp(course))
