@@ -1,4 +1,4 @@
-"""What a recording shows: series, report, verdict of stability, figures."""
+"""Analysis of a recording: series, report, verdict of stability, and figures."""
 
 from typing import TYPE_CHECKING
 

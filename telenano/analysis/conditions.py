@@ -1,4 +1,4 @@
-"""Under which conditions a session ran: law, parameters, delay, link and versions, as its recording states them."""
+"""Conditions of a session, as its recording states them: law, parameters, delay, link and versions."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from telenano.settings.scenario import Scenario
 from telenano.wire.nodes import LAUNCHER, LINK, name_of
 
 _MASTER = "controller@master"
-# A round trip was changed, or jitters, if it varies by more than this, and by more than _CHANGED_SHARE of its median.
+# A round trip counts as changed if it varies by more than this [ms], and by more than _CHANGED_SHARE of its median.
 _CHANGED_MS = 10.0
 _CHANGED_SHARE = 0.5
 
@@ -26,24 +26,24 @@ _CHANGED_SHARE = 0.5
 def conditions(
     recording: RecordingSource, scenario: Scenario, start_ns: int, end_ns: int, timeline: Timeline | None = None
 ) -> dict[str, Any]:
-    """Return what a figure or a table has to state beside its numbers.
+    """Return the conditions that a figure or a table must state beside its numbers.
 
     Args:
-        recording: The recording that is described.
-        scenario: The scenario as it is attached to the recording.
+        recording: The recording of the session.
+        scenario: The scenario that is attached to the recording.
         start_ns: The start of the session by the master's clock [ns].
         end_ns: The end of the session by the master's clock [ns].
         timeline: The clocks of the recording; None reads them from it.
 
     Returns:
-        `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
-        set while the session ran; `outside_of_shown`, warnings that the session was outside of what its law was shown
-        to hold, if there were any; `link_round_trip_ms`, median of the delays that the link added there and back, and
-        `link_round_trip_range_ms`, the least and the greatest of them; `loop_round_trip_ms`, median age, in whole
-        periods, of the sample that the newest answer descends from, as the law has to bridge it (both null where
-        nothing was recorded); name of the network and seed of the link; `instrument`,
-        what disturbs the AFM, by its name; `plugins`, package, version and digest of what
-        other packages brought to it; versions.
+        `law`, the laws in the order in which they were in force; `parameters` of the law that the scenario names;
+        `changed`, settings changed during the session; `outside_of_shown`, warnings that the session left the range
+        for which its law was shown to hold, if there were any; `link_round_trip_ms`, median of the delays that the
+        link added there and back, and `link_round_trip_range_ms`, the least and the greatest of them;
+        `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, which
+        the law has to bridge (both null where nothing was recorded); name of the network and seed of the link;
+        `instrument`, name of the set of disturbances of the AFM; `plugins`, package, version and digest of each entry
+        that comes from another package; versions.
 
     Raises:
         ConfigError: A section of the scenario cannot be read, or needs a package; the message names it.
@@ -76,7 +76,7 @@ def conditions(
 
 
 def title(conditions: dict[str, Any]) -> str:
-    """Return the conditions as the words of a title: law, round trip, and the network where it is more than a delay."""
+    """Return the conditions as a title: law, round trip, and the network and the instrument if they are not ideal."""
     words = [" then ".join(conditions["law"])]
     least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0)
     for key, name in (
@@ -85,7 +85,7 @@ def title(conditions: dict[str, Any]) -> str:
     ):
         if conditions[key] is None:
             continue
-        # The median says nothing of a delay that was changed in the session.
+        # The median does not describe a delay that was changed in the session, so the range is shown.
         is_changed = name.endswith("link") and greatest_ms - least_ms > max(
             _CHANGED_MS, _CHANGED_SHARE * conditions[key]
         )
@@ -99,7 +99,7 @@ def title(conditions: dict[str, Any]) -> str:
 
 
 def described(scenario: str, conditions: dict[str, Any]) -> str:
-    """Return all conditions in words, for the inside of a file: a figure for a paper has no title."""
+    """Return all conditions in words, for the metadata of a figure's file: a figure for a paper has no title."""
     parameters = ", ".join(f"{key}={value}" for key, value in conditions["parameters"].items())
     return (
         f"{scenario}, {title(conditions)}; parameters: {parameters}; "
@@ -119,13 +119,13 @@ def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple
 
 
 def laws_in_turn(recording: RecordingSource, start_ns: int, end_ns: int) -> list[tuple[float, str]]:
-    """Return the laws that the master's half had in force, each with the time from which on, in session time [s]."""
+    """Return each law that was in force in the master's half, with its start in session time [s]."""
     status = _law_columns(recording, start_ns, end_ns)
     return [] if status is None else _in_turn(status, start_ns)
 
 
 def _law_columns(recording: RecordingSource, start_ns: int, end_ns: int) -> dict[str, npt.NDArray[Any]] | None:
-    """Return what the master's half reported of its law in the session; None where nothing was recorded of it."""
+    """Return the columns of law/status from the master's half during the session; None if none is recorded."""
     if not any(channel.channel_topic == "law/status" for channel in recording.channels):
         return None
     status = recording.columns("law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
@@ -137,12 +137,12 @@ def _in_turn(status: dict[str, npt.NDArray[Any]], start_ns: int) -> list[tuple[f
     laws = [str(law) for law in status["law"]]
     times_s = (1e-9 * (status["t_ns"] - start_ns)).tolist()
     turns = [(at, law) for at, law, before in zip(times_s, laws, ["", *laws], strict=False) if law != before]
-    # The first report of a law comes some time after it is in force.
+    # The first law counts from 0, because its first report comes some time after its start.
     return [(0.0 if place == 0 else at, law) for place, (at, law) in enumerate(turns)]
 
 
 def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> npt.NDArray[np.float64] | None:
-    """Return the delays that the link added there and back [ms], each a mean of 0.1 s; None where none is known."""
+    """Return the delays that the link added there and back [ms], each a mean over 0.1 s; None if none is known."""
     if not any(channel.channel_topic == "link/status" for channel in recording.channels):
         return None
     ways = [(f"{way}.delay_mean_s", f"{way}.delay_valid") for way in ("forward", "backward")]
@@ -161,7 +161,7 @@ def _range(values: npt.NDArray[np.float64]) -> list[float]:
 
 
 def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[str]:
-    """Return what nodes acknowledged to have set while the session ran, each with its node."""
+    """Return the acknowledgements of settings changed during the session, each with the name of its node."""
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
     texts = []
     for event, fields in readable(events, recording.left_out):
@@ -174,11 +174,11 @@ def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
 
 
 def _outside(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
-    """Return the warnings that a session was outside of what its law was shown to hold, in session time [s]."""
+    """Return warnings that the session left the range for which its law was shown to hold, in session time [s]."""
     events = recording.select(
         lambda channel: channel.topic == "session/event" and name_of(channel.src) == name_of(LAUNCHER)
     )
-    # One of the other site may be recorded where it was sent and where it arrived.
+    # A warning from the other site may be recorded twice: where it was sent, and where it arrived.
     by_key: dict[tuple[str, int], dict[str, Any]] = {}
     for event, fields in readable(events, recording.left_out):
         axis, law = fields["data"].get("outside"), fields["data"].get("law")

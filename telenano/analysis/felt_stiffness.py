@@ -1,19 +1,20 @@
-"""What the hand feels of the stiffness that is there, with an interval, or why that cannot be known.
+"""Ratio of the stiffness that the hand feels to the true stiffness of the sample, with an interval.
 
     found = felt_over(hand, tip, hand_per_tip, facts)
-    found.ratio, found.low, found.high          # or found.reason
+    found.ratio, found.low, found.high          # or found.reason: why the ratio cannot be known
 
-While the tip touches and the hand moves to and fro, the hand feels k of F_m = k x_m + b v_m + c + d t + e t^2: of one
-swing it is Re(F_m / X_m). The same is fitted to force and base of the tip, and alpha_f alpha_p times its k is there.
-The interval of k is from the scatter of parts of the record, as samples that follow one another are alike.
+The stiffness that the hand feels is k in F_m = k x_m + b v_m + c + d t + e t^2, fitted while the tip touches and the
+hand moves to and fro; for a single swing it is Re(F_m / X_m). The same model is fitted to force and base of the tip;
+its k times alpha_f alpha_p is the true stiffness at the hand. The interval of k comes from the scatter of parts of the
+record, because neighbouring samples are correlated.
 
-The base is commanded further than a piezo goes, so that a sample looks softer than it is by up to `SOFTER`, unless the
-instrument is simulated without that. Of a simulated spring the stiffness is stated, and counts unless what the tip
-meets contradicts it.
+A piezo moves the base less than it is commanded, so that a sample appears softer than it is by up to `SOFTER`, unless
+the instrument is simulated without that. The stiffness of a simulated spring is stated in the settings; it counts
+unless the measurement at the tip contradicts it.
 
-It cannot be known where the tip does not touch for long enough, where the hand does not move enough or moves faster
-than `FASTEST_HZ`, so that the masses of law and device count, or where its motion has another cause than its force: a
-loop that swings by itself, a drift, or a device of which the force is not measured.
+The ratio cannot be known if the tip does not touch for long enough, if the hand does not move enough or moves faster
+than `FASTEST_HZ`, so that the masses of law and device count, or if its motion has another cause than its force: a
+loop that swings by itself, a drift, or a device whose force is not measured.
 """
 
 import math
@@ -33,35 +34,34 @@ if TYPE_CHECKING:
     from telenano.sections.afm_section import AfmConfig
 
 Series = npt.NDArray[np.float64]
-# More than this share of the stiffness that is there is felt too hard, and less than that one too soft.
+# The sample feels too hard above the first of these ratios, and too soft below the second [1].
 TOO_HARD, TOO_SOFT = 1.5, 0.6
-# A window of this length is looked at, at these intervals, in means over this time [s].
+# length of a window, interval between windows, and averaging time of the samples in it [s]
 WINDOW_S = 10.0
 LOOK_S = 1.0
 MEAN_S = 0.05
-# A window has at least this much of it in contact [s].
+# least time in contact in a window [s]
 LEAST_S = 4.0
-# What is felt counts as too hard or too soft where it is so for the first time, and no more where it is not for the
-# second one [s].
+# The sample counts as too hard or too soft once it was so for the first time, until it was not for the second [s].
 LASTS_S, GONE_S = 2.0, 10.0
-# Faster motion is that of masses rather than of a spring [Hz].
+# Faster motion is governed by masses rather than by a spring [Hz].
 FASTEST_HZ = 2.5
-# By hysteresis and creep a piezo goes less far than it is commanded to, by up to this share (Physik Instrumente, Piezo
-# tutorial); by noise and by its lag a sample may look a little stiffer.
+# Because of hysteresis and creep, a piezo moves less than commanded, by up to the first share (Physik Instrumente,
+# Piezo tutorial); because of noise and its lag, a sample may appear stiffer by the second.
 SOFTER, STIFFER = 0.37, 0.05
-# Samples within this time of one another are not taken to be independent [s].
+# Samples within this time of one another count as correlated [s].
 _ALIKE_S = 0.5
-# The hand has to come back so often, to half of its usual deviation on the other side.
+# least number of times that the hand crosses to the other side, beyond half of its standard deviation
 _TURNS = 3
-# Force and motion of the hand explain one another to this share.
+# least share of the variance of the hand's motion that its force explains, or the reverse [1]
 _TOGETHER = 0.8
-# A stiffness is known where half its interval is less than this share of it, or of what is there.
+# A stiffness is known if half its interval is less than this share of it, or of the true stiffness [1].
 _KNOWN_TO = 0.3
 _TERMS = 5
 
 
 class Felt(NamedTuple):
-    """What the hand feels over what is there, with its interval of 95 %, and both at the hand [N/m]."""
+    """Ratio of felt to true stiffness, with its interval of 95 %, and both stiffnesses at the hand [N/m]."""
 
     ratio: float
     low: float
@@ -71,7 +71,7 @@ class Felt(NamedTuple):
 
     @property
     def kind(self) -> Literal["hard", "soft", "as it is", "open"]:
-        """What the interval says; open: a limit lies within it."""
+        """The class of the ratio by its interval; open: TOO_HARD or TOO_SOFT lies within the interval."""
         if self.low > TOO_HARD:
             return "hard"
         if self.high < TOO_SOFT:
@@ -85,12 +85,12 @@ class Felt(NamedTuple):
 
 
 class NotKnown(NamedTuple):
-    """Why it cannot be known what the hand feels."""
+    """Reason why the felt stiffness cannot be known."""
 
     reason: str
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return the reason in words."""
         return f"not known: {self.reason}"
 
 
@@ -102,10 +102,10 @@ TIP_UNCLEAR = NotKnown("the stiffness that is there is not known: the tip moved 
 
 
 class SampleFacts(NamedTuple):
-    """What the settings say of the sample and its instrument.
+    """Facts on the sample and its instrument, from the settings.
 
-    stated_n_per_m: the stiffness of a simulated spring [N/m], None of any other sample; has_piezo: whether the base may
-    go less far than it is commanded to; no_force: why what is felt is no force of a sample, empty where it is one.
+    stated_n_per_m: the stiffness of a simulated spring [N/m], None for any other sample; has_piezo: whether the base
+    may move less than commanded; no_force: why the hand does not feel a force of a sample, empty if it does.
     """
 
     stated_n_per_m: float | None = None
@@ -114,7 +114,7 @@ class SampleFacts(NamedTuple):
 
     @classmethod
     def of(cls, afm: "AfmConfig") -> "SampleFacts":
-        """Return what a section `afm_node` says (`telenano.sections.AfmConfig`)."""
+        """Return the facts in a section `afm_node` (`telenano.sections.AfmConfig`)."""
         if afm.feel is not None:
             return cls(no_force=f"what is felt is a table of {afm.feel.channel}, and no force on the tip")
         if not afm.simulated:
@@ -126,7 +126,7 @@ class SampleFacts(NamedTuple):
 
 
 class _Slope(NamedTuple):
-    """k of a fit and half its interval, which share of force and motion the other explains, frequency, and turns."""
+    """The stiffness k of a fit and half its interval [N/m], explained shares of variance, frequency [Hz], and turns."""
 
     value: float
     half: float
@@ -137,13 +137,13 @@ class _Slope(NamedTuple):
 
 
 def felt_over(hand: Series, tip: Series, hand_per_tip: float, facts: SampleFacts) -> Felt | NotKnown:
-    """Return what the hand feels in a window in which the tip touches throughout.
+    """Return the felt and the true stiffness in a window in which the tip touches throughout, or why they are unknown.
 
     Args:
-        hand: Time [s], way x_m [m] and force F_m [N] of the hand, shape (3, n).
-        tip: Time [s], way x_s of the base [m] and force F_s [N], shape (3, m).
-        hand_per_tip: alpha_f alpha_p: a stiffness at the hand over that at the tip.
-        facts: What is known of the sample.
+        hand: Time [s], position x_m [m] and force F_m [N] of the hand, shape (3, n).
+        tip: Time [s], position x_s of the base [m] and force F_s [N], shape (3, m).
+        hand_per_tip: alpha_f alpha_p: ratio of a stiffness at the hand to that at the tip.
+        facts: The facts on the sample from the settings.
     """
     if any(rows.shape[1] < 2 or rows[0, -1] - rows[0, 0] < LEAST_S for rows in (hand, tip)):
         return NO_CONTACT
@@ -160,14 +160,14 @@ def felt_over(hand: Series, tip: Series, hand_per_tip: float, facts: SampleFacts
     if felt.half > _KNOWN_TO * max(abs(felt.value), there[0]):
         return NO_MOTION
     low, high = felt.value - felt.half, felt.value + felt.half
-    # What moves the hand besides its force makes the slope smaller than it is.
+    # Motion of the hand from other causes than its force reduces the fitted slope.
     high = high / max(felt.force_share, _TOGETHER) if high > 0.0 else high
     ends = [end / value for end in (low, high) for value in there[1:]]
     return Felt(felt.value / there[0], min(ends), max(ends), felt.value, there[0])
 
 
 def _there(met: _Slope | None, hand_per_tip: float, facts: SampleFacts) -> tuple[float, float, float] | None:
-    """Return the stiffness that is there at the hand, and its interval [N/m]; None where it is not known."""
+    """Return the true stiffness at the hand, and its interval [N/m]; None if it is not known."""
     found = None
     if met is not None and met.value > 0.0 and met.half < _KNOWN_TO * met.value:
         softer = SOFTER if facts.has_piezo else STIFFER
@@ -180,10 +180,10 @@ def _there(met: _Slope | None, hand_per_tip: float, facts: SampleFacts) -> tuple
 
 
 def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
-    """Fit a spring and a damper beside a drift; None where nothing moves, or too little is there to fit."""
+    """Fit a spring and a damper beside a drift; None if nothing moves, or there are too few samples."""
     if time_s.size < 8:
         return None
-    # A tremor of the hand, around 9 Hz, is taken off way and force alike; a swing keeps its ratio of both.
+    # The filter attenuates a tremor of the hand, around 9 Hz, in position and force alike, so that their ratio stays.
     frequency_hz = _frequency_hz(time_s, way_m)
     time_s, way_m, force_n = (
         0.25 * values[:-2] + 0.5 * values[1:-1] + 0.25 * values[2:] for values in (time_s, way_m, force_n)
@@ -194,13 +194,13 @@ def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
     deviation = float(away.std())
     parts = np.unique(np.floor((time_s - time_s[0]) / _ALIKE_S), return_inverse=True)[1]
     freedom = int(parts[-1]) + 1 - _TERMS
-    # A motion of less than 1e-9 of the way is what rounding leaves.
+    # A deviation of less than 1e-9 of the position is a rounding error.
     if freedom < 2 or not deviation > 1e-9 * float(np.abs(way_m).max(initial=0.0)):
         return None
     speed = _beside(drift, np.gradient(way_m, time_s))
     columns = (away / deviation, speed)
     found, left = regression(columns, pressed)
-    # What the speed leaves of the way has the slope: its error is that of the sums of its products, part by part.
+    # The slope comes from the residual of the position on the speed; its error is from the sums of products by part.
     _, own = regression(columns[1:], columns[0])
     scores = np.bincount(parts, own * left) / float((own * own).sum())
     half = student(freedom) * math.sqrt(float((scores * scores).sum()) * (freedom + _TERMS) / freedom)
@@ -211,7 +211,7 @@ def _slope(time_s: Series, way_m: Series, force_n: Series) -> _Slope | None:
 
 
 def _frequency_hz(time_s: Series, way_m: Series) -> float:
-    """Return the frequency of a swing that is as fast for its size as a motion."""
+    """Return the frequency [Hz] of a sine with the same ratio of speed to amplitude (rms) as a motion."""
     away = _beside((np.ones_like(time_s), time_s - time_s.mean()), way_m)
     speed = np.diff(away) / np.maximum(np.diff(time_s), 1e-9)
     size = float(away.std())
@@ -219,48 +219,48 @@ def _frequency_hz(time_s: Series, way_m: Series) -> float:
 
 
 def _beside(drift: Sequence[Series], values: Series) -> Series:
-    """Return what a drift leaves of values."""
+    """Return values without the drift that fits them best."""
     return regression(drift, values)[1]
 
 
 def _share(columns: Sequence[Series], values: Series) -> float:
-    """Return the share of the variance of values that columns explain; 0 where there is none."""
+    """Return the share of the variance of values that columns explain; 0 if the values are all 0."""
     whole = float((values * values).sum())
     left = regression(columns, values)[1]
     return 1.0 - float((left * left).sum()) / whole if whole > 0.0 else 0.0
 
 
 def _turns(away: Series, least: float) -> int:
-    """Return how often a motion went from one side to the other one."""
+    """Return how often a motion went from beyond `least` on one side to beyond it on the other."""
     sides = np.sign(away[np.abs(away) > least])
     return int(np.count_nonzero(np.diff(sides)))
 
 
 class FeltWindow:
-    """The newest `WINDOW_S` of hand and tip of a session that runs, in means over `MEAN_S`."""
+    """The newest `WINDOW_S` of hand and tip in a running session, as means over `MEAN_S`."""
 
     def __init__(self, facts: SampleFacts) -> None:
         self.facts = facts
         self._hand, self._tip = _Means(), _Means()
 
     def hand(self, time_s: float, way_m: float, force_n: float) -> None:
-        """Take note of a sample of the hand, time by its own clock."""
+        """Add a sample of the hand: time by its own clock [s], position [m] and force [N]."""
         self._hand.add(time_s, way_m, force_n)
 
     def tip(self, time_s: float, way_m: float, force_n: float, *, touches: bool) -> None:
-        """Take note of a sample of the tip, time by its own clock; one that does not touch ends the window."""
+        """Add a sample of the tip, time by its own clock [s]; a tip that does not touch empties the window."""
         if touches:
             self._tip.add(time_s, way_m, force_n)
         else:
             self.forget()
 
     def forget(self) -> None:
-        """Begin again, where what comes is of another contact or of another law."""
+        """Empty the window, because the next samples belong to another contact or another law."""
         self._hand.clear()
         self._tip.clear()
 
     def look(self, hand_per_tip: float) -> Felt | NotKnown:
-        """Return what the hand feels at present."""
+        """Return the felt and the true stiffness at present, or why they are unknown."""
         if self.facts.no_force:
             return NotKnown(self.facts.no_force)
         return felt_over(self._hand.rows(), self._tip.rows(), hand_per_tip, self.facts)
@@ -270,14 +270,14 @@ class _Means:
     """Means of samples over `MEAN_S`, of the newest `WINDOW_S`."""
 
     def __init__(self) -> None:
-        # Each row has sums of time [s], way [m] and force [N], and the number of samples in them.
+        # Each row has sums of time [s], position [m] and force [N], and the number of samples in them.
         self._sums: deque[list[float]] = deque()
         self._place = -1
 
     def add(self, time_s: float, way_m: float, force_n: float) -> None:
         place = math.floor(time_s / MEAN_S)
         if place < self._place:
-            # The clock of another run of the device.
+            # The device was restarted with a new clock.
             self.clear()
         if place != self._place:
             self._sums.append([0.0, 0.0, 0.0, 0.0])
@@ -300,7 +300,7 @@ class _Means:
 
 
 class Course(NamedTuple):
-    """A session as a whole: hand and tip as `felt_over` takes them, and which samples of the tip touch, shape (m,)."""
+    """A whole session: hand and tip as in `felt_over`, and whether the tip touches in each sample, shape (m,)."""
 
     hand: Series
     tip: Series
@@ -308,7 +308,7 @@ class Course(NamedTuple):
 
 
 class Span(NamedTuple):
-    """From when to when a law was in force [s], with alpha_f alpha_p, None where it cannot be known, and then why."""
+    """A span in which a law was in force [s], with alpha_f alpha_p; None if that is unknown, and then the reason."""
 
     from_s: float
     to_s: float
@@ -317,7 +317,7 @@ class Span(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """A time in which the hand felt more than `TOO_HARD`, or less than `TOO_SOFT`, of what is there."""
+    """A span in which the hand felt more than `TOO_HARD`, or less than `TOO_SOFT`, times the true stiffness."""
 
     from_s: float
     to_s: float
@@ -330,7 +330,7 @@ class Outside(NamedTuple):
 
 
 class FeltSession(NamedTuple):
-    """What the hand felt in a session, the median of its windows, None where it is not known, and the same in words."""
+    """The felt stiffness in a session, the median of its windows, None if it is not known; and the same in words."""
 
     felt: Felt | None
     reason: str
@@ -338,7 +338,7 @@ class FeltSession(NamedTuple):
 
 
 def felt_in(course: Course, spans: Sequence[Span], facts: SampleFacts) -> FeltSession:
-    """Return what the hand felt in a session, window after window."""
+    """Return the felt stiffness in a session, from windows of `WINDOW_S` every `LOOK_S`."""
     if facts.no_force:
         return FeltSession(None, facts.no_force)
     hand, tip = _means_of(course.hand), _means_of(course.tip, course.touches)
@@ -358,7 +358,7 @@ def felt_in(course: Course, spans: Sequence[Span], facts: SampleFacts) -> FeltSe
         reasons = reasons or [NO_CONTACT.reason]
         return FeltSession(None, max(dict.fromkeys(reasons), key=reasons.count))
     outside = tuple(_outside(found))
-    # A session that is outside has what made it so, and not the median of what came before and after.
+    # A session with spans outside the limits gets the median of those spans alone.
     of = [felt for at_s, felt in found if any(one.from_s <= at_s <= one.to_s for one in outside)] if outside else []
     ordered = sorted(of or [felt for _, felt in found])
     felt = ordered[len(ordered) // 2]
@@ -366,7 +366,7 @@ def felt_in(course: Course, spans: Sequence[Span], facts: SampleFacts) -> FeltSe
 
 
 def _means_of(rows: Series, kept: npt.NDArray[np.bool_] | None = None) -> Series:
-    """Return means over `MEAN_S`, shape (3, n), of those in which all samples are kept."""
+    """Return means over `MEAN_S`, shape (3, n), without those in which a sample is not kept."""
     if not rows.shape[1]:
         return np.empty((3, 0))
     places = np.floor(rows[0] / MEAN_S).astype(np.int64)
@@ -383,7 +383,7 @@ def _within(rows: Series, begin_s: float, end_s: float) -> Series:
 
 
 def _windows(tip: Series, span: Span) -> Iterator[tuple[float, float]]:
-    """Yield begin and end of the windows of each contact within a span [s]."""
+    """Yield start and end of the windows of each contact within a span [s]."""
     times = _within(tip, span.from_s, span.to_s)[0]
     breaks = np.flatnonzero(np.diff(times) > 2.5 * MEAN_S)
     for first, last in zip([0, *(breaks + 1)], [*breaks, times.size - 1], strict=True):
@@ -400,7 +400,7 @@ def _windows(tip: Series, span: Span) -> Iterator[tuple[float, float]]:
 
 
 def _outside(found: list[tuple[float, Felt]]) -> Iterator[Outside]:
-    """Yield the times in which one thing was found outside for `LASTS_S`, by the ends of the windows."""
+    """Yield the spans in which all windows were too hard, or all too soft, for `LASTS_S`, by the ends of windows."""
     run: list[tuple[float, Felt]] = []
     for at_s, felt in [*found, (math.inf, Felt(1.0, 1.0, 1.0, 0.0, 0.0))]:
         if run and (felt.kind != run[-1][1].kind or at_s - run[-1][0] > 2.0 * LOOK_S):
@@ -413,7 +413,7 @@ def _outside(found: list[tuple[float, Felt]]) -> Iterator[Outside]:
 
 
 def scale_of(controller: ControllerConfig, law: str) -> tuple[float | None, str]:
-    """Return alpha_f alpha_p of a law by the section `controller`; None where it shows no stiffness, and then why."""
+    """Return alpha_f alpha_p of a law from the section `controller`, or None and the reason why it has none."""
     if law not in KNOWN_LAWS:
         return None, f"the law {law} is not installed, so that its scales are not known"
     if law not in LAWS:
@@ -423,7 +423,7 @@ def scale_of(controller: ControllerConfig, law: str) -> tuple[float | None, str]
 
 
 def changes_scale(texts: Iterable[str]) -> bool:
-    """Return whether a scale was among what controllers acknowledged to have set, after which it is not known."""
+    """Return whether controllers acknowledged a change of a scale, after which the scale is not known."""
     return any("controller" in text and "_scale" in text for text in texts)
 
 

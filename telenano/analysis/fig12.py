@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 Series = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-# a pause in a series of a sample a millisecond
+# A longer step [s] is a pause in a series with a sample per millisecond.
 _LONGEST_STEP_S = 0.05
-# The tip turns back when it has gone back by more than this share of its way, in contact or off it, each by itself.
+# The tip has turned once it went back by more than this share of its range, in contact and off it separately [1].
 _TURN_SHARE = 0.05
-# What is written where the recording states that a state of the tip begins, and where it states that it ends.
+# labels for the begin and the end of a state of the tip, as the recording states them
 _WORDS = {"meniscus": ("meniscus forms", "meniscus breaks"), "in_contact": ("contact begins", "contact ends")}
-# The distances from its point [pt] and the directions [degree] in which a label is tried.
+# distances from its point [pt] and directions [degree] in which a label is tried
 _LABEL_PT = (22.0, 30.0, 40.0, 56.0, 72.0, 90.0, 120.0)
 _LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0, -60.0, 60.0, -120.0, 120.0, -15.0, 15.0)
-# This number of letters of a title are as wide as the figure.
+# number of letters of a title that fit the width of the figure
 _TITLE_WIDTH = 88
 
 
 class TipStates(NamedTuple):
-    """What an instrument states of its tip, each of shape (n,), at the times of `SessionSeries.tip_time_s`.
+    """States of the tip from the instrument, each of shape (n,), at the times of `SessionSeries.tip_time_s`.
 
     led: the tip follows the hand, or holds its place for it (modes follow and hold); limited: a limit of speed or
-    travel acts on the base; in_contact, meniscus: as in afm/state, False throughout where the instrument cannot know.
+    travel acts on the base; in_contact, meniscus: as in afm/state, all False if the instrument cannot know.
     """
 
     led: Flags
@@ -46,7 +46,7 @@ class TipStates(NamedTuple):
 
 
 class TipPath(NamedTuple):
-    """The path of the tip under the hand, each of shape (n,); h [m] and F_s [N] are NaN where it is not under it."""
+    """The path of the tip while the hand moves it, each of shape (n,); h [m] and F_s [N] are NaN elsewhere."""
 
     separation_m: Series
     force_n: Series
@@ -56,11 +56,12 @@ class TipPath(NamedTuple):
 
 @dataclass(frozen=True)
 class SessionSeries:
-    """What Fig. 12 shows, each quantity on its own time axis [s], zero at the start of the session.
+    """The series of Fig. 12, each quantity on its own time axis [s], zero at the start of the session.
 
     hand_force_n F_m, hand_position_m x_m at hand_time_s; reference_m x_mr at reference_time_s; tip_force_n F_s,
     separation_m h at tip_time_s, NaN where the instrument does not know it; force_scale is alpha_f; gaps_s are the
-    spans of which the recording lacks samples; states is what the instrument states of the tip, None for nothing.
+    spans [s] in which samples are missing from the recording; states are those of the tip, None if not known. Forces
+    are in N, positions in m.
     """
 
     hand_time_s: Series
@@ -76,9 +77,9 @@ class SessionSeries:
     states: TipStates | None = None
 
     def tip_path(self) -> TipPath:
-        """Return the path of the tip under the hand, and on the way back where a guard withdraws it from there.
+        """Return the path of the tip while the hand moves it, and on the way back after a guard withdrew it.
 
-        The way on which it is lowered to the hand is not in it, nor that of a withdrawal beyond where the hand had it.
+        It leaves out the lowering of the tip to the hand, and a withdrawal beyond the greatest distance under the hand.
         """
         states = self.states
         if states is None:
@@ -97,7 +98,7 @@ class SessionSeries:
         return TipPath(np.insert(separation_m, pauses, np.nan), np.insert(self.tip_force_n, pauses, np.nan), *flags)
 
     def broken(self, time_s: Series, values: Series) -> tuple[Series, Series]:
-        """Return a series from the start of the session on, with NaN where it pauses if the recording has gaps."""
+        """Return a series from the start of the session on, with NaN at its pauses if the recording has gaps."""
         time_s, values = time_s[time_s >= 0.0], values[time_s >= 0.0]
         pauses = self._pauses(time_s)
         return np.insert(time_s, pauses, np.nan), np.insert(values, pauses, np.nan)
@@ -109,9 +110,9 @@ class SessionSeries:
 def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> "Figure":
     """Draw the three panels of Fig. 12: F_m and alpha_f F_s, x_mr and x_m, and F_s against h.
 
-    For paper it is one column wide and has no title, whose words belong in the caption.
+    In the style for paper, the figure is one column wide and has no title, which belongs in the caption.
     """
-    # the numbers of a session are read without what draws them
+    # imported here, so that the numbers of a session can be read without matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -133,7 +134,7 @@ def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SC
 def draw_columns(
     time_s: npt.NDArray[np.float64], columns: Mapping[str, tuple[npt.NDArray[Any], str]], title: str
 ) -> "Figure":
-    """Draw columns, each given with its unit, over the time: a panel each, one below the other."""
+    """Draw columns over the time [s], each given with its unit: one panel per column, one below the other."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -152,7 +153,7 @@ def draw_columns(
 def fig12_files(
     series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN, origin: str = ""
 ) -> dict[str, bytes]:
-    """Return the figure in its formats, by file name; each has in it what it was made from, in words."""
+    """Return the figure in its formats, by file name; each file contains its origin in words."""
     return options.drawn(draw_fig12(series, title, options), "fig12", origin)
 
 
@@ -187,7 +188,7 @@ def _draw_path(axes: "Axes", series: SessionSeries) -> None:
     path = series.tip_path()
     retracts = retracting(path.separation_m, path.in_contact)
     for chosen, colour, style, label in ((~retracts, HAND, "-", "approach"), (retracts, TIP, "--", "retraction")):
-        # a sample of the other branch ends a line, and is its last point
+        # The last point of a line is the first sample of the other branch, so that both join.
         inside = chosen | np.concatenate([[False], chosen[:-1]])
         distance_nm = np.where(inside, 1e9 * path.separation_m, np.nan)
         if np.isfinite(distance_nm[chosen]).any():
@@ -205,8 +206,8 @@ def _draw_path(axes: "Axes", series: SessionSeries) -> None:
 def _under_the_hand(states: TipStates) -> Flags:
     """Return for each sample whether the hand moves the tip.
 
-    An armed base first comes from where it is withdrawn to the hand's reference, as fast as it may, which is stated as
-    `limited`. The tip is under the hand once that is over, or the sample has it, whichever is first.
+    An armed base first moves from its withdrawn place to the hand's reference at its speed limit, which is stated as
+    `limited`. The hand moves the tip once that is over, or once the tip touches the sample, whichever is first.
     """
     shown = np.zeros(len(states.led), dtype=bool)
     reached = states.in_contact | states.meniscus
@@ -216,7 +217,7 @@ def _under_the_hand(states: TipStates) -> Flags:
             placed = False
         elif not placed and (reached[index] or not states.limited[index]):
             placed = True
-            # the path to the place where the sample takes hold of the tip begins one sample before
+            # The path to the place of the first touch starts one sample earlier.
             if reached[index] and index and states.led[index - 1]:
                 shown[index - 1] = True
         shown[index] = placed
@@ -227,8 +228,8 @@ def retracting(separation_m: Series, in_contact: Flags) -> Flags:
     """Return for each sample whether the tip is moving away from the sample.
 
     Args:
-        separation_m: The distance h [m], shape (n,). Samples without one (NaN) part a path from the next.
-        in_contact: Whether the tip touches, shape (n,). In contact it turns within a fraction of a nanometre.
+        separation_m: The distance h [m], shape (n,). NaN separates one path from the next.
+        in_contact: Whether the tip touches, shape (n,). In contact the tip turns within a fraction of a nanometre.
 
     Returns:
         Shape (n,), False before the tip first moves.
@@ -246,11 +247,11 @@ def retracting(separation_m: Series, in_contact: Flags) -> Flags:
 
 
 def _away(distances_m: Sequence[float], least_m: Sequence[float]) -> list[bool]:
-    """Return for each sample of one path whether it leads away; a way back counts from its extreme on."""
+    """Return for each sample of one path whether it leads away; a new direction counts from its extreme on."""
     is_away = [False] * len(distances_m)
     away, turned_m, turn = False, distances_m[0], 0
     for index, distance in enumerate(distances_m):
-        # the last extreme, and whether the tip has left it by more than noise and ripple
+        # Keep the last extreme; below, the tip has turned once it left that by more than noise and ripple.
         if (distance >= turned_m) if away else (distance <= turned_m):
             turned_m, turn = distance, index
         if abs(distance - turned_m) > least_m[index]:
@@ -262,7 +263,7 @@ def _away(distances_m: Sequence[float], least_m: Sequence[float]) -> list[bool]:
 
 
 def _mark_states(axes: "Axes", path: TipPath) -> None:
-    """Write beside the path where the instrument states that meniscus and contact begin and end, each time the first.
+    """Label the first begin and the first end of meniscus and contact on the path, as the instrument states them.
 
     An arrow points at the last sample before the change, from which the tip jumps.
     """
@@ -280,20 +281,20 @@ def _mark_states(axes: "Axes", path: TipPath) -> None:
 
 
 def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[str]]]) -> None:
-    """Write texts near their points, inside the panel and beside its curves, each with an arrow to its point."""
+    """Write texts near their points, inside the panel and clear of its curves, each with an arrow to its point."""
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
     if not labels:
         return
-    # the layout decides how large the panel is
+    # The layout, which determines the size of the panel, is made while drawing.
     figure: Any = axes.get_figure()
     figure.draw_without_rendering()
     frame, per_point = axes.get_window_extent(), figure.dpi / 72.0
     curves = np.concatenate([line.get_transform().transform(line.get_xydata()) for line in axes.lines])
     shares = np.arange(0.0, 1.0, 0.125)[:, None, None]
     between = (curves[:-1] + shares * np.diff(curves, axis=0)).reshape(-1, 2)
-    # several points in one dot hide nothing more
+    # Points within one pixel count once.
     between = np.unique(np.round(between[np.isfinite(between).all(axis=1)]), axis=0)
     taken: list[Bbox] = []
     for x_nm, force_nn, texts in labels:
@@ -304,7 +305,7 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
         size, point = Text.get_window_extent(label), axes.transData.transform((x_nm, force_nn))
 
         def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> Bbox:
-            # beside the point the box stands beyond the distance, above and below it in the middle
+            # The box is beyond the distance sideways, and centred above or below the point.
             across, up = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
             x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (across - 1.0)
             y = point[1] + per_point * distance_pt * up - 0.5 * size.height
@@ -314,7 +315,7 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
             outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
             return outside, sum(map(box.overlaps, taken)), box.count_contains(between)
 
-        # of those that are as good, the first is the nearest
+        # Among equally good places, the first is the nearest.
         best = min((beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)), key=faults)
         taken.append(best)
         label.set_position(tuple(((best.get_points().mean(axis=0) - point) / per_point).tolist()))

@@ -1,7 +1,7 @@
-"""How figures look and in which formats they are written: on a screen, or in the column of a journal.
+"""Style and formats of figures: for a screen, or for a column of a journal.
 
-Colours are distinguished by readers with deuteranopia and protanopia (CIEDE2000 of at least 20 between the verdicts),
-and in grey: what matters differs in lightness as well, and lines differ in their style.
+Readers with deuteranopia and protanopia can distinguish the colours (CIEDE2000 of at least 20 between the verdicts).
+So can readers of a print in grey: curves and verdicts also differ in lightness, and lines in their style.
 """
 
 import io
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf", "svg")
 STYLES = ("screen", "paper")
-# print needs 600 for lines; text and lines of PDF and SVG have no resolution
+# Lines need 600 in print; text and lines of PDF and SVG have no resolution.
 _DOTS_PER_INCH = {"screen": 130, "paper": 600}
 _PAPER: Mapping[str, Any] = {
     "font.size": 8.0,
@@ -31,11 +31,10 @@ _PAPER: Mapping[str, Any] = {
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.0,
 }
-# text of a PDF or SVG stays text, which an editor of the journal can search and set
+# Text of a PDF or SVG stays text, which an editor of the journal can search and typeset.
 _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
 
-# The colours of verdicts are those with the greatest least difference between two, where stable is light and what
-# diverges is dark.
+# The colours of verdicts maximise the least difference between any two, with stable light and diverged dark.
 VERDICT_COLOURS = {
     "stable": "#99e6ff",
     "limit_cycle": "#e68000",
@@ -52,19 +51,19 @@ TIP = "#d55e00"
 
 @dataclass(frozen=True)
 class FigureOptions:
-    """In which formats figures are written, and for where."""
+    """Formats in which figures are written, and their style, `screen` or `paper`."""
 
     formats: tuple[str, ...] = ("png",)
     style: str = "screen"
 
-    # This is one column of most journals of the field [inch].
+    # width of one column in most journals of the field [inch]
     COLUMN_IN: ClassVar[float] = 3.5
-    # A curve that others are compared with has this colour.
+    # colour of a curve that others are compared with
     REFERENCE: ClassVar[str] = "#9a9a9a"
 
     @classmethod
     def of(cls, formats: str = "png", style: str = "screen") -> Self:
-        """Read `png,pdf,svg` and a style; ConfigError names what is known."""
+        """Parse formats such as `png,pdf,svg`, and a style; ConfigError lists the known ones."""
         chosen = tuple(dict.fromkeys(part.strip().lower() for part in formats.split(",") if part.strip()))
         for name in chosen:
             if name not in FORMATS:
@@ -85,24 +84,24 @@ class FigureOptions:
             yield
 
     def lettered(self, panels: "Sequence[Axes]") -> None:
-        """Write (a), (b), (c) … above the left corner of each panel; a figure of one has none."""
+        """Write (a), (b), (c) … above the left corner of each panel; a single panel gets none."""
         if len(panels) < 2:
             return
         for number, panel in enumerate(panels):
             panel.set_title(f"({chr(ord('a') + number)})", loc="left", fontsize=8 if self.style == "paper" else 10)
 
     def drawn(self, figure: "Figure", stem: str, origin: str = "") -> dict[str, bytes]:
-        """Return a figure as the content of its files, by name; each has in it what it was made from.
+        """Return the contents of a figure's files, by name; each file contains its origin in words.
 
         Args:
             figure: The figure.
             stem: The name of its files without the ending.
-            origin: What it was made from, in words: the Description of PNG and SVG, the Subject of PDF.
+            origin: The origin of the figure in words: the Description of PNG and SVG, the Subject of PDF.
         """
         files = {}
         for name in self.formats:
             buffer = io.BytesIO()
-            # no time of making: the same session gives the same bytes
+            # The files contain no date, so that the same session gives the same bytes.
             metadata = {
                 "png": {"Description": origin},
                 "pdf": {"Subject": origin, "CreationDate": None},

@@ -1,4 +1,4 @@
-"""What was found of a motion, and why, as values: `telenano.analysis.verdict_sentences` puts them into words."""
+"""Findings on a motion and their causes, as values; `telenano.analysis.verdict_sentences` puts them into words."""
 
 from enum import Enum, auto
 from typing import Literal, NamedTuple
@@ -7,7 +7,7 @@ Kind = Literal["stable", "limit_cycle", "diverged", "contact_lost", "guarded", "
 
 
 class Cause(Enum):
-    """Why a verdict is what it is."""
+    """Cause of a finding."""
 
     NOT_A_NUMBER = auto()
     FEW_SAMPLES = auto()
@@ -27,11 +27,12 @@ class Cause(Enum):
 
 
 class Finding(NamedTuple):
-    """What was found of a motion, before it is put into words.
+    """A finding on a motion, before it is put into words.
 
-    size_n: of the motion at its end [N]; decisive_n: of the mode that decides [N], with its growth [1/s], the standard
-    error of that and its frequency [Hz], 0 of one without a swing, None of an envelope; needs_s, needs_noise_n: the
-    length of a hold, and the noise, that would decide.
+    size_n: size of the motion at its end [N]; decisive_n: size of the mode that decides [N], with its growth [1/s], the
+    standard error of that [1/s] and its frequency [Hz], 0 for one without a swing, None for an envelope; needs_s,
+    needs_noise_n: the length of a hold [s], and the noise [N], that would decide; rest_from_s: start of the rest [s],
+    None without one; samples: their number, if they are too few.
     """
 
     kind: Kind
@@ -48,5 +49,5 @@ class Finding(NamedTuple):
 
 
 def on_its_way(found: Finding, way_n: float, needs_s: float) -> Finding:
-    """Return that a force was on its way, how far it went [N], and which hold would decide [s]."""
+    """Return the finding that a force was on its way, by way_n [N]; a hold of needs_s [s] would decide."""
     return found._replace(kind="cannot_say", cause=Cause.ON_ITS_WAY, decisive_n=way_n, needs_s=needs_s)

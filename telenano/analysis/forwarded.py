@@ -1,4 +1,4 @@
-"""What the link sends on at an endpoint: the messages of a re-run against those of a recording, in their order."""
+"""Comparison of the messages that the link sends on at an endpoint, in order: those of a re-run with a recording."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,12 +6,12 @@ from typing import NamedTuple
 from telenano.recording.field_differences import Tolerances
 from telenano.wire.codec import WireError, decode_header
 
-# This number of in a row are alike where the two are in step: one message and its duplicate are not enough.
+# number of equal messages in a row that shows re-run and recording to be in step: a message and its duplicate do not
 _IN_STEP = 8
 
 
 class ForwardedMessage(NamedTuple):
-    """A message as it left the link at a time [ns]: the bytes of its publisher, but for bits flipped on the way."""
+    """A message that left the link at a time [ns]: the bytes of its publisher, with bits flipped on the way."""
 
     topic: str
     payload: bytes
@@ -19,18 +19,18 @@ class ForwardedMessage(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether the bytes are known: what was in flight when a re-run begins may not be in the recording."""
+        """Whether the bytes are known: messages in flight at the start of a re-run may not be in the recording."""
         return any(self.payload)
 
     @property
     def name(self) -> str:
-        """Topic, number and publisher, as far as flipped bits have left them."""
+        """Topic, number and publisher, or only the topic if the header is damaged."""
         seq, src = self.number
         return f"{self.topic}, seq {seq} of {src}" if src else f"a damaged {self.topic}"
 
     @property
     def number(self) -> tuple[int, str]:
-        """Number and publisher; -1 and nothing when the header is damaged."""
+        """Number and publisher; -1 and an empty text if the header is damaged."""
         try:
             (seq, _, src), _ = decode_header(self.topic, self.payload)
         except WireError:
@@ -39,9 +39,9 @@ class ForwardedMessage(NamedTuple):
 
 
 class ForwardedResult(NamedTuple):
-    """What came of a comparison: messages met and the first seq, by topic; place of the first difference in the re-run.
+    """Result of a comparison: by topic, the number of messages compared and their first seq; the first difference.
 
-    `difference` is empty, and `place` -1, where there is none.
+    `place` is that of the difference in the re-run. Without one, `difference` is empty and `place` -1.
     """
 
     compared: dict[str, int]
@@ -52,10 +52,10 @@ class ForwardedResult(NamedTuple):
 
 
 def compare_forwarded(sent: Sequence[ForwardedMessage], recorded: Sequence[ForwardedMessage]) -> ForwardedResult:
-    """Compare what a re-run sent on with what a recording has of it, both in the order of sending.
+    """Compare the messages that a re-run sent on with those of a recording, both in the order of sending.
 
-    Either may begin or end before the other. What the recorder alone has missed is passed over, because the journal
-    has the count; topics that the recording does not have at all are left out.
+    Either may start or end before the other. Messages that only the recorder missed are skipped, because the journal
+    counts them; so are topics that are not in the recording at all.
     """
     topics = {message.topic for message in recorded}
     places = [place for place, message in enumerate(sent) if message.topic in topics]
@@ -85,7 +85,7 @@ def compare_forwarded(sent: Sequence[ForwardedMessage], recorded: Sequence[Forwa
 
 
 def _start(sent: Sequence[ForwardedMessage], recorded: Sequence[ForwardedMessage]) -> tuple[int, int] | None:
-    """Return the first places that belong together: where the later of the two begins."""
+    """Return the places in both at which the later of the two starts; None if they have nothing in common."""
     places: dict[tuple[str, bytes], list[int]] = {}
     for place, message in enumerate(recorded):
         places.setdefault(message[:2], []).append(place)
@@ -107,7 +107,7 @@ def _alike(message: ForwardedMessage, recorded: ForwardedMessage) -> bool:
 
 
 def _difference(message: ForwardedMessage, recorded: ForwardedMessage) -> tuple[str, str]:
-    """Return the field in which two messages of one name differ, and what differs in words."""
+    """Return the field in which two messages of one name differ, empty if unknown, and the difference in words."""
     if message.name == recorded.name:
         difference = Tolerances().first_difference(_fields(message), _fields(recorded))
         if difference is not None:

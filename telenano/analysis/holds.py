@@ -1,19 +1,19 @@
-"""A session in episodes, and what became of the loop in each: segment first, judge afterwards.
+"""The holds of a session, cut into episodes first and judged afterwards.
 
-A hold is a stretch in which the hand's force stands still. It is cut into episodes by what the hand, the operator, the
-schedule, the link, the machine or the guard did, and never by what the loop did:
+A hold is a stretch of constant hand force. It is cut into episodes by actions of the hand, the operator, the schedule,
+the link, the machine or the guard, and never by the motion of the loop:
 
-- the approach ends when the tip first touches since the hand began to press; a tip that leaves the surface after that
+- the approach ends when the tip first touches after the hand began to press; if the tip leaves the surface later, that
   is motion of the loop;
-- the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, one deadline after the last
-  command came, which was in transit in the loop;
-- the tip is away while a program of the instrument, an operator or the guard has it.
+- the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, only one deadline after its
+  last command came, and commands stopped up to a transit earlier;
+- the tip is away while a program of the instrument, an operator or the guard moves it.
 
-Contact with the loop closed is what `telenano.analysis.verdict` judges. All else has a word of its own, a fact beside
-the kind. Where the instrument does not know contact, the tip touches where its force presses as hard as what is small.
+`telenano.analysis.verdict` judges contact with the loop closed; everything else is a fact beside the verdict. If the
+instrument does not measure contact, the tip counts as touching where its force is more than small.
 
-Where a person is the hand, its force swings with the loop, and an oscillation leaves no hold. There a swing of the
-tip's force (`telenano.analysis.swings`) is judged in the place of one.
+If a person is the hand, its force swings with the loop, so that an oscillation leaves no hold. A swing of the tip's
+force (`telenano.analysis.swings`) is then judged instead of a hold.
 """
 
 import math
@@ -55,40 +55,40 @@ FactKind = Literal[
 ]
 
 # The thresholds of the episodes and of their facts; docs/studies.md has them in one table with those of the verdicts.
-# shortest time [s] for which the hand stands still in a hold: a slow loop swings at some 5 Hz
+# shortest hold [s]: a slow loop swings at some 5 Hz
 SHORTEST_HOLD_S = 0.5
-# change of the hand's force, as a share of its greatest [1]: sensors of hands tell no less
+# change of the hand's force in a hold, as a share of its greatest [1]: sensors of hands resolve no less
 STEADY_SHARE = 0.01
-# greatest force at the tip, or trembling there, in those of the hand [1]: an undamped spring goes to twice a step
+# greatest force or trembling at the tip, as a multiple of the hand's [1]: an undamped spring reaches twice a step
 STRUCK_FORCES = 2.0
-# how far hand and tip may rest apart, at the hand's scale [m]: three times the way of 1 N on 20 N/m
+# greatest distance between hand and tip at rest, at the hand's scale [m]: three times the way of 1 N on 20 N/m
 PARTED_M = 1e-3
-# what is late by more than this [s] is the machine's: a fifth of the deadline of both devices
+# least lateness that is attributed to the machine or the link [s]: a fifth of the deadline of both devices
 LATE_S = 0.01
 
-# The topics whose samples have to come.
+# topics whose samples must not be missing
 TIP = "afm/state"
 ANSWERS = "haptic/command"
-# A hold is judged as one of hand and tip where both were in it for this share [1].
+# least share of a hold in which hand and tip must be coupled, so that it is judged as one of both [1]
 COUPLED_SHARE = 0.5
-# The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
+# reasons that the instrument states if it withdraws for want of commands, and if its guard acts at all
 _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
-# It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
+# reasons that it states if a program, an operator or the end of the session retracts the tip
 _ASKED = ("retract_requested", "estop")
-# An incident is the cause of what begins up to this long after it.
+# longest time from an incident to its effect [s]
 _CAUSED_WITHIN_S = 3.0
-# An incident may be reported this long after what it caused.
+# longest time from an effect to the report of the incident that caused it [s]
 _NOTICED_WITHIN_S = 2.0
 GUARD_ACTED = "the instrument's guard acted"
-# a session that swings and has lost its contact swings: what a person meets first, and what does not end by itself
+# A swing counts more than a lost contact: a person notices it first, and it does not end by itself.
 _WORST_FIRST: tuple[Kind, ...] = (
     *("diverged", "guarded", "limit_cycle", "contact_lost", "no_data", "cannot_say", "stable"),
 )
 
 
 class Fact(NamedTuple):
-    """What else is true of a hold: which, its value in the unit that its words state, and the words."""
+    """A further fact on a hold: its kind, its value in the unit that its text states, and the text."""
 
     kind: FactKind
     value: float
@@ -96,13 +96,13 @@ class Fact(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `telenano.analysis.verdict.Verdict`.
+    """A stretch of constant hand force, and the verdict on alpha_f F_s in it: see `telenano.analysis.verdict.Verdict`.
 
-    judged_from_s, judged_to_s: the episode that the verdict is on, None where there is none; rest_from_s: since when it
-    is at rest, if it is; hold_ratio: mean of F_m/(alpha_f F_s) in the later half of its rest, None where it does not
-    come to rest or does not press; frequency_hz: None, or that of the swing that is judged in the place of a hold;
-    hand_force_n is then the mean; coupled_share: the share of the hold in which hand and tip were both in it: both sent
-    samples, the motor of the hand was on, and the tip followed.
+    judged_from_s, judged_to_s: start and end of the judged episode [s], None without one; rest_from_s: start of the
+    rest [s], if any; hold_ratio: mean of F_m/(alpha_f F_s) in the later half of the rest, None if the tip does not come
+    to rest or does not press; frequency_hz: None, or the frequency of a swing that is judged instead of a hold [Hz],
+    and hand_force_n is then the mean; coupled_share: the share of the hold in which hand and tip were coupled: both
+    sent samples, the motor of the hand was on, and the tip followed.
     """
 
     start_s: float
@@ -122,15 +122,15 @@ class Hold(NamedTuple):
     coupled_share: float = 1.0
 
     def has(self, *kinds: FactKind) -> bool:
-        """Return whether one of these facts is true of the hold."""
+        """Return whether the hold has a fact of one of these kinds."""
         return any(fact.kind in kinds for fact in self.facts)
 
 
 class Instrument(NamedTuple):
-    """What the instrument says at the tip's times: whether it follows commands, and whether the tip touches.
+    """States of the instrument at the tip's times: whether it follows commands, and whether the tip touches.
 
-    held: whether the base stands because commands are missing or ask for it, which it also counts as following;
-    apart_m: how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]; knows_contact: whether contact is measured.
+    held: whether the base stands still for want of commands or on request, which also counts as following; apart_m: the
+    distance of the hand ahead of the tip, x_m - x_s / alpha_p [m]; knows_contact: whether contact is measured.
     """
 
     following: npt.NDArray[np.bool_]
@@ -141,46 +141,46 @@ class Instrument(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """A report of the instrument that it withdraws: when [s], and why, as `telenano.afm.safety` names it."""
+    """A report of the instrument that it withdraws: time [s], and reason as in `telenano.afm.safety`."""
 
     time_s: float
     reason: str
 
 
 class Limits(NamedTuple):
-    """What the instrument's guard allows: force on the tip [N], time without a command until it withdraws [s]."""
+    """Limits of the instrument's guard: force on the tip [N], time without a command until it withdraws [s]."""
 
     force_n: float
     silence_s: float
 
     def words(self, reason: str) -> str:
-        """Return the limit that a reason of the guard is about, in words; empty where it has none."""
+        """Return the limit to which a reason of the guard refers, in words; empty if it refers to none."""
         if reason == "force_limit":
             return f"more than {1e9 * self.force_n:.4g} nN on the tip"
         return f"none for {1e3 * self.silence_s:.4g} ms" if reason in _STARVED else ""
 
 
 class Incident(NamedTuple):
-    """What a launcher or the link reported that may be the cause of a hold's end: when [s], and the sentence."""
+    """A report of a launcher or the link that may explain the end of a hold: time [s], and sentence."""
 
     time_s: float
     text: str
 
 
 class Late(NamedTuple):
-    """When a process had not done what was due, or an answer did not come [s], by how much [s], and whose it is."""
+    """A delay: when a step of a process or an answer was due [s], by how much it was late [s], and who was late."""
 
     start_s: float
     by_s: float
     who: Literal["machine", "link"] = "machine"
 
     def span_s(self, transit_s: float) -> tuple[float, float]:
-        """Return from when to when [s] the tip shows it; what a link lacks is missed up to the transit before."""
+        """Return start and end [s] of its effect at the tip, longer by transit_s [s] if the link was late."""
         return self.start_s, self.start_s + self.by_s + (transit_s if self.who == "link" else 0.0)
 
 
 class Lack(NamedTuple):
-    """What a session lacks: a topic, from when to when [s], and whether it was sent and is lost."""
+    """A span without samples of a topic: start and end [s], and whether the samples were sent and are lost."""
 
     topic: str
     start_s: float
@@ -196,18 +196,17 @@ class Lack(NamedTuple):
 
 
 class SessionContext(NamedTuple):
-    """What else is known of a session.
+    """Facts on a session besides its series.
 
-    planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s:
-    when the hand took up answers
-    [s], None if that is not known; guards: what the instrument reported of its guard; incidents: nodes that ended and
-    sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
-    the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
-    interruptions: when the loop was open; late: when a process was late; deadline_s: after which
-    time without a command a device opens the loop [s]; transit_s: how long a command is in transit at the most [s];
-    rest_force: what the law rests at for a force of the hand [N], None if it does not say; silences: topic of hand or
-    tip, and from when to when [s] their source sent nothing, so that nothing is lost; let_go: from when to when [s] the
-    motor of the hand was off.
+    planned: holds of the operator's force profile, start [s], end [s], force [N]; answered_s: times at which answers
+    reached the hand [s], None if unknown; guards: reports of the instrument's guard; incidents: nodes that ended and
+    sites that fell silent; limits: those of the instrument's guard, if known; programs: start and end [s] of each
+    program of the instrument; by_hand: whether a person is the hand, whose force swings with the loop; interruptions:
+    spans with the loop open; late: delays of processes; deadline_s: time without a command after which a device opens
+    the loop [s]; transit_s: longest transit of a command [s]; rest_force: alpha_f F_s [N] at which the law rests, as
+    a function of the hand's force [N], None if the law does not state it; silences: topic of hand or tip, with start
+    and end [s] of a span in which its source sent nothing, so that nothing is lost; let_go: start and end [s] of each
+    span with the motor of the hand off.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -243,14 +242,14 @@ def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> l
 
 
 def _stood(time_s: Series, force_n: Series) -> tuple[float, float]:
-    """Return from when to when [s] a force stands still in a stretch that it comes to and leaves by small steps."""
+    """Return start and end [s] of the constant part of a stretch that the force enters and leaves by small steps."""
     off_n = np.abs(force_n - np.median(force_n))
     still = np.flatnonzero(off_n <= 3.0 * float(np.median(off_n)))
     return float(time_s[still[0]]), float(time_s[still[-1]])
 
 
 def gaps_in(times_s: Series, start_s: float, end_s: float) -> list[tuple[float, float]]:
-    """Return the spans [s] between a start and an end that are without a sample for longer than LONGEST_STEP_S."""
+    """Return the spans [s] between a start and an end in which no sample came for longer than LONGEST_STEP_S."""
     inside = times_s[(times_s >= start_s) & (times_s <= end_s)]
     edges = [start_s, *inside.tolist(), end_s]
     return [(first, last) for first, last in pairwise(edges) if last - first > LONGEST_STEP_S]
@@ -259,17 +258,18 @@ def gaps_in(times_s: Series, start_s: float, end_s: float) -> list[tuple[float, 
 def lacks_of(
     hand_time_s: Series, tip_time_s: Series, span_s: tuple[float, float], context: SessionContext = NO_CONTEXT
 ) -> list[Lack]:
-    """Return what a hold lacks so much of that there is no telling what became of it; nothing if it has its samples.
+    """Return the spans without samples because of which a hold cannot be judged; none if it has enough samples.
 
-    A tenth of hand or tip has to be missing, in pieces of more than LONGEST_STEP_S; of the answers all have to be,
-    because delayed and lost answers are a matter of the loop. Where a tenth is lost, the losses are returned, and else
-    the silences: what a source did not send is not lost, and neither are answers that did not reach the hand.
+    More than a tenth of the hand's or the tip's samples must be missing, in spans longer than LONGEST_STEP_S, or all
+    answers, because delays and losses of some answers belong to the loop. If more than a tenth is lost, the losses are
+    returned, otherwise the silences: samples that a source did not send, and answers that did not reach the hand, do
+    not count as lost.
 
     Args:
         hand_time_s: The times of the hand's samples [s].
         tip_time_s: The times of the tip's samples [s].
         span_s: The start and the end of the hold [s].
-        context: What is known of silences, and of the answers at the hand.
+        context: The silences of the session, and the times of answers at the hand.
     """
     start_s, end_s = span_s
     lacking = []
@@ -290,9 +290,10 @@ def lacks_of(
 
 
 def coupled_share(context: SessionContext, tip_time_s: Series, tip: Instrument, span_s: Span) -> float:
-    """Return the share of a span [s] in which hand and tip were both in it, 0 to 1.
+    """Return the share of a span [s] in which hand and tip were coupled, 0 to 1.
 
-    Both sent samples, the motor of the hand was on, and the tip followed. What is lost counts as it was before.
+    That is: both sent samples, the motor of the hand was on, and the tip followed. Lost samples count as the last one
+    before them.
     """
     start_s, end_s = span_s
     out: list[Span] = [(first, last) for _, first, last in context.silences]
@@ -318,22 +319,21 @@ def judge_holds(
 ) -> list[Hold]:
     """Return the holds of a session, each with its verdict.
 
-    Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure. A
-    stretch in which the hand lies still without pressing, and the tip does not touch, is no hold. A hold of which
-    samples of hand or tip are lost is `no_data`, also one of the programme that the recording does not show at all. One
-    in which a source sent nothing, no answer reached the hand, or hand and tip were not both for half of it, is
-    `guarded` unless its motion shows more. A hold ends where the instrument begins a program of its own or somebody has
-    it withdraw.
+    A force is small relative to the greatest force of the hand in the session, so that all holds share one measure. A
+    stretch in which the hand does not press and the tip does not touch is no hold. A hold with lost samples of hand or
+    tip is `no_data`, and so is a planned one that the recording does not show at all. A hold in which a source sent
+    nothing, no answer reached the hand, or hand and tip were coupled for less than half of it is `guarded`, unless its
+    motion shows more. A hold ends when the instrument starts a program of its own or is told to withdraw.
 
     Args:
         hand_time_s: The times of the hand's samples [s], shape (n,).
         hand_force_n: F_m at those times [N], shape (n,).
         tip_time_s: The times of the tip's samples [s], shape (m,).
         scaled_force_n: alpha_f F_s at those times [N], shape (m,).
-        tip: What the instrument says at those times; None if that is not known.
-        context: What else is known of the operator's force profile.
-        spans: Start [s], end [s] and force [N] of the holds, where they are known although the force of the hand, an
-            arm, does not stand still; None looks for them.
+        tip: The states of the instrument at those times; None if they are not known.
+        context: Facts on the session besides its series.
+        spans: Start [s], end [s] and force [N] of the holds, if they are known although the force of the hand, an arm,
+            is not constant; None finds them.
     """
     forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in context.planned)]
     greatest = float(max(forces, default=0.0))
@@ -355,7 +355,7 @@ def judge_holds(
     for start, end in [part for stretch in stretches for part in outside(stretch, away)]:
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
-    # A hold that was planned and that the recording does not show at the hand has no data.
+    # A planned hold that the recording does not show at the hand has no data.
     for start, end, force in context.planned:
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
         if shown_s >= 0.5 * (end - start):
@@ -365,13 +365,13 @@ def judge_holds(
         if lacks_of(hand_time_s, hand_time_s, (start, end), context._replace(answered_s=None)):
             holds.append((start, end, force))
         elif is_held and not context.by_hand:
-            # the hand trembles about what was planned
+            # The hand trembles about the planned force.
             parts = outside((start, end), away)
             holds = [hold for hold in holds if not _covered(hold, [(start, end)])]
             holds += [(first, last, force) for first, last in parts]
     swings = swings_of(tip_time_s, scaled_force_n) if context.by_hand else []
     swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
-    # between its stops a hand that swings stands still now and then
+    # A swinging hand stands still now and then, which is no hold.
     holds = sorted(hold for hold in holds if not _covered(hold, swings))
     judged = [hold_judged for hold in holds if (hold_judged := _judge_hold(session, hold, holds)) is not None]
     judged += [_judge_swing(session, swing) for swing in swings]
@@ -379,23 +379,23 @@ def judge_holds(
 
 
 def _late(context: SessionContext) -> list[Late]:
-    """Return when machine or link were late in a session, in the order of time."""
+    """Return the delays of machine and link in a session, in the order of time."""
     late = list(context.late)
     if context.answered_s is not None and len(context.answered_s) > 1:
         steps_s = np.diff(context.answered_s)
-        # over a link that is uneven anyway what is usual is not late
+        # On an uneven link, an interval counts as late only beyond the usual ones.
         places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
-        # what did not come had been due at the tip for up to the transit before
+        # The missing answers were due at the tip up to the transit earlier.
         since_s = context.answered_s[places] - context.transit_s
         late += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
     return sorted(late)
 
 
 class _Session(NamedTuple):
-    """The series of a session, what is known besides, the hand's greatest force [N], and the step of the read-out [N].
+    """The series of a session, its context, the hand's greatest force [N], and the step of the read-out [N].
 
-    A read-out that rounds does so throughout, in motion and at rest, so that its step is of the whole session. `late`:
-    when machine or link were late, in the order of time.
+    A read-out that rounds does so in motion and at rest, so its step is found in the whole session. `late`: the delays
+    of machine and link, in the order of time.
     """
 
     hand_s: Series
@@ -413,21 +413,21 @@ class _Session(NamedTuple):
         return SMALL_SHARE * self.greatest_n
 
     def rest_n(self, force_n: float) -> float | None:
-        """Return what the law rests at under a force of the hand [N]; None where it does not say."""
+        """Return alpha_f F_s [N] at which the law rests for a force of the hand [N]; None if it does not state it."""
         rest_n = self.known.rest_force(force_n) if self.known.rest_force is not None else np.nan
         return rest_n if np.isfinite(rest_n) else None
 
     def late_in(self, start_s: float, end_s: float) -> list[Late]:
-        """Return when machine or link were late in a span, in the order of time."""
+        """Return the delays of machine and link that start in a span [s], in the order of time."""
         return [one for one in self.late if start_s <= one.start_s < end_s]
 
     def at(self, start_s: float, end_s: float) -> slice:
-        """Return the tip's samples from a start to before an end."""
+        """Return the slice of the tip's samples from a start to before an end [s]."""
         return slice(*np.searchsorted(self.tip_s, (start_s, max(end_s, start_s))).tolist())
 
 
 class Episode(NamedTuple):
-    """A part of a hold: approach, contact, loop open, or tip away, from when to when [s], and why it ended."""
+    """A part of a hold: approach, contact, loop open, or tip away; start and end [s], and why it ended."""
 
     kind: Literal["approach", "contact", "open", "away"]
     start_s: float
@@ -442,7 +442,7 @@ def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episo
     away_s, away_why = _withdrawn(session, start_s, end_s)
     for first_s, last_s, why in [*_openings(session, start_s, away_s), (away_s, away_s, "")]:
         if first_s > now_s:
-            # what counts as the first arrival begins with the press, and again once the loop has been open
+            # The tip arrives anew after the start of the press, and after each time with the loop open.
             since_s = _press_s(session, now_s) if now_s == start_s else now_s
             part = session.at(since_s, first_s)
             touching = np.flatnonzero(session.tip.in_contact[part])
@@ -460,13 +460,13 @@ def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episo
 
 
 def _press_s(session: _Session, start_s: float) -> float:
-    """Return when the hand began to press that presses at a time [s]."""
+    """Return when the hand began the press that is going on at a time [s]."""
     idle = (session.hand_s < start_s) & (np.abs(session.hand_n) <= session.small_n)
     return float(session.hand_s[idle].max(initial=session.hand_s[0] if session.hand_s.size else start_s))
 
 
 def _openings(session: _Session, start_s: float, end_s: float) -> list[tuple[float, float, str]]:
-    """Return from the cause to the end [s] of each time with the loop open in a span, and its words, joined."""
+    """Return each span with the loop open, from its cause to its end [s], with the reason; overlapping ones joined."""
     session_context, openings = session.known, []
     for one in session_context.interruptions:
         back_s = session_context.deadline_s + session_context.transit_s if one.starved else 0.0
@@ -488,7 +488,7 @@ def _openings(session: _Session, start_s: float, end_s: float) -> list[tuple[flo
 
 
 def _withdrawn(session: _Session, start_s: float, end_s: float) -> tuple[float, str]:
-    """Return when the instrument ceased to follow in a hold, or its end [s], and the reason that it gave."""
+    """Return when the instrument stopped following in a hold, or the hold's end [s], and the stated reason."""
     part = session.at(start_s, end_s)
     lost = np.flatnonzero(~session.tip.following[part])
     if not lost.size:
@@ -508,7 +508,7 @@ def _withdrawn(session: _Session, start_s: float, end_s: float) -> tuple[float, 
 
 
 def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequence[tuple[float, ...]]) -> Hold | None:
-    """Return a hold with its verdict and facts; None for a hand that does not press and a tip that does not touch."""
+    """Return a hold with its verdict and facts; None if the hand does not press and the tip does not touch."""
     start, end, force = hold
     episodes = episodes_of(session, start, end)
     contacts = [one for one in episodes if one.kind == "contact"]
@@ -531,7 +531,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     elif first is not None and verdict.kind == "stable":
         own = session.at(first.start_s, first.end_s)
         left_s = float(session.tip_s[own][session.tip.in_contact[own]].max(initial=first.start_s))
-        # away for the last eighth
+        # The tip was away for the last eighth.
         if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
             words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
             verdict = verdict._replace(kind="contact_lost", reason=words)
@@ -550,7 +550,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
 def hold_forces(
     hold: Hold, hand_time_s: Series, hand_force_n: Series, tip_time_s: Series, scaled_force_n: Series
 ) -> tuple[Series, Series]:
-    """Return F_m and alpha_f F_s [N] at the tip's times in the later half of a hold's rest; empty where it has none."""
+    """Return F_m and alpha_f F_s [N] at the tip's times in the later half of a hold's rest; empty without a rest."""
     if hold.rest_from_s is None or hold.judged_to_s is None:
         return np.empty(0), np.empty(0)
     ends = (0.5 * (hold.rest_from_s + hold.judged_to_s), hold.judged_to_s)
@@ -561,11 +561,11 @@ def hold_forces(
 def _judged_contact(
     session: _Session, contacts: Sequence[Episode], episodes: Sequence[Episode], force_n: float
 ) -> tuple[Episode | None, Verdict]:
-    """Return the episode that a hold is judged by, and the verdict: the longest contact that nothing disturbs.
+    """Return the episode by which a hold is judged, the longest undisturbed contact, and the verdict.
 
-    What a motion does in it belongs to the loop: an interruption before may have brought the motion about, and neither
-    keeps it up nor makes it grow. A machine that was late before may be so again by less than is reported, and keep it
-    up: there it is a limit cycle only where the motion before does not say otherwise.
+    The course of a motion in it is due to the loop: an interruption before may have started the motion, but neither
+    sustains it nor makes it grow. A machine that was late before may again be late by less than is reported, and
+    sustain it: the motion is then a limit cycle only if the motion before does not contradict that.
     """
     if not contacts:
         opened = next((one.why for one in episodes if one.kind == "open"), "")
@@ -580,7 +580,7 @@ def _judged_contact(
     verdict = _judge_motion(session, part, force_n)
     longest = max(contacts, key=lambda each: each.end_s - each.start_s)
     if verdict.kind == "cannot_say" and longest != part:
-        # A motion that dies out while it is disturbed dies out without that as well.
+        # A motion that dies out although it is disturbed would die out undisturbed as well.
         whole = _judge_motion(session, longest, force_n)
         part, verdict = (longest, whole) if whole.kind == "stable" else (part, verdict)
     late_there = session.late_in(contacts[0].start_s, contacts[-1].end_s)
@@ -594,7 +594,7 @@ def _judged_contact(
     if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and parts):
         return part, verdict
     if verdict.kind == "limit_cycle" and parts:
-        # a stall is late at most twice, at the hand and at the tip
+        # A single stall is reported at most twice, at the hand and at the tip.
         overloaded = sum(one.who == "machine" for one in late_there) > LEAST_TURNS
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
@@ -605,9 +605,9 @@ def _judged_contact(
 
 
 def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
-    """Judge the motion of a span, without what follows the hand's trembling.
+    """Judge the motion of an episode, without the part that follows the hand's trembling.
 
-    What moves less than STRUCK_FORCES times as far as the hand may be the answer of a loop that is stable.
+    A motion of less than STRUCK_FORCES times that of the hand may be the response of a stable loop.
     """
     own = session.at(part.start_s, part.end_s)
     tip_s, touches = session.tip_s[own], session.tip.in_contact[own]
@@ -616,17 +616,17 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     def judged(samples: slice) -> Verdict:
         return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
 
-    # The motion since a tip has landed is judged, and the whole one, and the milder verdict counts.
+    # Judge the motion since the landing of the tip, and the whole one: the milder verdict counts.
     verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
     verdict = max(verdicts, key=lambda one: _WORST_FIRST.index(one.kind))
     left = int(np.flatnonzero(touches).max(initial=-1)) + 1
     if verdict.kind in ("stable", "cannot_say") and left < len(touches):
-        # a tip that has left the surface is not at rest there
+        # The force of a tip that left the surface is not the rest of the loop.
         verdict = judged(slice(left))
     if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
     first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
-    # a hand trembles now more and now less
+    # The trembling of a hand varies, so the largest quarter counts.
     quarters = pairwise(np.linspace(first, last, 5).astype(int).tolist())
     trembling = [rms(centred(session.hand_n[i:j])) for i, j in quarters if j > i]
     own_n = 2.0 * math.sqrt(2.0) * max(trembling, default=0.0)
@@ -637,10 +637,10 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
 
 
 def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
-    """Return the sample since which a tip touches that left the surface before; 0 where it may leave it again.
+    """Return the sample from which on a bouncing tip stays in contact; 0 if it may leave the surface again.
 
-    The surface bounds a swing that leaves it, which is then no sum of exponentials. The last contact is taken for the
-    end of that if it is LEAST_TURNS times as long as each one before.
+    A swing that leaves the surface is bounded by it, and is then no sum of exponentials. The bouncing is over if the
+    last contact is more than LEAST_TURNS times as long as each contact before.
     """
     edges = np.flatnonzero(np.diff(in_contact, prepend=False, append=False)).reshape(-1, 2)
     lengths = np.diff(edges, axis=1).ravel().tolist()
@@ -649,10 +649,10 @@ def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
 
 
 def _without_hand(session: _Session, start_s: float, end_s: float) -> Series:
-    """Return the tip's force in a span without what follows the trembling of the hand [N].
+    """Return the tip's force in a span without the part that follows the trembling of the hand [N].
 
-    The hand's force acts on the tip late by something between nothing and the transit; it is taken off with the gain,
-    and the delay, that leave least. A law shows the tip no more than the hand does, but for a swing of its own.
+    The hand's force acts on the tip with a delay of 0 to the transit; it is subtracted with the delay and the gain, 0
+    to 1.5, that leave the smallest residual. A law does not amplify the hand, except by a swing of its own.
     """
     part = session.at(start_s, end_s)
     tip_n = session.tip_n[part]
@@ -679,7 +679,7 @@ def _late_words(late: Sequence[Late]) -> str:
 
 
 def _guarded(session: _Session, away: Episode, verdict: Verdict, first: Episode | None = None) -> Verdict:
-    """Return the verdict on a hold that the instrument's withdrawal ended: diverged where the motion grew before."""
+    """Return the verdict on a hold that ended by a withdrawal of the instrument: diverged if the motion grew before."""
     words, starved = (
         ("the instrument followed no command from the beginning on", False)
         if away.why == "never"
@@ -698,9 +698,9 @@ def _guarded(session: _Session, away: Episode, verdict: Verdict, first: Episode 
 
 
 def _interrupted(session: _Session, span_s: Span, lacking: Sequence[Lack], share: float, verdict: Verdict) -> Verdict:
-    """Return the verdict on a hold in which hand and tip were not both for long enough, with what kept them out first.
+    """Return the verdict on a hold in which hand and tip were coupled for too short a time, with the causes first.
 
-    What the motion showed while they were stays: it grew, or went on.
+    A motion that grew, or went on, while they were coupled keeps its verdict; any other hold is `guarded`.
     """
     start_s, end_s = span_s
     own = [one for one in session.known.interruptions if one.start_s < end_s and one.end_s > start_s]
@@ -725,7 +725,7 @@ def _guard_s(session: _Session, away: Episode) -> float:
 
 
 def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s: float, rest_n: Series) -> list[Fact]:
-    """Return what else is true of a hold; before_s: the end of the one before [s]; rest_n: the tip's force at rest."""
+    """Return the facts on a hold; before_s: the end of the hold before [s]; rest_n: the tip's force at rest [N]."""
     start, end, force = hold[:3]
     facts, session_context = [], session.known
     first = next((one for one in episodes if one.kind == "contact"), None)
@@ -736,7 +736,7 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
     hand = slice(*np.searchsorted(session.hand_s, (before_s, end)).tolist())
     pressed_n = float(session.hand_n[hand].max(initial=max(abs(force), session.small_n)))
     pressing = session.tip_n[part][session.tip.following[part]]
-    # what noise reaches is no blow
+    # The greatest excursion of noise is not part of a blow.
     blow_n = float(pressing.max(initial=0.0)) - reach_of(noise_of(pressing, session.step_n), len(pressing))
     if blow_n > STRUCK_FORCES * pressed_n:
         text = f"struck with {blow_n:.3g} N, {blow_n / pressed_n:.3g} times the force of the hand"
@@ -758,7 +758,7 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
 
 
 def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -> list[Fact]:
-    """Return how a tip rests that presses with a mean force: right, with the hand, and other than before it."""
+    """Return facts on a tip that rests at a mean force [N]: off the law's force, off the hand, or not moved by it."""
     facts, force_n = [], hold.hand_force_n
     due_n = session.rest_n(force_n)
     if due_n is not None and abs(mean_n - due_n) > max(ERROR_SHARE * abs(due_n), session.small_n):
@@ -780,7 +780,7 @@ def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -
 
 
 def _judge_swing(session: _Session, swing: Swing) -> Hold:
-    """Judge a swing as a hold; one that goes on as it is, or of which there is no telling, is a limit cycle."""
+    """Judge a swing like a hold; unless it grew, was guarded or dies out, it is a limit cycle."""
     at_s, why = _withdrawn(session, swing.start_s, swing.end_s)
     part = session.at(swing.start_s, at_s)
     hand = (session.hand_s >= swing.start_s) & (session.hand_s <= swing.end_s)
@@ -790,7 +790,7 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
         verdict = _guarded(session, Episode("away", at_s, swing.end_s, why), verdict)
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
     if verdict.kind not in ("diverged", "guarded"):
-        # The last turn says what becomes of a swing of a few turns that the models do not fit.
+        # A swing of a few turns, which the models do not fit, is judged by its last turn.
         last_s = max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz)
         left_n = float(np.ptp(session.tip_n[session.at(last_s, at_s)]))
         dies_out = left_n < 0.5 * swing.peak_to_peak_n
@@ -805,7 +805,7 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
 
 
 def absences(tip_time_s: Series, tip: Instrument | None, context: SessionContext) -> list[tuple[float, float]]:
-    """Return from when to when [s] the tip does not follow the hand because somebody wanted that."""
+    """Return start and end [s] of each span in which the tip does not follow the hand on purpose."""
     spans = list(context.programs)
     if tip is None or not tip_time_s.size:
         return spans
@@ -819,7 +819,7 @@ def absences(tip_time_s: Series, tip: Instrument | None, context: SessionContext
 
 
 def outside(stretch: Span, spans: Sequence[Span], least_s: float = SHORTEST_HOLD_S) -> list[Span]:
-    """Return the parts [s] of a stretch that are in none of the spans and last for at least `least_s`."""
+    """Return the parts [s] of a stretch outside of all spans that last for at least `least_s`."""
     parts = [stretch]
     for from_s, to_s in spans:
         cut = [part for start, end in parts for part in ((start, min(end, from_s)), (max(start, to_s), end))]
@@ -828,19 +828,19 @@ def outside(stretch: Span, spans: Sequence[Span], least_s: float = SHORTEST_HOLD
 
 
 def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> bool:
-    """Return whether more than half of a stretch is in spans; each begins with its start and its end [s]."""
+    """Return whether more than half of a stretch is within spans; the first two items of each are start and end [s]."""
     start_s, end_s = stretch[:2]
     return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
 
 
 def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, bool]:
-    """Return when, why and at which limit the guard acted, and whether it did because commands were missing."""
+    """Return a sentence on time, reason and limit of the guard's action, and whether commands were missing."""
     limit = context.limits.words(reason) if context.limits is not None else ""
     why = ": ".join(part for part in (reason, limit) if part)
     if reason in _STARVED:
         words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        # a device that stood still itself, or the hand that it follows, is the cause
+        # If the device itself, or the hand that it follows, was silent, that is the cause.
         silent = [
             str(Lack(topic, start_s, end_s, lost=False))
             for topic, start_s, end_s in context.silences
@@ -852,15 +852,15 @@ def _in_words(at_s: float, reason: str, context: SessionContext) -> tuple[str, b
 
 
 def guard_of(tip_time_s: Series, tip: Instrument, context: SessionContext = NO_CONTEXT) -> str:
-    """Return when, why and at which limit the guard first ended a session, in or between its holds; empty if never.
+    """Return a sentence on time, reason and limit of the first action of the guard, in a hold or not; empty if none.
 
-    A stop that a person asked for is none, nor is one of which no reason is known.
+    A stop on request, or without a known reason, does not count.
     """
     before = np.concatenate([np.ones(1, dtype=bool), tip.following[:-1]])[: len(tip_time_s)]
     for index in np.flatnonzero(~tip.following & before).tolist():
         at_s = float(tip_time_s[index])
         near = [guard for guard in context.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
-        # a session that begins withdrawn was ended by what the guard did last
+        # If the tip is withdrawn at the start, the last action of the guard before it counts.
         near = near or [guard for guard in context.guards if index == 0 and guard.time_s <= at_s][-1:]
         if near and near[0].reason in _GUARDING:
             return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, context)[0]
@@ -868,7 +868,7 @@ def guard_of(tip_time_s: Series, tip: Instrument, context: SessionContext = NO_C
 
 
 def _causes(context: SessionContext, start_s: float, end_s: float) -> list[str]:
-    """Return the incidents that a stretch without samples or commands may be due to."""
+    """Return sentences on the incidents that may explain a span without samples or commands, from start to end [s]."""
     return [
         f"at {incident.time_s:.3f} s: {incident.text}"
         for incident in context.incidents
@@ -879,14 +879,14 @@ def _causes(context: SessionContext, start_s: float, end_s: float) -> list[str]:
 def verdict_of(
     holds: list[Hold], guard: str = "", greatest_n: float | None = None, interrupted: str = ""
 ) -> tuple[Kind, str]:
-    """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable.
+    """Return the verdict on a session and the reason: those of its worst hold, or of the last if all are stable.
 
     Args:
         holds: The judged holds.
-        guard: What `guard_of` returns. It comes first in the reason, and makes a session guarded that no hold shows
-            to be.
-        greatest_n: The hand's greatest force [N]; None where it is not known.
-        interrupted: What `in_words` returns of the session's interruptions, with which the reason ends.
+        guard: The sentence of `guard_of`, with which the reason starts. It makes a session guarded even if no hold is,
+            unless it diverged or has no data.
+        greatest_n: The hand's greatest force [N]; None if it is not known.
+        interrupted: The sentence of `in_words` on the session's interruptions, with which the reason ends.
     """
     kind, reason = _worst_of(holds, greatest_n)
     if guard:
@@ -908,6 +908,6 @@ def _worst_of(holds: list[Hold], greatest_n: float | None) -> tuple[Kind, str]:
     # Among several holds that are equally bad, the first one decides.
     decisive = min(holds, key=lambda hold: _WORST_FIRST.index(hold.verdict))
     if decisive.verdict in ("cannot_say", "stable"):
-        # a hold of which nothing can be said is no verdict on the law where another one is
+        # An undecided hold does not count if another hold gives a verdict on the law.
         decisive = next((hold for hold in reversed(pressing) if hold.verdict == "stable"), pressing[0])
     return decisive.verdict, decisive.reason

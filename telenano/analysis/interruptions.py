@@ -1,10 +1,9 @@
-"""What interrupted the loop of a session: processes that ended, or sent nothing, a tip that was held, a hand let go.
+"""Interruptions of the loop in a session: a process ended or was silent, the tip was held, or the hand was let go.
 
-A source that sends nothing for a while, and goes on with its numbers, has lost no message (`telenano.recording.silence`
-tells it from a loss). A tip is held, and a hand let go, where no command came within the deadline of its guard. Both
-continue by themselves as soon as commands come again, so that no mode of a device shows it any more when the hold of
-the hand is over. The law is not to blame for what moves then: `telenano.analysis.holds` judges it by what it did
-before.
+If a source sends nothing for a while and then continues its numbers, no message is lost (`telenano.recording.silence`
+distinguishes this from a loss). A tip is held, and a hand let go, if no command came within the deadline of its guard.
+Both continue by themselves as soon as commands come again, so at the end of a hold no mode of a device shows it. The
+law is not to blame for motion during an interruption: `telenano.analysis.holds` judges it by the motion before.
 """
 
 from collections import Counter
@@ -15,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 InterruptionKind = Literal["process_ended", "source_silent", "tip_held", "hand_let_go"]
-# the reason that the instrument gives where it holds the tip for want of commands, and the hand's beginning of its own
+# reason that the instrument states when it holds the tip for want of commands, and start of the reason of the hand
 DEADLINE = "command_deadline"
 _HAND_DEADLINE = "no command within the deadline"
-# A report of a device belongs to what it did at most this long before or after [s].
+# longest time between an action of a device and its report, before or after [s]
 REPORTED_WITHIN_S = 0.2
 
 
 class Interruption(NamedTuple):
-    """A time in which the loop was open, or a process was away: from when to when in the session [s], and why."""
+    """A span in which the loop was open, or a process was away: start and end in the session [s], and the reason."""
 
     kind: InterruptionKind
     start_s: float
@@ -32,12 +31,12 @@ class Interruption(NamedTuple):
 
     @property
     def starved(self) -> bool:
-        """Whether a device went without commands, which is the fault of the network, a node or the machine."""
+        """Whether a device received no commands, which is the fault of the network, a node or the machine."""
         return self.kind == "tip_held" or self.reason.startswith(_HAND_DEADLINE)
 
 
 class ModeReport(NamedTuple):
-    """What a device reported of its mode: when in the session [s], the mode, and why."""
+    """A device's report of its mode: time in the session [s], mode, and reason."""
 
     time_s: float
     mode: str
@@ -51,16 +50,16 @@ def interruptions_of(
     reports: Sequence[ModeReport],
     restarts: Iterable[int] = (),
 ) -> list[Interruption]:
-    """Return each stretch in which a device was held or let go, but for one that the series begins with.
+    """Return each stretch in which a device was held or let go, except one at the start of the series.
 
-    A tip that is held because somebody asked for it is no interruption.
+    A tip that is held on request is not interrupted.
 
     Args:
-        kind: What the stretches are.
+        kind: The kind of interruption of these stretches.
         time_s: The times of the device's samples [s], shape (n,).
-        is_open: Whether the device was held, or let go, at those times.
+        is_open: Whether the device was held, or let go, at those times, shape (n,).
         reports: The device's reports of modes held or let go.
-        restarts: The indices of the first samples of processes that were started again, which begin with nothing.
+        restarts: The indices of the first samples of restarted processes; a stretch at one of them is left out too.
     """
     restarted, interruptions = set(restarts), []
     edges = np.flatnonzero(np.diff(is_open, prepend=False, append=False))
@@ -78,11 +77,11 @@ def interruptions_of(
 
 
 def in_words(interruptions: Sequence[Interruption]) -> str:
-    """Return a sentence on all interruptions of a stretch, with the first of each kind by its time; empty for none."""
+    """Return a sentence on all interruptions of a stretch, with the time of the first of each kind; empty for none."""
     clauses = []
     for kind in ("process_ended", "source_silent", "tip_held", "hand_let_go"):
         of_kind = [one for one in interruptions if one.kind == kind]
-        # each source that was silent has a clause of its own
+        # Each silent source gets its own clause.
         groups = dict.fromkeys(one.reason if kind == "source_silent" else "" for one in of_kind)
         clauses += [_clause(kind, [one for one in of_kind if one.reason == group or not group]) for group in groups]
     return "; ".join(clauses)

@@ -1,26 +1,26 @@
-"""Intervals of shares that were counted, and of means."""
+"""Confidence intervals of counted shares, and of means."""
 
 import math
 from collections.abc import Sequence
 from functools import lru_cache
 
-# a normal number is within this number of standard deviations 95 times in 100
+# number of standard deviations about the mean that contains 95 % of a normal distribution
 DEVIATIONS = 1.959964
 
 
 def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
-    """Return half the interval of a mean by Student's t.
+    """Return half the confidence interval of a mean by Student's t, in the unit of the deviation.
 
     Args:
         deviation: The standard deviation of the values, by n - 1.
-        count: How many values there are, 2 or more.
-        confidence: How often an interval is meant to have the true mean in it.
+        count: The number of values, 2 or more.
+        confidence: The probability that an interval contains the true mean.
     """
     return student(count - 1, confidence) * deviation / math.sqrt(count)
 
 
 def with_error(value: float, interval: Sequence[float] | None) -> str:
-    """Return a figure to three places, or to two digits of half its interval and with it, where that is coarser."""
+    """Return a figure to three decimals, or with ± half its interval and to two digits of that, if that is coarser."""
     half = 0.5 * (interval[1] - interval[0]) if interval else 0.0
     if half < 0.0005:
         return f"{value:.3f}"
@@ -32,15 +32,15 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Return the interval of a share after E. B. Wilson (J. Am. Stat. Assoc. 22 (1927) 209), of 95 %.
 
     Args:
-        successes: How many succeeded, 0 to trials.
-        trials: How many there were.
+        successes: The number of successes, 0 to trials.
+        trials: The number of trials.
     """
     if trials == 0:
         return 0.0, 1.0
     share, z2 = successes / trials, DEVIATIONS * DEVIATIONS
     middle = (share + 0.5 * z2 / trials) / (1.0 + z2 / trials)
     half = DEVIATIONS / (1.0 + z2 / trials) * math.sqrt(share * (1.0 - share) / trials + 0.25 * z2 / trials**2)
-    # the ends are exact where rounding would leave a bit
+    # The ends are exactly 0 and 1, where rounding would leave a small error.
     return (middle - half if successes else 0.0), (middle + half if successes < trials else 1.0)
 
 
@@ -56,7 +56,7 @@ def student(freedom: int, confidence: float = 0.95) -> float:
         confidence: The share, 0 to below 1.
 
     Raises:
-        ValueError: There is no such distribution or share.
+        ValueError: The degrees of freedom or the share are out of range.
     """
     if freedom < 1 or not 0.0 <= confidence < 1.0:
         raise ValueError(f"Student's t of {freedom} degrees of freedom and a share of {confidence} does not exist")

@@ -1,15 +1,15 @@
-"""What was judged of a recording, kept beside it, so that it is judged once.
+"""Cache for the summary of a recording, in a file beside it, so that a recording is judged only once.
 
     kept = KeptSummary([path])
     judged = kept.read()            # None where it has to be judged
     kept.write(judge(path))
 
-It is in the hidden file `.NAME.summary` in the folder of the recording, one for each recording. It counts only for the
-same bytes of the recording, the same judge and the same options. Its key has the SHA-256 of each whole file: an edit
-inside a chunk changes neither the size nor, if it is set back, the time of a file, and a report leaves a damaged chunk
-out although the checksums that are stored stay as they are. The judge is a digest of the source of the library, of the
-installed packages that a recording can name, and of the versions of what reads and computes. Where the folder cannot be
-written, or a source was changed while this process ran, nothing is kept; what is damaged is judged again.
+The cache of a recording is the hidden file `.NAME.summary` in its folder. It is valid only for the same bytes of the
+recording, the same judge and the same options. Its key has the SHA-256 of each whole file, because neither size, time
+nor stored checksums are sufficient: an edit inside a chunk may keep size and time, and a report leaves a damaged chunk
+out although the stored checksums are unchanged. The judge is a digest of the source of the library, of the installed
+packages that a recording can name, and of the versions of the packages that read and compute. Nothing is kept if the
+folder cannot be written, or if a source was changed while this process ran; a damaged cache is ignored.
 """
 
 import contextlib
@@ -31,18 +31,18 @@ from telenano.files.regular_files import open_regular, read_regular
 from telenano.settings.plugins import Plugin, in_scenarios, installed
 
 _LIBRARY = Path(__file__).resolve().parents[1]
-# What a verdict depends on: the library, and the networks, instruments and schemas that come with it.
+# File types on which a verdict depends: source, and the networks, instruments and schemas that come with it.
 _SOURCES = (".py", ".yaml", ".json", ".txt", ".csv")
 _PACKAGES = ("mcap", "msgpack", "numpy", "pydantic", "zstandard")
-# What is longer is not kept [bytes]: some ten thousand holds.
+# greatest length of a kept summary [bytes]: some ten thousand holds
 MOST_BYTES = 4 << 20
-# A file is read in pieces of this size.
+# size of the pieces in which a file is read [bytes]
 _PIECE_BYTES = 1 << 20
 _LOADED_NS = time.time_ns()
 
 
 class KeptSummary:
-    """The file that keeps what was judged of a recording, or of several files read as one."""
+    """The file that keeps the summary of a recording, or of several files read as one."""
 
     def __init__(self, paths: Sequence[Path], options: Mapping[str, Any] | None = None) -> None:
         self._paths = list(paths)
@@ -52,13 +52,13 @@ class KeptSummary:
 
     @property
     def path(self) -> Path:
-        """Where it is kept: beside the file itself, also where a link leads to it."""
+        """Path of the cache: beside the recording itself, even if that is opened through a symbolic link."""
         first = Path(os.path.realpath(self._paths[0]))
         more = f"+{len(self._paths) - 1}" if self._paths[1:] else ""
         return first.with_name(f".{first.name}{more}.summary")
 
     def read(self) -> dict[str, Any] | None:
-        """Return what `write` was given for the same recording, judge and options; None where nothing is kept."""
+        """Return the summary kept for the same recording, judge and options; None if there is none."""
         self._key = self._found_key()
         if self._key is None:
             return None
@@ -73,7 +73,7 @@ class KeptSummary:
         return judged if isinstance(judged, dict) else None
 
     def write(self, judged: Mapping[str, Any]) -> None:
-        """Keep what was judged since `read`, unless recording or judge have changed meanwhile or it cannot be kept."""
+        """Keep a summary made since `read`, unless recording or judge changed meanwhile, or it cannot be kept."""
         if self._key is None or self._key != self._found_key() or _is_changed():
             return
         body = json.dumps({"key": self._key, "judged": dict(judged)}, allow_nan=False).encode()
@@ -83,8 +83,8 @@ class KeptSummary:
                 write_whole(self.path, content, 0o644, is_forced=False)
 
     def _found_key(self) -> dict[str, Any] | None:
-        """Return what it counts for; None where nothing can be kept, or a file is not as it was when it was opened."""
-        # The library writes nothing beside what comes with it.
+        """Return the key of the cache; None if nothing can be kept, or a file changed since this object was made."""
+        # Nothing is written into the folder of the library itself.
         if self._seen is None or self.path.is_relative_to(_LIBRARY):
             return None
         try:
@@ -99,7 +99,7 @@ class KeptSummary:
         try:
             found = [path.stat() for path in self._paths]
         except (OSError, ValueError):
-            # a name that no file can have is told by who opens it
+            # An impossible file name is reported by the code that opens the file.
             return None
         return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns, one.st_ctime_ns) for one in found]
 
@@ -114,9 +114,9 @@ def _digest_of(path: Path) -> str:
 
 @cache
 def judge_digest() -> str | None:
-    """Return a digest of what a verdict depends on besides the recording; None where the source cannot be relied on.
+    """Return a digest of code and versions on which a verdict depends; None if the source is unreadable or changed.
 
-    A process whose source was changed after it was loaded may run the old or the new one, and keeps nothing.
+    A process whose source changed after it was loaded may run the old or the new code, so it keeps nothing.
     """
     digests = {name: source_digest(place) for name, place in _places().items()}
     if _is_changed() or None in digests.values():
@@ -128,15 +128,15 @@ def judge_digest() -> str | None:
 
 
 def _plugins() -> list[Plugin]:
-    """Return what a recording can name of installed packages, and the channels that these bring."""
+    """Return the entries of installed packages that a recording can name, and the topics that packages add."""
     return [*in_scenarios(), *installed("topics").values()]
 
 
 def _places() -> dict[str, Path]:
-    """Return by import name where the source of the library is, and of each package that a recording can name."""
+    """Return by import name the path of the library's source, and of each package that a recording can name."""
     places = {"telenano": _LIBRARY}
     for name in sorted({re.split("[.:]", row.target)[0] for row in _plugins()} - set(places)):
-        # it finds a package without running it; one that cannot be found is none that could be judged by
+        # This finds a package without running it; a package that cannot be found cannot take part in a verdict.
         spec = importlib.util.find_spec(name)
         if spec is not None and spec.submodule_search_locations:
             places[name] = Path(next(iter(spec.submodule_search_locations)))
@@ -150,7 +150,7 @@ def _is_changed() -> bool:
 
 
 def source_digest(folder: Path) -> str | None:
-    """Return a digest of names and contents of all sources in a folder, or of a module; None where none can be read."""
+    """Return a digest of names and contents of all sources in a folder, or of a module; None if none is readable."""
     digest, found = hashlib.sha256(), sorted(_sources(folder))
     try:
         for path in found:
@@ -163,7 +163,7 @@ def source_digest(folder: Path) -> str | None:
 
 
 def source_changed(folder: Path, since_ns: int) -> bool:
-    """Return whether a source in a folder was written or replaced after a time [ns]."""
+    """Return whether a source in a folder was written or replaced after a time [ns], or cannot be examined."""
     try:
         stats = (path.stat() for path in _sources(folder))
         return any(max(one.st_mtime_ns, one.st_ctime_ns) > since_ns for one in stats)

@@ -1,4 +1,4 @@
-"""What the line between two sites took in a session: its least round trip before and after each change that lasts."""
+"""Least round trip of the line between two sites in a session, before and after each lasting change."""
 
 import statistics
 from collections.abc import Iterable, Mapping
@@ -9,14 +9,14 @@ from telenano.recording.messages import readable
 from telenano.recording.multi_file import RecordingSource
 from telenano.recording.site_clock import Timeline
 
-# A change lasts for this time at least [s].
+# shortest duration of a lasting change [s]
 _LASTS_S = 0.2
-# It is by this at least [ms], and by this share.
+# least change of the round trip, absolute [ms] and as a share [1]; the larger one applies
 _LEAST_MS, _LEAST_SHARE = 5.0, 0.1
 
 
 class LineReport(NamedTuple):
-    """What a report says: when [s], the least round trip with its interval [ms], and since when it is so [s]."""
+    """A report on the line: time [s], least round trip with its interval [ms], and time since when it is so [s]."""
 
     at_s: float
     round_trip_ms: float
@@ -26,7 +26,7 @@ class LineReport(NamedTuple):
 
 
 def line_states(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, float]]:
-    """Return each lasting state of the line in a session; none where the link joins no two machines.
+    """Return each lasting state of the line in a session; none if the link does not connect two machines.
 
     Args:
         recording: The recording.
@@ -57,10 +57,10 @@ def _said(clock: Mapping[str, Any], at_ns: int, start_ns: int) -> LineReport:
 
 
 def states_of(reports: Iterable[LineReport], end_s: float) -> list[dict[str, float]]:
-    """Return the lasting states that reports in the order of time tell of.
+    """Return the lasting states of the line from reports in the order of time; end_s: the end of the session [s].
 
-    A report is of another state where its interval and that of the state have nothing in common, and their round trips
-    differ by more than shows in a loop. The state has changed once all reports of a while are of another one.
+    A report belongs to another state if its interval does not overlap that of the state, and their round trips differ
+    by more than the least change. The state has changed once all reports for _LASTS_S belong to the other one.
     """
     states: list[list[LineReport]] = []
     others: list[LineReport] = []
@@ -69,14 +69,14 @@ def states_of(reports: Iterable[LineReport], end_s: float) -> list[dict[str, flo
             states[-1].append(one)
             others = []
             continue
-        # Those that differ from each other as well, as while a queue fills, are of no state yet.
+        # Reports that also differ from each other, as while a queue fills, belong to no state yet.
         others = [*others, one] if others and not _differ(others, one) else [one]
         if not states or one.at_s - others[0].at_s >= _LASTS_S:
             states.append(others)
             others = []
     if not states:
         return []
-    # What has changed is known some time after it has.
+    # A change is reported with a delay, so a state starts at the stated time of the change.
     begins_s = [0.0, *(max(state[0].since_s, before[0].at_s) for before, state in pairwise(states))]
     ends_s = [*begins_s[1:], end_s]
     return [
@@ -92,7 +92,7 @@ def _differ(state: list[LineReport], one: LineReport) -> bool:
 
 
 def _middle(state: list[LineReport]) -> tuple[float, float, float]:
-    """Return the medians of the round trip and of the ends of its interval in a state, by its newest reports [ms]."""
+    """Return the medians of the round trip and of both ends of its interval over the newest reports of a state [ms]."""
     newest = state[-50:]
     return (
         statistics.median(one.round_trip_ms for one in newest),

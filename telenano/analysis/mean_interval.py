@@ -1,30 +1,29 @@
-"""How well the mean of a record is known whose samples follow one another: an interval, or none.
+"""Confidence interval of the mean of a record with correlated samples, or none.
 
     from telenano.analysis.mean_interval import mean_half_width
-    half = mean_half_width(ratios)          # None: this record does not say how well its mean is known
+    half = mean_half_width(ratios)          # None: this record does not show how well its mean is known
 
-The mean of a window is as far from that of a longer record as the slow parts of the signal take it, so an interval is
-an estimate of the spectrum at zero frequency, which a window carries only if its spectrum is flat from some frequency
-of several cycles a window downwards. A hand that trembles with 1/f or 1/f^2 never shows that, and neither does one of
-2 Hz within 0.3 s.
+The mean of a window differs from that of a longer record by the slow parts of the signal. So an interval needs an
+estimate of the spectrum at zero frequency, which a window contains only if its spectrum is flat below some frequency of
+several cycles per window. The tremor of a hand with 1/f or 1/f^2 is never flat there, nor is one of 2 Hz within 0.3 s.
 
 The window is cut into up to 128 parts, and the means of the parts are compared with models of a Gaussian process: white
 noise alone, or with it
 
-- power laws of 1/f, 1/f^1.5, 1/f^2 and 1/f^4 that become flat below a corner of less than 6 cycles a window (which are
-  those that leave the mean open), and processes of first and second order with a corner of 8 cycles or more,
-- a band around 1.3 cycles a window and more, such as a tremor, which has nothing at zero frequency; with slow parts of
-  both kinds,
+- power laws of 1/f, 1/f^1.5, 1/f^2 and 1/f^4 that become flat below a corner of less than 6 cycles per window (the
+  models that leave the mean open), and processes of first and second order with a corner of 8 cycles or more,
+- a band around 1.3 cycles per window and more, such as a tremor, which has no power at zero frequency; with slow parts
+  of both kinds,
 - a wave that is longer than the window, such as breathing, of which the window shows a trend or a bend; alone or with a
-  tremor. What it may be away from its mean by makes the interval wide.
+  tremor. Its possible distance from its mean widens the interval.
 
-Mean and variance of each model have flat priors (1 and 1/sigma) and are integrated over; what remains are exact
-likelihoods of Toeplitz covariances, by the recursion of N. Levinson (1947) and J. Durbin (1960). The posterior of the
-mean is a mixture of Student's, and half the interval is what has 95 % of it around the mean of the window. Where the
-models that leave the mean open have more than `MOST_OPEN` of the posterior, there is no interval.
+Mean and standard deviation of each model have flat priors (1 and 1/sigma) and are integrated out. The remaining
+likelihoods of Toeplitz covariances are exact, by the recursion of N. Levinson (1947) and J. Durbin (1960). The
+posterior of the mean is a mixture of Student's distributions, and the interval contains 95 % of it around the mean of
+the window. If models that leave the mean open have more than `MOST_OPEN` of the posterior, there is no interval.
 
-How often it covers, and how often there is none, is a table of made records: `python -m benchmarks.mean_intervals`.
-Of 150 windows of each kind (0.3, 1, 3 and 10 s; share that covers, of those that have an interval):
+`python -m benchmarks.mean_intervals` measures on synthetic records how often the interval covers the true mean, and how
+often there is one. Of 150 windows of each kind (0.3, 1, 3 and 10 s): the share that covers, of those with an interval:
 
     white                  97 of 97 %    98 of 97 %    95 of 96 %    97 of 98 %
     1/f, 1/f^1.5, 1/f^2    3 to 6 %, 3 to 5 % and at most 1 % have one, and it covers in half of them or less
@@ -32,7 +31,7 @@ Of 150 windows of each kind (0.3, 1, 3 and 10 s; share that covers, of those tha
     the same, 2nd order    none          none          0 of 1 %      98 of 100 %
     tremor, 9 Hz           100 of 9 %    93 of 100 %   100 of 100 %  100 of 100 %
 
-So what is said of a power law is nearly always nothing, and wrong in one of forty windows.
+So a power law nearly always has no interval, and a wrong one in one of forty windows.
 
 With waves longer than the window in the model, of 200 windows of each kind of hand (0.7, 1.5 and 4 s):
 
@@ -44,11 +43,12 @@ With waves longer than the window in the model, of 200 windows of each kind of h
     breathing, 0.25 Hz      84 of 87 %    99 of 100 %  89 of 97 %
     breathing and tremor    85 of 58 %    60 of 68 %   88 of 99 %
 
-A drift that is slower than all waves of the model is not covered as said: of 40 windows with a wave of 0.05 Hz and a
-tremor all had an interval, which covered in 45, 85 and 70 % (0.7, 1.5 and 4 s). Where waves of so few parts of a cycle
-leave the mean open, breathing and tremor have no interval in half of their windows of 0.7 s, and the drift one in half.
+A drift slower than all waves of the model is covered less often than stated: of 40 windows with a wave of 0.05 Hz and a
+tremor, all had an interval, which covered in 45, 85 and 70 % (0.7, 1.5 and 4 s). If waves of so small a part of a cycle
+were to leave the mean open, breathing with tremor would have no interval in half of its windows of 0.7 s, and the drift
+would still have one in half.
 
-Without them breathing was covered in none of the few windows of 0.7 s that had an interval.
+Without waves in the model, none of the few windows of breathing of 0.7 s that had an interval covered.
 """
 
 import math
@@ -67,7 +67,7 @@ CONFIDENCE = 0.95
 MOST_PARTS = 128
 # With fewer parts than this no model can be distinguished from another.
 FEWEST_PARTS = 24
-# The most probability of the models that leave the mean open with which there is an interval.
+# greatest posterior probability of models that leave the mean open with which there is an interval
 MOST_OPEN = 0.13
 # The weight of the prior of white noise alone.
 _WHITE = 10.0
@@ -103,15 +103,15 @@ _WAVE_WHITE_PARTS = (0.003, 0.03, 0.3, 3.0)
 _QUALITIES = (4.0, 15.0, 100.0)
 # The white noise beside a band, as a part of its variance.
 _BAND_WHITE_PARTS = (0.003, 0.1, 1.0)
-# A variance is taken to be no less than this, so that it can be divided by.
+# A variance is at least this, so that it can be a divisor.
 _LEAST_VARIANCE = 1e-12
 
 
 class Models(NamedTuple):
-    """Models of n parts: whether each leaves the mean open, log prior, and what predicts a part from those before it.
+    """Models of n parts: whether each leaves the mean open, its log prior, and its prediction of a part.
 
-    phi: shape (models, n, n), the weights of the earlier parts; variance: shape (models, n), of what they leave, whose
-    logarithm is summed in log_volume; ones: what they leave of a constant.
+    phi: the weights of the earlier parts, shape (models, n, n); variance: that of the residual, shape (models, n);
+    log_volume: half the sum of its logarithms; ones: the residual of a constant 1, shape (models, n).
     """
 
     is_open: npt.NDArray[np.bool_]
@@ -123,14 +123,14 @@ class Models(NamedTuple):
 
 
 def mean_half_width(values: Series) -> float | None:
-    """Return half the interval of 95 % of the mean of samples that follow one another.
+    """Return half the interval of 95 % of the mean of correlated samples.
 
     Args:
         values: The samples in the order of time, equally far apart, shape (n,).
 
     Returns:
-        Half the interval, in the unit of the samples; 0 where they are all the same, and None where they do not say how
-        well their mean is known: fewer than 24, or slow parts that a longer record would have more of.
+        Half the interval, in the unit of the samples; 0 if they are all equal, and None if they do not show how well
+        their mean is known: fewer than 24 samples, or slow parts that continue in a longer record.
     """
     count = min(MOST_PARTS, values.size)
     if count < FEWEST_PARTS:
@@ -144,7 +144,7 @@ def mean_half_width(values: Series) -> float | None:
 
 
 def _posterior(parts: Series) -> tuple[Series, Series, Series, float]:
-    """Return weights, middles and widths of the posterior of the mean, and the probability that the mean is open."""
+    """Return weights, means and widths of the posterior's components, and the probability that the mean is open."""
     models, n = _models(parts.size), parts.size
     left = parts - (models.phi * parts).sum(axis=2)
     ones = (models.ones * models.ones / models.variance).sum(axis=1)
@@ -156,7 +156,7 @@ def _posterior(parts: Series) -> tuple[Series, Series, Series, float]:
     weights /= weights.sum()
     unsettled = float(weights[models.is_open].sum())
     kept = ~models.is_open & (weights > 1e-9)
-    # Student's are taken for normal ones that are as much wider as their interval is.
+    # Each Student's distribution is approximated by a normal one with the same interval.
     wider = student(n - 1) / DEVIATIONS
     widths = wider * np.sqrt(squares / ((n - 1) * ones))
     settled = max(float(weights[kept].sum()), 1e-300)
@@ -164,7 +164,7 @@ def _posterior(parts: Series) -> tuple[Series, Series, Series, float]:
 
 
 def _half_of(weights: Series, middles: Series, widths: Series) -> float:
-    """Return the half width around 0 that has 95 % of a mixture of normal distributions, by halving."""
+    """Return the half width around 0 that contains 95 % of a mixture of normal distributions, by bisection."""
     rows = list(zip(weights.tolist(), middles.tolist(), (math.sqrt(2.0) * widths).tolist(), strict=True))
     low, high = 0.0, max(abs(middle) + 6.0 * width for _, middle, width in rows)
     for _ in range(40):
@@ -203,7 +203,7 @@ def _models(count: int) -> Models:
 
 
 def _covariances(count: int) -> Iterator[tuple[bool, float, Series]]:
-    """Yield of each model whether it leaves the mean open, its weight, and the covariance of parts so far apart."""
+    """Yield for each model whether it leaves the mean open, its prior weight, and its covariance by lag in parts."""
     white = np.zeros(count)
     white[0] = 1.0
     yield False, _WHITE, white
@@ -213,7 +213,7 @@ def _covariances(count: int) -> Iterator[tuple[bool, float, Series]]:
     corners = [corner for corner in _SETTLED_CORNERS if corner < 0.4 * count]
     slow = [(e, c, w) for e in _SETTLED_EXPONENTS for c in corners for w in _WHITE_PARTS]
     for exponent, corner, part in slow:
-        # Little white noise beside a slow part is the rule, and much of it looks like a power law.
+        # A slow part usually has little white noise beside it, and with much of it it looks like a power law.
         weight = 1.6 if part < 0.3 else 0.4
         yield False, weight * _SETTLED / len(slow), _slow(exponent, corner, count) + part * white
     middles = [_FIRST_BAND * _NEXT_BAND**n for n in range(_BANDS)]
@@ -239,7 +239,7 @@ def _covariances(count: int) -> Iterator[tuple[bool, float, Series]]:
 
 
 def _first_order(corner: float, count: int) -> Series:
-    """Return the covariance of the means of parts of a process of first order with a corner [cycles a window]."""
+    """Return the covariance by lag of part means, for a process of first order with a corner [cycles per window]."""
     rate = 2.0 * math.pi * corner / count
     gone = -math.expm1(-rate)
     weights: Series = (gone / rate) ** 2 * np.exp(-rate * (np.arange(count) - 1.0))
@@ -248,7 +248,7 @@ def _first_order(corner: float, count: int) -> Series:
 
 
 def _slow(exponent: float, corner: float, count: int) -> Series:
-    """Return the covariance of parts with a spectrum of 1/f^exponent above a corner, of variance 1.
+    """Return the covariance by lag of parts with a spectrum of 1/f^exponent above a corner, with variance 1.
 
     Between 1 and 2 it is a sum of processes of first order an octave apart; at 4 it is one of second order.
     """
@@ -265,7 +265,7 @@ def _slow(exponent: float, corner: float, count: int) -> Series:
 
 
 def _band(middle: float, quality: float, count: int) -> Series:
-    """Return the covariance of parts of a band-pass of second order, whose spectrum is 0 at zero frequency."""
+    """Return the covariance by lag of parts of a second-order band-pass, whose spectrum is 0 at zero frequency."""
     time = np.arange(count) / count
     rate, angular = math.pi * middle / quality, 2.0 * math.pi * middle
     return np.asarray(np.exp(-rate * time) * (np.cos(angular * time) - rate / angular * np.sin(angular * time)))

@@ -1,4 +1,4 @@
-"""The account of the recording that a session is reported from: what it lacks, and what is odd."""
+"""The section of a summary on its recording: missing parts and oddities."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,13 +10,13 @@ from telenano.recording.info import RecordingInfo
 def recording_facts(
     info: RecordingInfo, start_ns: int, missing: Sequence[str], odd: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return the part of a summary on its recording; `complete` is whether nothing at all is missing.
+    """Return the section of a summary on its recording; `complete` is true if nothing at all is missing.
 
     Args:
-        info: What is known of the recording.
+        info: Facts on the recording.
         start_ns: The start of the session, from which the times of the parts count [ns].
-        missing: Sentences on what is missing besides those of `info`.
-        odd: Sentences on what is odd besides those of `info`.
+        missing: Sentences on missing parts besides those of `info`.
+        odd: Sentences on oddities besides those of `info`.
     """
     sentences = list(dict.fromkeys([*info.missing, *missing]))
     facts: dict[str, Any] = {

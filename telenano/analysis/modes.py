@@ -1,17 +1,17 @@
-"""The modes of a stretch of a force: sums of exponentials by least squares, each with its growth and how sure it is.
+"""Modes of a stretch of a force: a least-squares fit of exponentials, each with its growth and the error of that.
 
-While a loop is linear its motion is a constant, a drift, and a sum of e^(g t) (a cos w t + b sin w t). Modes are added
-one after the other: each new one begins where a search over growths and frequencies finds the most of what is left, and
-then all of them are fitted at once (Gauss and Newton with the linear part eliminated; G. Golub, V. Pereyra, SIAM J.
-Numer. Anal. 10, 1973). One is taken where it explains more than the largest line that white noise would show. So two
-lines that beat are two modes, and a swing that is longer than the stretch is a mode like any other.
+The motion of a linear loop is a constant, a drift, and a sum of e^(g t) (a cos w t + b sin w t). Modes are added one
+after the other: each new mode starts where a search over growths and frequencies explains most of the residual, and
+then all modes are fitted at once (Gauss-Newton with the linear part eliminated; G. Golub, V. Pereyra, SIAM J. Numer.
+Anal. 10, 1973). A mode is accepted if it explains more than the largest line that white noise would show. So two lines
+that beat are two modes, and a swing that is longer than the stretch is a mode like any other.
 
-The standard error of a growth is the larger of two: that of white residuals, and that of residuals which are alike
-within a BLOCKS-th of the stretch (the sandwich of H. White, Econometrica 48, 1980, by blocks): noise that is not white,
-and a motion that is no sum of exponentials, make a growth less sure.
+The standard error of a growth is the larger of two: that of white residuals, and that of residuals that are correlated
+within a 24th of the stretch (the sandwich estimator of H. White, Econometrica 48, 1980, by blocks). So noise that is
+not white, and a motion that is not a sum of exponentials, increase the error.
 
-Long series are averaged over neighbours first, which leaves each exponential one. The linear algebra is written out and
-sums go in the order of time: no result depends on which kernel a library chooses for a processor.
+Long series are averaged over neighbours first, which keeps an exponential exponential. The linear algebra is written
+out and sums follow the order of time, so that no result depends on the kernel that a library chooses for a processor.
 """
 
 import math
@@ -23,34 +23,35 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-# a series is averaged to this many samples or up to twice as many [1], to the first of these that leaves its motion
+# numbers of samples to which a series is averaged, or up to twice as many [1]; the first that keeps its motion is used
 _MOST_SAMPLES = (384, 1536)
-# fewer samples [1] than this tell no mode from the constant and the drift, each of which takes one unknown
+# least number of samples to distinguish a mode from the constant and the drift, each of which has one unknown [1]
 LEAST_SAMPLES = 16
 _MOST_MODES = 4
 _BLOCKS = 24
-# growths at which a mode is looked for [1/length of the series]
+# growths at which a mode is searched [1/length of the series]
 _GROWTHS = (0.0, -1.0, 1.0, -3.0, 3.0, -8.0, 8.0, -20.0, 20.0, -50.0, 50.0)
-# power of a line over that of noise [1]: white noise has one of 20 times its mean once in 5e8
+# power of a line over that of noise [1]: white noise has a line of 20 times its mean once in 5e8
 LINE_OVER_NOISE = 20.0
 _STEPS = 14
-# share [1] of a motion of which a fit that is not quite at its end makes modes of its own
+# share of a motion below which modes may be artefacts of a fit that has not fully converged [1]
 _RESIDUE = 1e-3
-# a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
+# A swing that turns by less in its stretch may be an exponential [rad].
 _REAL_TURN = math.pi
-# lines that are less apart than three turns [rad] are one in a third of the stretch
+# Lines closer than three turns in the stretch cannot be separated in a third of it [rad].
 _SEPARABLE_PHASE = 6.0 * math.pi
-# the octave below this bin has too few bins for a median
+# lowest bin whose octave has enough bins for a median [1]
 _LEAST_BIN = 4.0
+# greatest growth, or decay, in a fit [1/length of the series]
 _MOST_GROWTH = 400.0
 
 
 class Mode(NamedTuple):
     """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error [1/s], size [N].
 
-    thirds_n: the amplitude at its frequency in each third of the stretch, without other lines. begin_n and end_n: what
-    it moves from peak to peak at either end of the stretch; of one that makes less than half a turn in the stretch how
-    far it goes in either half.
+    thirds_n: the amplitude at its frequency in each third of the stretch, without other lines [N]. begin_n and end_n:
+    its peak-to-peak size at either end of the stretch [N]; for a mode of less than half a turn in the stretch, its
+    range in either half.
     """
 
     frequency_hz: float
@@ -62,11 +63,11 @@ class Mode(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """The modes of a stretch; rest_n: where its motion would end [N]; drift_n: how far its straight line goes [N].
+    """The modes of a stretch, and the residual of their fit.
 
-    left: what the fit leaves, at times averaged as the motion is, shape (m,); motion: what moves, less the straight
-    line; noise_n: the standard deviation of white noise in both [N]; whole: whether no line
-    is left that stands out of noise.
+    rest_n: the constant of the fit, at which its motion would end [N]; left: the residual, averaged like the motion
+    [N], shape (m,); motion: the motion that is fitted, without its constant [N], shape (m,); noise_n: the standard
+    deviation of white noise in both [N]; whole: whether no line stands out of the noise in the residual.
     """
 
     modes: list[Mode]
@@ -78,7 +79,7 @@ class Fit(NamedTuple):
 
 
 def rms(values: Series) -> float:
-    """Return the root of the mean square, summed in the order of the samples."""
+    """Return the root mean square, summed in the order of the samples."""
     return math.sqrt(_total(values * values) / max(1, len(values)))
 
 
@@ -88,10 +89,10 @@ def centred(values: Series) -> Series:
 
 
 def noise_floor(values: Series) -> float:
-    """Return the standard deviation of white noise in a series that is otherwise smooth, in bursts or in lines.
+    """Return the standard deviation of white noise in a series that is smooth except for bursts or lines.
 
-    The lesser of two estimates: the median of the third differences, which bursts do not raise, and the median of the
-    upper half of the spectrum, which lines do not raise. Shape (n,), n >= 16.
+    The series has shape (n,), n >= 16. The result is the smaller of two estimates: from the median of the third
+    differences, which bursts do not raise, and from the median of the upper half of the spectrum, which lines do not.
     """
     third = np.abs(np.diff(values, 3))
     in_time = float(np.median(third)) / 0.6745 / math.sqrt(20.0)
@@ -105,9 +106,9 @@ def noise_floor(values: Series) -> float:
 
 
 def averaged(values: Series) -> tuple[Series, int]:
-    """Return a series averaged over blocks of neighbours, and the samples of a block; the last block ends it.
+    """Return a series averaged over blocks of neighbours, and the samples per block; the last block ends the series.
 
-    Where what the averages leave out moves by more than noise, the series stays as it is.
+    The series is returned unchanged, with 1, if averaging would remove more than noise, or it is short.
     """
     noise = noise_floor(values)
     for most in _MOST_SAMPLES:
@@ -148,14 +149,14 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
     whole = False
     while len(state.poles) < _MOST_MODES:
         strongest = _strongest(times, state.left)
-        # a slow swing is looked for from both sides of the grid
+        # A slow swing is searched from several starts.
         growth, turn = strongest
         starts = [strongest] if turn > 2.0 * math.pi else [strongest, (0.0, 1.5), (0.0, 4.5), (growth, turn + 1.5)]
         start = min(starts, key=lambda one: _solve(times, bare, [*state.poles, one]).power)
         more = _refined(times, bare, [*state.poles, start])
         for place, (growth, turn) in enumerate(more.poles):
             if 0.0 < turn < _REAL_TURN:
-                # less than half a swing is mostly an exponential, which takes two unknowns less
+                # Less than half a swing is mostly an exponential, which has two unknowns less.
                 real = _refined(times, bare, [*more.poles[:place], (growth, 0.0), *more.poles[place + 1 :]])
                 level = max(_level(more.left, turn), floor**2, more.mean)
                 more = real if real.power - more.power < 2.0 * LINE_OVER_NOISE * level else more
@@ -169,10 +170,10 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
 
 
 def _level(left: Series, turn: float) -> float:
-    """Return the power that a line of noise has at a turn [rad in the stretch]: of white noise its variance.
+    """Return the power of a line of noise at a turn [rad in the stretch]; for white noise, this is its variance.
 
-    It is the median of the octave about it, which lines do not raise, and continues as 1/f below the fourth bin
-    where it rises towards it.
+    It comes from the median of the octave about the turn, which lines do not raise. Below the fourth bin it continues
+    as 1/f if the noise rises towards low frequencies.
     """
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(len(left)) + 0.5) / len(left))
     power = np.abs(np.fft.rfft(left * window)) ** 2 / _total(window * window)
@@ -184,7 +185,7 @@ def _level(left: Series, turn: float) -> float:
 
 
 class _State(NamedTuple):
-    """Growth and turn [rad] of each pole in the stretch, the weights of the columns, and what they leave."""
+    """Growth and turn [rad] of each pole over the stretch, the weights of the columns, and their residual."""
 
     poles: list[tuple[float, float]]
     weights: list[float]
@@ -204,7 +205,7 @@ class _State(NamedTuple):
 
 
 def _total(values: Series) -> float:
-    """Return the sum in the order of the samples, whatever the processor."""
+    """Return the sum in the order of the samples, which is the same on every processor."""
     return float(np.cumsum(values)[-1]) if len(values) else 0.0
 
 
@@ -216,7 +217,7 @@ def _pair(times: Series, growth: float, turn: float) -> tuple[Series, Series, Se
 
 
 def _columns(times: Series, poles: list[tuple[float, float]]) -> list[Series]:
-    """Return the constant, and of each pole its columns: two, or one of a turn of 0."""
+    """Return the constant column, and the columns of each pole: two, or one if its turn is 0."""
     columns = [np.ones_like(times)]
     for growth, turn in poles:
         columns += _pair(times, growth, turn)[: 2 if turn else 1]
@@ -224,7 +225,7 @@ def _columns(times: Series, poles: list[tuple[float, float]]) -> list[Series]:
 
 
 def _tangents(times: Series, state: _State) -> list[Series]:
-    """Return how the fit changes with the growth of each pole, and with its turn unless that is 0."""
+    """Return the derivatives of the fit by the growth of each pole, and by its turn unless that is 0."""
     tangents: list[Series] = []
     place = 1
     for growth, turn in state.poles:
@@ -250,7 +251,7 @@ def _normal(columns: list[Series]) -> list[list[float]]:
 
 
 def _solve(times: Series, values: Series, poles: list[tuple[float, float]]) -> _State:
-    """Return the best weights of given poles, and what they leave."""
+    """Return the least-squares weights of given poles, and the residual."""
     columns = _columns(times, poles)
     amplitudes = solved(_normal(columns), [[_total(column * values)] for column in columns])
     left = values
@@ -260,7 +261,7 @@ def _solve(times: Series, values: Series, poles: list[tuple[float, float]]) -> _
 
 
 def solved(matrix: list[list[float]], right: list[list[float]]) -> list[list[float]]:
-    """Return the solution of a small symmetric system by elimination with pivots, a trace added to its diagonal."""
+    """Return the solution of a small symmetric system by elimination with pivots; its diagonal is raised by 1e-12."""
     n = len(matrix)
     rows = [[*matrix[i], *right[i]] for i in range(n)]
     for i in range(n):
@@ -276,7 +277,7 @@ def solved(matrix: list[list[float]], right: list[list[float]]) -> list[list[flo
 
 
 def _strongest(times: Series, left: Series) -> tuple[float, float]:
-    """Return growth and turn of the mode that explains most of what is left, on a grid of half a cycle."""
+    """Return growth and turn of the mode that explains most of the residual, on a grid of half a cycle."""
     best, peak = -1.0, (0.0, 0.0)
     count = len(left)
     for growth in _GROWTHS:
@@ -290,9 +291,9 @@ def _strongest(times: Series, left: Series) -> tuple[float, float]:
 
 
 def _refined(times: Series, values: Series, poles: list[tuple[float, float]], held: int = -1) -> _State:
-    """Return the fit with all poles moved to where they leave least (Levenberg and Marquardt).
+    """Return the fit with all poles moved to the least residual (Levenberg-Marquardt).
 
-    The growth of the pole at place `held` stays what it is.
+    The growth of the pole at index `held`, if any, is kept.
     """
     state, damping = _solve(times, values, poles), 1e-4
     for _ in range(_STEPS):
@@ -323,7 +324,7 @@ def _refined(times: Series, values: Series, poles: list[tuple[float, float]], he
 
 
 def _amplitude(times: Series, values: Series, growth: float, turn: float) -> float:
-    """Return the amplitude that a swing of a pole has in the middle of a part of the stretch, beside a constant."""
+    """Return the amplitude of a pole's swing in the middle of a part of the stretch, fitted beside a constant."""
     cosine, sine, _ = _pair(times - 0.5 * float(times[0] + times[-1]), 0.0, max(turn, 1.0))
     swell = np.exp(growth * (times - 0.5 * float(times[0] + times[-1])))
     columns = [np.ones_like(times), swell * cosine, swell * sine]
@@ -332,14 +333,14 @@ def _amplitude(times: Series, values: Series, growth: float, turn: float) -> flo
 
 
 def _modes(times: Series, values: Series, state: _State, length_s: float, scale: float) -> list[Mode]:
-    """Return the poles as modes in units, each with the standard error of its growth."""
+    """Return the poles as modes in SI units, each with the standard error of its growth."""
     columns = _columns(times, state.poles)
     place, of_growth = 1, len(columns)
     columns += _tangents(times, state)
     n = len(columns)
     inverse = solved(_normal(columns), [[float(i == j) for j in range(n)] for i in range(n)])
     power = state.power / max(1, len(times) - n)
-    # what each block of what is left pulls at the unknowns with
+    # contribution of each block of the residual to the gradient by the unknowns
     edges = np.linspace(0, len(times), _BLOCKS + 1).astype(int)
     sums = [np.concatenate([[0.0], np.cumsum(column * state.left)])[edges].tolist() for column in columns]
     modes = []
@@ -350,7 +351,7 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
         white = math.sqrt(max(row[of_growth], 1e-300) * power)
         error = max(alike, math.sqrt(max(row[of_growth], 0.0) * max(power, _level(state.left, turn))))
         if 2.0 * error < abs(growth) < 8.0 * error or growth < -1.0 < 0.0 < growth + 8.0 * error:
-            # a growth that is far from none is surer than its standard error has it: how much more none would leave
+            # A growth far from 0 is surer than its standard error states: see how much the residual grows without it.
             without = _refined(
                 times, values, [(0.0, t) if k == number else (g, t) for k, (g, t) in enumerate(state.poles)], number
             )
@@ -362,7 +363,8 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
         shrunk = size * math.exp(-abs(growth))
         begin, end = (shrunk, size) if growth > 0.0 else (size, shrunk)
         if turn < _REAL_TURN:
-            # how far it goes in either half of the stretch, or is away from its own rest there if that is less
+            # The size at either end is the range in that half, or, if larger, the distance from the mode's own rest
+            # there, but no more than the range in the whole stretch.
             cosine, sine, _ = _pair(np.linspace(0.0, 1.0, 33), growth, turn)
             course = state.weights[place] * cosine + (state.weights[place + 1] * sine if turn else 0.0)
             way = float(np.ptp(course))
@@ -371,7 +373,7 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
             if not turn and growth < 0.0:
                 end = min(abs(float(course[-1])), way)
         frequency_hz = turn / (2.0 * math.pi * length_s)
-        # what a third of the stretch cannot tell from the mode belongs to it
+        # Lines that a third of the stretch cannot separate from the mode count as part of it.
         own, column = state.left, 1
         for _, other in state.poles:
             for _ in range(2 if other else 1):

@@ -1,9 +1,9 @@
-"""The modes of a part of a motion: whether they explain it, and what each of them does.
+"""Modes of a part of a motion: whether they explain it, and the fate of each.
 
 `Motion.last` fits the modes of the last share of a motion (`telenano.analysis.modes`). `explains` tells whether the fit
-is believed: it leaves noise alone, or a small share of the motion, and no mode bends away from its exponential.
-`classify` says of one mode what it does, and `decided_by_modes` what the part does by the largest mode of the first
-kind that occurs: grows, goes on, is not known. Else the force is at rest.
+is accepted: its residual is noise, or a small share of the motion, and no mode bends away from its exponential.
+`classify` returns the fate of one mode, and `decided_by_modes` the finding on the part, by the largest mode of the
+first fate that occurs: it grows, goes on, or is unknown. Otherwise the force is at rest.
 """
 
 import math
@@ -32,7 +32,7 @@ Series = npt.NDArray[np.float64]
 
 
 class Fate(Enum):
-    """What a mode, or an envelope, does."""
+    """Course of a mode, or of an envelope."""
 
     GROWING = auto()
     LASTING = auto()
@@ -45,11 +45,11 @@ MAY_LAST = (Fate.LASTING, Fate.GROWING, Fate.UNSURE)
 
 
 class Window(NamedTuple):
-    """The stretch that a mode is classified within.
+    """A last part of a motion, with its fit.
 
-    length_s, end_s: its length and end [s]; small_n: what is small [N]; rounded_n: what rounding makes [N];
-    unrounded_n: what is small without rounding [N]; values: the force [N]; fit: its fit, which leaves left_n [N] in its
-    last quarter.
+    length_s, end_s: its length and end [s]; small_n: greatest size of a small motion [N]; rounded_n: 1.5 steps of the
+    read-out [N]; unrounded_n: as small_n without rounding [N]; values: the force [N]; fit: the fit of its modes;
+    left_n: the root mean square of the residual in the last quarter [N].
     """
 
     length_s: float
@@ -71,21 +71,25 @@ class Window(NamedTuple):
 
     @property
     def noise_n(self) -> float:
-        """The noise of the read-out [N], of which the step that it rounds to is a part."""
+        """The noise of the read-out [N], including that of rounding to a step."""
         return max(self.fit.noise_n, self.rounded_n / 1.5 / math.sqrt(12.0))
 
     def cycles(self, mode: Mode) -> float:
-        """Return how often a mode turns within the window while it stands out of what the fit leaves."""
+        """Return the number of turns of a mode within the window while it stands out of the residual."""
         change, seen = mode.growth_per_s * self.length_s, self.seen(mode)
         return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)
 
     def seen(self, mode: Mode) -> float:
-        """Return by how much a mode stands out of what the fit leaves at its end [1, logarithm]."""
+        """Return the logarithm of the ratio of a mode's size at the end to SURE_ERRORS residuals there, at least 0."""
         return math.log(max(mode.end_n / max(SURE_ERRORS * self.left_n, 1e-300), 1.0))
 
 
 class Motion(NamedTuple):
-    """The force of an episode [N] at even times, the hand's, the step and the noise of its read-out, and its rest."""
+    """The force of an episode [N] at even times, with the period [s] and the end of these.
+
+    hand_n: the hand's greatest force [N]; step_n, noise_n: step and noise of the read-out [N]; rest_n: the force at
+    which the law rests [N], None if unknown.
+    """
 
     values: Series
     period_s: float
@@ -97,11 +101,11 @@ class Motion(NamedTuple):
 
     @property
     def small_n(self) -> float:
-        # One step of a read-out that rounds is no motion.
+        # A change by one step of a read-out that rounds is not a motion.
         return max(SMALL_SHARE * self.hand_n, 1.5 * self.step_n)
 
     def last(self, share: float) -> Window | None:
-        """Return the last share of the motion with its fit; None where it has too few samples."""
+        """Return the last share of the motion with its fit; None if it has too few samples."""
         tail = self.values[len(self.values) - round(share * len(self.values)) :]
         if len(tail) < LEAST_SAMPLES:
             return None
@@ -111,11 +115,11 @@ class Motion(NamedTuple):
 
 
 def classify(mode: Mode, window: Window) -> Fate:
-    """Return what a mode does in a window. `change` is its growth times the length, `error` 2.5 of its standard errors.
+    """Return the fate of a mode in a window, by its change (growth times length) and 2.5 standard errors of that.
 
     | the mode                                                                            | is         |
     |---|---|
-    | is below what a fit leaves that some line is left of                                | NEGLIGIBLE |
+    | is below the residual of a fit that still has a line in it                          | NEGLIGIBLE |
     | surely grows by more than the least change, is seen to, and is or becomes large     | GROWING    |
     | surely grows, is large or may become so, and is not seen to                         | UNSURE     |
     | surely grows and neither is nor becomes large                                       | NEGLIGIBLE |
@@ -125,13 +129,13 @@ def classify(mode: Mode, window: Window) -> Fate:
     | is small, or drifts by less than an instrument errs                                 | NEGLIGIBLE |
     | is anything else                                                                    | UNSURE     |
 
-    The least change is LEAST_CHANGE of what turns twice, and ONE_SIDED_CHANGE, or twice that, of what does not.
+    The least change is LEAST_CHANGE for a mode that turns twice; otherwise ONE_SIDED_CHANGE, or twice that for a swing.
     """
     if not window.fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * window.left_n:
         return Fate.NEGLIGIBLE
     change, error, cycles = *_change(mode, window), window.cycles(mode)
     is_swing = cycles >= 0.5
-    # The growth of a swing that is seen once has to be as clear on either side.
+    # The growth of a swing that is seen once has to be clear on both sides.
     least = LEAST_CHANGE if cycles >= LEAST_TURNS else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
     falls_by = LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE
     if change - error > least:
@@ -143,13 +147,13 @@ def classify(mode: Mode, window: Window) -> Fate:
         and abs(change) + error + window.rounded_n / mode.end_n / 3.0 < 2.0 * LEAST_CHANGE
         and -change < max(error, LEFT_SHARE * LEAST_CHANGE)
     ):
-        # friction makes of one swing that dies out a swing that does, less one that stays
+        # With friction, a dying swing may be fitted as the difference of a dying and a lasting one.
         falls = all(after < before * math.exp(-LEAST_CHANGE) for before, after in pairwise(mode.thirds_n))
         if mode.end_n > window.small_n and not falls:
             return Fate.LASTING
         return Fate.UNSURE if mode.end_n > window.unrounded_n else Fate.NEGLIGIBLE
     drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * window.small_n / SMALL_SHARE
-    # a swing within a step of the read-out may grow or die out unseen
+    # A swing within a step of the read-out may grow or die out unnoticed.
     within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
     is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
     is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= within_n
@@ -157,48 +161,48 @@ def classify(mode: Mode, window: Window) -> Fate:
 
 
 def _change(mode: Mode, window: Window) -> tuple[float, float]:
-    """Return by how much a mode changes over a window, and SURE_ERRORS of its standard errors [1, logarithm]."""
+    """Return the change of a mode over a window, and SURE_ERRORS of its standard errors [1, natural logarithm]."""
     if 0.0 < mode.frequency_hz * window.length_s < 0.5:
-        # less than half a swing looks like an exponential: what counts is how far it goes in either half
+        # Less than half a swing looks like an exponential, so its ranges in both halves are compared.
         return 2.0 * math.log(max(mode.end_n, 1e-300) / max(mode.begin_n, 1e-300)), 0.0
     return mode.growth_per_s * window.length_s, SURE_ERRORS * mode.error_per_s * window.length_s
 
 
 def _growing(mode: Mode, window: Window, change: float, cycles: float, least: float) -> Fate:
-    """Return what a mode does whose fit surely grows."""
-    # A growth is seen over the residue, and from each part to the next if it turns often enough.
+    """Return the fate of a mode whose fit surely grows."""
+    # A growth must exceed the residual, and rise from third to third if the mode turns often enough.
     is_rising = window.seen(mode) > least and (cycles < LEAST_TURNS or rises(window.fit, mode, change))
-    # A motion that was seen for two swings is said to go on for a stretch more.
+    # A motion that was seen for two turns is extrapolated by the length of the window.
     own = window.values[-max(2, math.ceil(len(window.values) * min(1.0, max(cycles, 1.0) / change))) :]
-    # in the time of its growth, or of a turn that is seen, it goes as far as more than half of what it is
+    # Within the time of its growth, or of a visible turn, a real mode covers more than half of its size.
     end_n = min(mode.end_n, 2.0 * float(np.ptp(own)))
     reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= LEAST_TURNS else 1.0) > window.small_n
     if is_rising and reaches and end_n > max(2.0 * SURE_ERRORS * window.left_n, window.rounded_n):
         return Fate.GROWING
-    # A motion that may only just be seen is not said to be at rest.
+    # A motion that is only just visible does not count as rest.
     within_n = window.unrounded_n if cycles >= LEAST_TURNS else window.small_n
     is_near = end_n > within_n or (is_rising and reaches and cycles >= 0.5 and end_n > window.rounded_n)
     return Fate.UNSURE if is_near else Fate.NEGLIGIBLE
 
 
 def rises(fit: Fit, mode: Mode, change: float) -> bool:
-    """Return whether a line grows from each third of a stretch to the next by half of what its fit says."""
+    """Return whether a line grows from each third of a stretch to the next by at least half of the fitted growth."""
     least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), LEFT_SHARE**2 * mode.thirds_n[-1])
     factor = math.exp(change / 6.0)
     return all(after >= before * factor or before <= least_n for before, after in pairwise(mode.thirds_n))
 
 
 def time_until(mode: Mode, small_n: float) -> float:
-    """Return after which time a mode that dies out is small [s]."""
+    """Return the time from the start until a dying mode is small [s]; 0 if it does not die out or is small at once."""
     if mode.growth_per_s >= 0.0 or mode.begin_n <= small_n:
         return 0.0
     return math.log(mode.begin_n / small_n) / -mode.growth_per_s
 
 
 def decided_by_modes(window: Window) -> Finding:
-    """Decide by the largest mode of the first fate that occurs: growth, what lasts, doubt; else the force is at rest.
+    """Decide by the largest mode of the first fate that occurs: growing, lasting, unsure; else the force is at rest.
 
-    A growth is as large as what lasts, and a doubt is about more than twice as much.
+    A growing mode must be as large as a lasting one, and an unsure mode counts first if it is more than twice as large.
     """
     modes = sorted(window.fit.modes, key=lambda one: one.end_n, reverse=True)
     fates = [(classify(mode, window), mode) for mode in modes]
@@ -223,14 +227,14 @@ def _finding(kind: Kind, cause: Cause, mode: Mode, window: Window) -> Finding:
 
 
 def _cycle_size_n(mode: Mode, lowest_hz: float, window: Window) -> float:
-    """Return how far a cycle goes [N], whose harmonics make it another motion than its largest mode."""
+    """Return the peak-to-peak size of a cycle [N], which harmonics make different from that of its largest mode."""
     values, noise_n = window.values, noise_of(window.values, window.rounded_n / 1.5)
     size_n = moved_of(values[-math.ceil(len(values) / (window.length_s * lowest_hz)) :], noise_n)
     return size_n if size_n > 0.5 * mode.end_n else mode.end_n
 
 
 def undecided(mode: Mode, window: Window, size_n: float) -> Finding:
-    """Return what is not known of a mode, and what would decide it."""
+    """Return the finding on a mode of unknown fate, with the length of a hold and the noise that would decide."""
     found, cycles = _finding("cannot_say", Cause.CHANGE_UNKNOWN, mode, window), mode.frequency_hz * window.length_s
     if cycles < 1.0:
         need_s = LEAST_TURNS / mode.frequency_hz if cycles >= 0.25 else 4.0 * window.length_s
@@ -240,7 +244,7 @@ def undecided(mode: Mode, window: Window, size_n: float) -> Finding:
 
 
 def _at_rest(modes: list[Mode], window: Window) -> Finding:
-    """Return that a force is at rest, or comes to it, whose modes die out or are small."""
+    """Return the finding on a force at rest, or coming to rest, because its modes die out or are small."""
     size_n = max((mode.end_n for mode in modes), default=0.0)
     rate = max((mode.growth_per_s for mode in modes if mode.end_n > 0.0), default=None)
     rest_s = window.end_s - window.length_s + max((time_until(mode, window.small_n) for mode in modes), default=0.0)
@@ -253,7 +257,7 @@ def _at_rest(modes: list[Mode], window: Window) -> Finding:
 
 
 def explains(window: Window, hand_force_n: float) -> bool:
-    """Return whether modes that do not bend leave of the motion, and of its last quarter, noise or a small share."""
+    """Return whether no mode bends, and the residual, also in the last quarter, is noise or a small share."""
     fit = window.fit
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
         moved = rms(centred(fit.motion[part]))
@@ -263,21 +267,21 @@ def explains(window: Window, hand_force_n: float) -> bool:
         left_n = max(
             noise, coloured_share(fit.left) * coloured_n, LEFT_SHARE * moved, LEFT_SHARE**2 * SMALL_SHARE * hand_force_n
         )
-        # large modes that cancel are no motion
+        # Large modes that cancel one another are artefacts of the fit.
         if any(mode.end_n > seen_n for mode in fit.modes) or rms(fit.left[part]) > left_n:
             return False
     return leaves_noise(window) or not any(_bends(mode, window) for mode in fit.modes)
 
 
 def coloured_share(left: Series) -> float:
-    """Return up to which share of the hand's force what a fit leaves is noise: less where an octave has most of it."""
+    """Return the share of the hand's force [1] up to which a residual is noise: smaller if an octave has most of it."""
     power = np.abs(np.fft.rfft(centred(left))) ** 2
     octaves = [float(np.cumsum(power[2**k : 2 ** (k + 1)])[-1]) for k in range(int(math.log2(len(power))))]
     return SMALL_SHARE if max(octaves[:-1], default=0.0) > 0.5 * math.fsum(octaves) else ERROR_SHARE
 
 
 def cancels(window: Window) -> bool:
-    """Return whether two large modes are apart by less than a turn, and one of their growths is not known alone."""
+    """Return whether two large modes are less than a turn apart, so that one of their growths is not known alone."""
     large = sorted(
         (mode.frequency_hz, SURE_ERRORS * mode.error_per_s * window.length_s)
         for mode in window.fit.modes
@@ -291,7 +295,7 @@ def cancels(window: Window) -> bool:
 
 
 def _bends(mode: Mode, window: Window) -> bool:
-    """Return whether the amplitude of a large swing is, in a third, not what its exponential has there."""
+    """Return whether the amplitude of a large swing differs in a third from that of its exponential."""
     if mode.frequency_hz * window.length_s < 3.0 * LEAST_TURNS or mode.end_n <= window.small_n:
         return False
     error_n = SURE_ERRORS * rms(window.fit.left) * math.sqrt(12.0 / len(window.fit.left))
@@ -302,16 +306,16 @@ def _bends(mode: Mode, window: Window) -> bool:
 
 
 def leaves_noise(window: Window) -> bool:
-    """Return whether the modes leave the white noise of the read-out alone, or next to nothing of the motion."""
+    """Return whether the residual is only white noise of the read-out, or a very small part of the motion."""
     moved_n = rms(centred(window.fit.motion[-max(2, len(window.fit.motion) // 4) :]))
     return window.left_n <= max(1.5 * window.noise_n, LEFT_SHARE**2 * moved_n)
 
 
 def fits_to_the_end(window: Window) -> bool:
-    """Return whether the modes leave of the last quarter noise, which has no line where it is not white."""
+    """Return whether the residual of the last quarter is white noise, or small noise without a line."""
     return leaves_noise(window) or (window.fit.whole and window.left_n <= window.unrounded_n)
 
 
 def modes_near(window: Window, frequency_hz: float, apart_hz: float) -> list[Mode]:
-    """Return the modes that are less than that apart from a frequency."""
+    """Return the modes that are less than apart_hz [Hz] from a frequency [Hz]."""
     return [mode for mode in window.fit.modes if abs(mode.frequency_hz - frequency_hz) < apart_hz]

@@ -1,4 +1,4 @@
-"""Pages: one self-contained HTML file for a study, a take or a budget, figures embedded, no external resource."""
+"""Self-contained HTML pages for a study, a take or a budget, with embedded figures and no external resource."""
 
 import base64
 import io
@@ -37,12 +37,12 @@ footer { margin-top: 3rem; border-top: 1px solid var(--line); font-size: .85rem;
 )
 _DPI = 140
 _TABLES = (".parquet", ".csv", ".json")
-# The longest figure, in characters.
+# length of the longest number in a cell; a longer text is broken into lines [characters]
 _LONGEST_FIGURE = 32
 
 
 def cell_text(value: Any) -> str:
-    """Write a value for a table: a dash for what does not exist."""
+    """Return a value as text for a table, with a dash for None."""
     if value is None:
         return "–"
     if isinstance(value, float):
@@ -51,7 +51,7 @@ def cell_text(value: Any) -> str:
 
 
 class Page:
-    """A page under construction; every piece of text given to it is escaped."""
+    """A page under construction; every text that is added to it is escaped."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -67,7 +67,7 @@ class Page:
         self._parts.append(f"<p><code>{escape(words)}</code></p>")
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Add a table; a cell that is the name of a verdict is coloured."""
+        """Add a table; a cell with the name of a verdict gets its colour."""
         header = "".join(f"<th>{escape(name)}</th>" for name in head)
         body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
         self._parts.append(f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>")
@@ -78,7 +78,7 @@ class Page:
         self._parts.append(f'<p><img src="data:image/png;base64,{data}" alt="{alt}"></p><p>{escape(words)}</p>')
 
     def write(self, path: Path) -> None:
-        """Write the page, with what made it, and links to the tables that lie beside it."""
+        """Write the page, with the versions that made it, and links to the tables in its folder."""
         versions_here = versions()
         words = ", ".join(
             f"{name} {versions_here[key]}"
@@ -99,13 +99,13 @@ class Page:
 def _cell(value: Any) -> str:
     verdict = value if value in VERDICT_COLOURS else ""
     words = cell_text(value).replace("_", " ") if verdict else cell_text(value)
-    # sentences are broken into lines, so that no table is wider than its page
+    # Sentences are broken into lines, so that no table is wider than its page.
     kind = verdict or ("words" if len(words) > _LONGEST_FIGURE else "")
     return f'<td class="{kind}">{escape(words)}</td>' if kind else f"<td>{escape(words)}</td>"
 
 
 def png_of(figure: "Figure") -> bytes:
-    """Draw a figure."""
+    """Return a figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()

@@ -1,6 +1,6 @@
-"""What happened in a session, for the eye: when the hand approached, touched, held and let go, and the moments between.
+"""Phases of a session for a page: when the hand approached, touched, held and let go, and the moments between.
 
-Times are in the session [s]. The holds are those that `telenano.analysis.holds` judges.
+Times are in the session [s]. The holds are those of `telenano.analysis.holds`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,18 +12,18 @@ import numpy.typing as npt
 
 Phase = Literal["apart", "approach", "contact", "hold", "release", "released"]
 
-# the tip bounces when it lands: a contact that is lost for less is one contact [s]
+# longest loss of contact that still counts as one contact, because the tip bounces when it lands [s]
 _LEAST_GAP_S = 0.02
-# A stretch that is shorter than this is no phase but the end of a series [s].
+# A shorter stretch is no phase, but the end of a series [s].
 _SHORTEST_S = 0.005
-# Below this share of its greatest force the hand does not press.
+# share of its greatest force below which the hand does not press [1]
 _PRESSING_SHARE = 0.05
-# a hand that has begun to move is away from where it began by this share of its way
+# share of its greatest force above which the hand has begun to press [1]
 _MOVING_SHARE = 0.02
 
 
 class Span(NamedTuple):
-    """A phase of a session: what the hand does from when to when [s]."""
+    """A phase of a session: its kind, start and end [s]."""
 
     kind: Phase
     from_s: float
@@ -31,7 +31,7 @@ class Span(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Something that happens at once: `contact` or `lost`, when [s], and the sentence."""
+    """An instant of a session: `contact` or `lost`, its time [s], and the sentence."""
 
     kind: str
     time_s: float
@@ -39,7 +39,7 @@ class Moment(NamedTuple):
 
 
 def contacts_of(time_s: npt.NDArray[np.float64], in_contact: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return from when to when [s] the tip touches the sample, bounces left out; both arrays of shape (n,)."""
+    """Return start and end [s] of each contact of the tip, bounces joined; both arrays of shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], in_contact, [False]]).astype(np.int8)))
     contacts: list[tuple[float, float]] = []
     for first, end in edges.reshape(-1, 2):
@@ -51,7 +51,7 @@ def contacts_of(time_s: npt.NDArray[np.float64], in_contact: npt.NDArray[np.bool
 
 
 def moments_of(contacts: Sequence[tuple[float, float]], end_s: float) -> list[Moment]:
-    """Return when the tip came into contact, and when it came off again."""
+    """Return the moments at which the tip came into contact, and came off again before the end [s]."""
     moments = []
     for begin_s, off_s in contacts:
         moments.append(Moment("contact", begin_s, "the tip jumps into contact"))
@@ -67,12 +67,12 @@ def phases_of(
     holds: Sequence[Mapping[str, Any]],
     end_s: float,
 ) -> list[Span]:
-    """Return the phases of a session one after the other, from 0 to its end [s].
+    """Return the phases of a session in order, from 0 to its end [s].
 
     Args:
         hand_time_s: The hand's times [s], shape (n,).
         hand_force_n: F_m at these times [N], shape (n,).
-        contacts: What `contacts_of` returns.
+        contacts: The contacts as returned by `contacts_of`.
         holds: The holds with the keys of `summary.json`.
         end_s: The end of the session [s].
     """
@@ -82,7 +82,7 @@ def phases_of(
     moving = np.flatnonzero(np.abs(hand_force_n) > _MOVING_SHARE * greatest)
     begins_s = float(hand_time_s[moving[0]]) if moving.size and greatest > 0.0 else end_s
     last_held_s = held[-1][1] if held else end_s
-    # a hold is one phase, also where the tip comes into contact during it
+    # A hold is one phase, even if the tip comes into contact during it.
     free = [at for span in contacts for at in span if not any(begin < at < end for begin, end in held)]
     edges = {0.0, end_s, begins_s, *free, *(at for span in held for at in span)}
     spans: list[Span] = []

@@ -1,4 +1,4 @@
-"""The packages that a recorded session used, as its recording names them, and whether the same ones are here."""
+"""The packages that a recorded session used, and a check whether the same ones are installed."""
 
 import re
 from collections.abc import Mapping
@@ -13,17 +13,17 @@ from telenano.wire.extras import how_to_add_package
 from telenano.wire.printable import printable
 
 _DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
-# Kinds that the table of known packages has another word for than the singular of their own.
+# kinds whose word in the table of known packages is not their singular
 _KNOWN_AS = {"devices": "driver", "hand_sections": "section"}
-# Name and version of a package together; the longest names of an index have some 90 letters.
+# greatest length of name and version of a package together; the longest names on an index have some 90 letters
 _MOST_LETTERS = 200
 
 
 def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Return package, version and digest of each entry of a package that a scenario names, by `kind.name`.
+    """Return package, version and digest of each package entry that a scenario names, by `kind.name`.
 
     Raises:
-        RecordingError: The recording names a package that no index can have: the sender of the file wrote that text.
+        RecordingError: The recording names an impossible package; such a text may be malicious.
     """
     kept = recording.metadata.get("plugins", {})
     plugins = {}
@@ -56,14 +56,14 @@ def _is_package(name: str = "", version: str = "", digest: str = "", *rest: str)
 def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
     """Raise ConfigError for the first package that is not installed.
 
-    The message has the command that adds a package of the project. Of another package it has none: a recording of
-    somebody else must not say what is installed here.
+    For a package of the project, the message has the command that installs it. For any other package it has none,
+    because a recording from somebody else must not determine what is installed here.
     """
     for key, facts in recorded.items():
         kind, _, name = key.partition(".")
         if name not in installed(kind):
             package, singular = facts["package"], kind.removesuffix("s")
-            # What an entry of this project is in today may have another name than when it was recorded.
+            # An entry of this project may be in a package of another name than when it was recorded.
             own = package if package in OWN_PACKAGES else ""
             words = f"{_KNOWN_AS.get(kind, singular)} {name}"
             known = KNOWN_PACKAGES.get(words, own) if package.startswith("telenano-") else ""
@@ -73,7 +73,7 @@ def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
 
 
 def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Return a sentence for each package whose files are not those of the recording.
+    """Return a sentence for each package whose files differ from those of the recording.
 
     Raises:
         ConfigError: A package is not installed; the message names it.

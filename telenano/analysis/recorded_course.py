@@ -1,4 +1,4 @@
-"""The columns and the conditions of a recorded session, under the names that a simulated one has."""
+"""Columns and conditions of a recorded session, under the same names as those of a simulated one."""
 
 from typing import NamedTuple
 
@@ -21,10 +21,10 @@ Series = npt.NDArray[np.float64]
 
 
 def course_of(session: Session) -> ColumnTable:
-    """Return a column for each name of `COLUMNS`, one value a sample of the hand while its force profile ran.
+    """Return a column for each name of `COLUMNS`, one value per sample of the hand while its force profile ran.
 
-    Of what another process sent, a value is the newest one at the time of the hand's sample. Where the newest is older
-    than 50 ms a number is NaN, and what is true or false is False.
+    A value from another process is the newest one at the time of the hand's sample. If that is older than 50 ms, a
+    number is NaN, and a truth value False.
     """
     series = session.series()
     time_s = series.hand_time_s
@@ -48,7 +48,7 @@ def course_of(session: Session) -> ColumnTable:
 
 
 class _Newest:
-    """The newest sample of another series at each of some times."""
+    """The newest sample of another series at each time of a series, if it is no older than LONGEST_STEP_S."""
 
     def __init__(self, own_s: Series, time_s: Series) -> None:
         self._places = np.searchsorted(own_s, time_s, side="right") - 1
@@ -69,15 +69,14 @@ class _Newest:
 
 
 def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
-    """Return what was set for a recorded session.
+    """Return the settings of a recorded session.
 
-    Law and parameters are those of its summary. Delay and network are what the link reported to be in force when the
-    session began, since they may have been set after the rig was started, and those of the scenario where it reported
-    nothing.
+    Law and parameters are those of its summary. Delay and network are those that the link reported at the start of the
+    session, because they may have been set after the start of the rig; without such a report, those of the scenario.
 
     Raises:
         RecordingError: No scenario is attached.
-        ConfigError: A key of it is wrong; the message names it.
+        ConfigError: A key of the scenario is wrong; the message names it.
     """
     facts = session.conditions
     scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario
@@ -101,17 +100,17 @@ def conditions_of(recording: RecordingSource, session: Session) -> Conditions:
 
 
 class _Line(NamedTuple):
-    """What was set of the link: the fixed delays there and back together [s], and the name of the network."""
+    """Settings of the link: the sum of the fixed delays there and back [s], and the name of the network."""
 
     delay_s: float
     network: str
 
 
 def _line_in_force(recording: RecordingSource, session: Session) -> _Line | None:
-    """Return what the link reported to be in force when the session began; None where it reported nothing.
+    """Return the link's settings as it reported them at the start of the session; None without a report.
 
-    It reports ten times a second. Where it was not set in the session the first report after the beginning counts, as
-    the one before may be older than what was set just before; where it was, the last one before the beginning.
+    The link reports ten times a second. If it was not changed during the session, the first report after the start
+    counts, because the one before may miss a change just before the start; otherwise the last one before the start.
     """
     changed = any(name_of(text.partition(":")[0]) == LINK for text in session.conditions["changed"])
     found: _Line | None = None

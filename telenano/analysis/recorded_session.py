@@ -1,4 +1,4 @@
-"""The last session that a recording holds: its series, and what is known of its holds besides."""
+"""The last session in a recording: its series, and the context of its holds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,20 +57,20 @@ from telenano.wire.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
 
 Series = npt.NDArray[Any]
 
-# A difference of two clocks that is below one period of the loop shows in no figure.
+# difference of two clocks that is too small to matter in a figure: a period of the loop [s]
 _LOOP_PERIOD_S = 1e-3
 _WITHDRAWN = ("retracting", "retracted", "estop")
-# A program of the instrument runs in these states.
+# states in which a program of the instrument runs
 _RUNS = ("running", "paused")
-# The first step of a program is reported this long after it.
+# time from the first step of a program to its report [s]
 _FIRST_STEP_S = 0.01
-# Below this number of samples a share of a stage says nothing.
+# least number of samples for the share of a stage
 _LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
-# A launcher that is busy reports the end of a process this long after it [s].
+# longest time from the end of a process to the report of a busy launcher [s]
 _EXIT_WITHIN_S = 2.0
 _NOT_RESTARTED = "its force profile was not started again, which `telenano session start` does"
-# A sentence names the source of a topic by these words.
+# words for the source of a topic in a sentence
 _SOURCES = {HAND: "the hand", TIP: "the AFM"}
 _COMMAND = "haptic/command"
 _HAND_FIELDS = ("seq", "log_ns", "session_s", "mode", "operator_force_n.2", "position_m.2")
@@ -86,10 +86,10 @@ _TIP_FIELDS = (
 class Session:
     """The part of a recording in which the operator's force profile ran, and the series that the report needs.
 
-    `missing` has a sentence for each end of it that the recording lacks; `context` is what is known of its holds
-    besides the series; `breaks` are the times in which a series has no sample; `timeline` puts stamps on the master's
-    clock, on which the series are; `otherwise` is the same session with the measured offset of the slave's clock taken
-    off, where that is neither shown to be right nor wrong.
+    `missing` has a sentence for each end of the session that the recording lacks; `context` has the facts on its holds
+    besides the series; `breaks` are the spans in which a series has no sample; `timeline` converts stamps to the
+    master's clock, on which the series are; `otherwise` is the same session with the measured offset of the slave's
+    clock subtracted, if the measurement neither shows nor excludes an offset.
     """
 
     start_ns: int
@@ -135,11 +135,11 @@ class Session:
 
     @classmethod
     def of(cls, recording: RecordingSource) -> "Session":
-        """Read the last session that a recording holds; RecordingError when the operator's force profile never ran.
+        """Read the last session in a recording; RecordingError if the operator's force profile never ran.
 
-        The slave's stamps are put on the master's clock where the clocks are shown to differ
-        (`telenano.recording.site_clock`). Where they may, by more than a period of the loop, the session has both
-        readings.
+        The slave's stamps are converted to the master's clock if the clocks are shown to differ
+        (`telenano.recording.site_clock`). If they only may differ, by more than a period of the loop, the session has
+        both readings.
         """
         timeline = Timeline(recording)
         session = _read_session(recording, timeline)
@@ -151,30 +151,30 @@ class Session:
 
     @property
     def origin(self) -> str:
-        """The conditions of the session in words, for the inside of a file."""
+        """The conditions of the session in words, for the metadata of a file."""
         return described(self.scenario, self.conditions)
 
     def lacks(self, span_s: tuple[float, float]) -> list[Lack]:
-        """Return what a hold from a start to an end [s] lacks so much of that there is no telling what became of it."""
+        """Return the spans without samples because of which a hold, from a start to an end [s], cannot be judged."""
         series = self.series()
         return lacks_of(series.hand_time_s, series.tip_time_s, span_s, self.context)
 
     def clock_error_s(self, stage: str) -> float:
-        """Return the bound of the error of a part of `split_age` by the two clocks [s]; 0 for one within a site."""
+        """Return the bound of the clocks' error in a part of `split_age` [s]; 0 for a part within a site."""
         clock = self.timeline.clock
         return 0.0 if clock is None or stage not in loop_age.ACROSS_CLOCKS else clock.uncertainty_s
 
     def split_age(self, recording: RecordingSource) -> dict[str, Series]:
-        """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
+        """Return the parts of the age of each answered sample of the hand [s], by name; empty with too few samples.
 
-        A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on
-        the way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks
-        leave open makes one way longer and the other one shorter, and nothing of the sum.
+        A sample is followed by its own stamp, which every message that descends from it carries. A sample that is
+        conflated on the way has no answer, and does not count. Stamps of the slave are converted to the master's clock;
+        an error of that makes one way longer and the other shorter, but does not change the sum.
 
         Args:
             recording: The master's recording of the session.
         """
-        # A topic is followed at its publisher, or else as the link brought it.
+        # Follow a topic at its publisher if that is recorded, otherwise behind the link.
         channel_of = {
             each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)
         }
@@ -196,7 +196,7 @@ class Session:
         series = recording.columns("link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
         delays, datagrams = {}, _datagrams(recording, self.timeline)
         for way in loop_age.WAYS:
-            # The newest delay that was said of a sample counts from that sample on.
+            # The newest delay that is declared for a sample holds from that sample on.
             of_way = {name: values[series["direction"] == way][::-1] for name, values in series.items()}
             from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
             at = np.searchsorted(from_ns, keys, side="right")
@@ -209,13 +209,13 @@ class Session:
         return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
 
     def loop_ages_ms(self) -> Series:
-        """Return the age of the first answer to each sample of the hand, on the hand's own clock, in order [ms]."""
+        """Return the age of the first answer to each sample of the hand, on the hand's clock, in their order [ms]."""
         # Samples are matched by their stamps, because a restarted device uses its numbers again.
         sampled_ns, answered_ns = _first(self.hand["answered_t_ns"], self.hand["answered_at_ns"])
         return np.asarray((answered_ns - sampled_ns)[sampled_ns >= self.start_ns] * 1e-6)
 
     def felt(self, recording: RecordingSource) -> FeltSession:
-        """Return what the hand felt of the stiffness that is there, while its motor was on and the tip followed.
+        """Return the felt and the true stiffness while the hand's motor was on and the tip followed.
 
         Args:
             recording: The recording of the session.
@@ -226,7 +226,7 @@ class Session:
         controller = validate(ControllerConfig, document.controller_in_force, origin, "controller")
         turns = [(0.0, law) for law in self.conditions["law"]]
         if len(turns) > 1:
-            # When one law followed another one is read only where there were several.
+            # The times of changes are read only if there were several laws.
             turns = laws_in_turn(recording, self.start_ns, self.end_ns)
         ends_s = [from_s for from_s, _ in turns[1:]] + [self.duration_s]
         is_changed = changes_scale(self.conditions["changed"])
@@ -243,7 +243,7 @@ class Session:
         return felt_in(Course(hand, tip, coupled), spans, _sample_facts(document, origin))
 
     def touches(self) -> npt.NDArray[np.bool_]:
-        """Return of each sample of the tip whether it touches; one before the tip was placed is none of the hand."""
+        """Return for each sample of the tip whether it touches; contact before the tip was placed does not count."""
         return np.asarray(self.tip["in_contact"].astype(bool) & _was_placed(self.tip["placed"]), dtype=np.bool_)
 
     def _time_s(self, series: Mapping[str, Series]) -> npt.NDArray[np.float64]:
@@ -265,7 +265,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         facts["line_states"] = states
     ends = ends_of(recording, hand, running)
     seconds = (end_ns - start_ns) * 1e-9
-    # a hand that falls silent is due until its force profile or the recording is over
+    # A silent hand is due until its force profile or the recording ends.
     due_s = max(seconds, min(document.duration_s, seconds + (ends.silent_s or 0.0)))
     command = _series(recording, _COMMAND, _COMMAND_FIELDS, timeline)
     tip = _series(recording, TIP, tuple(dict.fromkeys((*_TIP_FIELDS, *tip_columns()))), timeline)
@@ -288,7 +288,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         missing=ends.cut,
         breaks=tuple(breaks),
         context=SessionContext(
-            # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
+            # Holds planned after the end of a cut recording were not ended by the operator.
             planned_holds(document, max(seconds, document.duration_s) if ends.is_cut else due_s),
             (hand["t_ns"][new] - start_ns) * 1e-9,
             reported.guards,
@@ -309,7 +309,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
 
 
 def _late(series: Mapping[str, Series], start_ns: int) -> list[Late]:
-    """Return when in the session a process was late with a sample, and by how much; a lost sample is not late."""
+    """Return when in the session a process was late with a sample, and by how much [s]; lost ones do not count."""
     steps_s = 1e-9 * np.diff(series["t_ns"])
     if not steps_s.size:
         return []
@@ -326,13 +326,13 @@ def _deadline_s(document: Scenario) -> float:
 
 
 def _transit_s(hand: Mapping[str, Series]) -> float:
-    """Return how long a command is in transit at the most, there and back [s]: 99 times in 100."""
+    """Return the transit of a command there and back [s], its 99th percentile; LONGEST_STEP_S without answers."""
     ages_ns = (hand["answered_at_ns"] - hand["answered_t_ns"])[hand["answered_t_ns"] > 0]
     return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
 
 
 def _rest_force(document: Scenario, facts: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
-    """Return what the law rests at; None where it does not say, or was changed while the session ran."""
+    """Return the rest force of the law as a function of the hand's; None if it states none or was changed."""
     if len(facts["law"]) != 1 or any("controller" in change for change in facts["changed"]):
         return None
     rest_force = KNOWN_LAWS[facts["law"][0]].rest_force
@@ -349,7 +349,7 @@ def _knows_contact(document: Scenario, separation_m: Series) -> bool:
 
 
 def _sample_facts(document: Scenario, origin: str) -> SampleFacts:
-    """Return what a scenario says of the sample; nothing is known where its section needs what is not installed."""
+    """Return the facts on the sample in a scenario, few if its section cannot be read, as without a package."""
     try:
         return SampleFacts.of(validate(AfmConfig, document.afm_node, origin, "afm_node"))
     except ConfigError:
@@ -358,14 +358,14 @@ def _sample_facts(document: Scenario, origin: str) -> SampleFacts:
 
 
 def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
-    """Return from when to when the instrument ran programs of its own, in session time [s]."""
+    """Return start and end of each program of the instrument, in session time [s]."""
     programs, begun_s = [], None
     reports = recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct")
     for report, fields in readable(reports, recording.left_out):
         at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
         at_s, runs = (at_ns - start_ns) * 1e-9, fields["state"] in _RUNS
         if runs and begun_s is None:
-            # its first step is reported before it
+            # A program starts before its first report.
             begun_s = at_s - _FIRST_STEP_S
         elif not runs and begun_s is not None:
             programs.append((begun_s, at_s))
@@ -374,10 +374,10 @@ def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end
 
 
 def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
-    """Return what the guard of the instrument allows, None where that was changed while the session ran."""
+    """Return the limits of the instrument's guard; None if they were changed during the session."""
     if any("afm_node.safety." in change for change in changed):
         return None
-    # the rest of the section may belong to a package
+    # Only this part is validated, because the rest of the section may belong to a package.
     safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
     return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
 
@@ -385,8 +385,8 @@ def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
 def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:
     """Return start [s], end [s] and force [N] of each stretch of constant force up to an end [s].
 
-    Only a hand that is a force has them in its force profile: what an arm or a person presses with is known from what
-    was recorded alone.
+    Only a hand with a force profile has planned holds: the force of an arm or a person is known only from the
+    recording.
 
     Raises:
         ConfigError: A key of the scenario cannot be read; the message names it.
@@ -395,7 +395,7 @@ def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, 
     if not isinstance(operator, ForceProfileConfig):
         return []
     corners = [(point.time_s, point.force_n) for point in operator.points]
-    # The force is zero before the first corner, and stays at the last one.
+    # The force is zero before the first corner, and constant after the last one.
     corners = [(min(0.0, corners[0][0]), 0.0), (corners[0][0], 0.0), *corners]
     corners.append((max(end_s, corners[-1][0]), corners[-1][1]))
     holds: list[tuple[float, float, float]] = []
@@ -410,7 +410,7 @@ def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, 
 
 
 def _is_by_hand(scenario: Scenario) -> bool:
-    """Return whether a person presses, at a page or at a device, whose hand gives way to what the loop does.
+    """Return whether a person presses, at a page or a device: such a hand yields to the motion of the loop.
 
     Raises:
         ConfigError: A key of the scenario cannot be read; the message names it.
@@ -420,7 +420,7 @@ def _is_by_hand(scenario: Scenario) -> bool:
 
 
 class _Reported(NamedTuple):
-    """What devices reported of their modes, launchers of nodes and sites, and the link, all in session time [s]."""
+    """Reports of devices on their modes, and of launchers and link on nodes and sites, in session time [s]."""
 
     guards: list[Guard]
     incidents: list[Incident]
@@ -442,7 +442,7 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
         elif kind == "mode" and report.mode in ("hold", "off"):
             (reports.held if name == "afm_node" else reports.let_go).append(report)
         elif "outside" in data or data.get(ADVICE) is True:
-            # It is advice, and no cause of what happened to a device.
+            # Advice is no cause of an event at a device.
             continue
         elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
             reports.incidents.append(Incident(at_s, text))
@@ -458,7 +458,7 @@ def _breaks(
     due_s: Mapping[str, float],
     length_s: float,
 ) -> list[Break]:
-    """Return when a session has no samples of its series, in session time [s]; due_s: until when one is due."""
+    """Return the breaks of a session's series, in session time [s]; due_s: end of the time in which samples are due."""
     sent, breaks = sent_of(recording), []
     for topic, values in series.items():
         src = next((channel.src for channel in recording.channels if channel.channel_topic == topic), "")
@@ -470,7 +470,7 @@ def _breaks(
 
 
 def _let_go(hand: Mapping[str, Series], start_ns: int) -> list[tuple[float, float]]:
-    """Return from when to when [s] the motor of the hand was off in a session."""
+    """Return start and end [s] of each span of a session with the motor of the hand off."""
     time_s, is_off = (hand["t_ns"] - start_ns) * 1e-9, hand["mode"] == "off"
     edges = np.flatnonzero(np.diff(is_off, prepend=False, append=False)).reshape(-1, 2).tolist()
     return [(float(time_s[first]), float(time_s[min(after, len(time_s) - 1)])) for first, after in edges]
@@ -484,10 +484,10 @@ def _interruptions(
     start_ns: int,
     end_ns: int,
 ) -> list[Interruption]:
-    """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
+    """Return the interruptions of the loop during the session, in session time [s] and in the order of time."""
     hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
     length_s = (end_ns - start_ns) * 1e-9
-    # a hand that is gone at the end has ended after its last sample
+    # If the hand is gone at the end, its process may have ended after its last sample.
     last_s = max([length_s, *(one.end_s for one in silences)])
     restarts = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
     interruptions = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, restarts)
@@ -504,7 +504,7 @@ def _interruptions(
     interruptions += [
         Interruption("source_silent", one.start_s, one.end_s, f"{_SOURCES[one.topic]} sent nothing")
         for one in silences
-        # the end of the hand's process is told as such
+        # The end of the hand's process is listed above.
         if not (one.topic == HAND and one.anew)
     ]
     interruptions += [
@@ -516,10 +516,10 @@ def _interruptions(
 
 
 def _was_placed(placed: Series) -> npt.NDArray[np.bool_]:
-    """Return whether the tip had been placed by then: what it meets before it is there is no contact of the hand.
+    """Return for each sample whether the tip had been placed: an earlier contact is not one of the hand.
 
     Args:
-        placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
+        placed: `placed` of afm/state, shape (n,), NaN if not stated, as in older recordings; all NaN counts as placed.
     """
     is_placed = np.asarray(placed, dtype=np.float64)
     if np.isnan(is_placed).all():
@@ -528,17 +528,17 @@ def _was_placed(placed: Series) -> npt.NDArray[np.bool_]:
 
 
 def _lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
-    """Return the figures of each direction while the session ran; none without reports of a queue or of a block."""
+    """Return the figures of each direction during the session; none without reports of a queue or of a block."""
     reports: dict[str, dict[tuple[str, int], Mapping[str, Any]]] = {}
     channels = recording.select(lambda channel: channel.topic == "link/network")
     for message, fields in readable(channels, recording.left_out):
         first_ns, last_ns = (timeline.stamp_ns(message.src, end) for end in (start_ns, end_ns))
-        # The report of the slave is in the master's recording twice, as it came and through the link.
+        # A report of the slave is in the master's recording twice, received directly and through the link.
         is_known = fields.get("queue_s") is not None or fields.get("blocked_since_ns") is not None
         if first_ns <= message.publish_ns <= last_ns and is_known:
             reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
     reports_of_way = {way: list(channels.values()) for way, channels in reports.items()}
-    # Whether a line is full says who sends over it, and that is who receives the other direction.
+    # The sender of a direction reports that its line is full; it receives the other direction.
     others = {"forward": "backward", "backward": "forward"}
     figures = [
         _line_figures(way, own, reports_of_way.get(others[way], []))
@@ -551,7 +551,7 @@ def _lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end
 
 
 def _blocked_s(reports: list[Mapping[str, Any]], begin_ns: int) -> list[list[float]]:
-    """Return when none of the datagrams of a direction arrived though they were sent, from and to [s]."""
+    """Return start and end [s] of each span in which datagrams of a direction were sent, but none arrived."""
     spans: dict[int, int] = {}
     for report in reports:
         if (since_ns := report.get("blocked_since_ns")) is not None:
@@ -582,7 +582,7 @@ def _in_unit(value: float | None, unit: float, digits: int) -> float | None:
 
 
 def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:
-    """Return by direction when each datagram that arrived had left, rising, and how long it took [ns]."""
+    """Return by direction the sending times [ns] of arrived datagrams, rising, and their transit times [ns]."""
     by_name: dict[str, list[Series]] = {}
     for message, _ in readable(recording.messages(("link/network",)), LeftOut()):
         report: Any = message.decode()
@@ -596,7 +596,7 @@ def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tupl
 
 
 def _first(keys: Series, values: Series) -> tuple[Series, Series]:
-    """Return each key once, in their order, with the first value of it."""
+    """Return the keys once each, sorted, with the first value of each."""
     found, place = np.unique(keys, return_index=True)
     return found, values[place]
 
@@ -604,7 +604,7 @@ def _first(keys: Series, values: Series) -> tuple[Series, Series]:
 def _series(
     recording: RecordingSource, channel_topic: str, fields: Sequence[str], timeline: Timeline
 ) -> dict[str, Series]:
-    """Return fields and `t_ns`, on the master's clock; no samples where the recording has none of tip or commands."""
+    """Return fields and `t_ns` on the master's clock; empty arrays if the recording has no tip, or no commands."""
     src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
     if src is None and channel_topic != "haptic/state":
         return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}

@@ -1,4 +1,4 @@
-"""What happened in a recording, as its page shows it: phases, holds with their verdicts, marks, events, the summary."""
+"""Content of the page of a recording: phases, holds with their verdicts, marks, events, and the summary."""
 
 from typing import Any
 
@@ -14,17 +14,17 @@ from telenano.recording.site_clock import Timeline
 from telenano.wire.errors import RecordingError
 
 _MOST_EVENTS = 2000
-# numbers of the summary that a page lists one by one; the rest is in the file
+# keys of the summary that the page leaves out, because they are long; the file has them
 _LONG = ("rate_hz", "completeness", "seq_gaps", "holds", "parameters", "plugins")
 
 
 def judged_recording(recording: RecordingSource) -> dict[str, Any]:
-    """Return by key what a page shows of a recording beside its curves; times are since its first message [s].
+    """Return the content of a recording's page beside its curves, by key; times are since the first message [s].
 
-    `phases`, `holds`, `swings`, `interruptions` and `losses` (in which messages are missing from the recording) have
-    `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`,
-    `summary` is that of `telenano report`, and `fault` says in words why there is none. The swings are those of the
-    force that the hand is shown, of which the banner of a live rig is made.
+    `phases`, `holds`, `swings`, `interruptions` and `losses` (spans with messages missing from the recording) have
+    `from_s` and `to_s`; `moments` have `t_s`, `kind`, `level`, `src` and `text`; `summary` is that of `telenano
+    report`, and `fault` states why there is none. The swings are those of the force that is commanded to the hand, from
+    which the banner of a live rig is made as well.
     """
     start_ns = recording.span_ns[0]
     nothing: tuple[str, ...] = ("phases", "holds", "swings", "interruptions", "losses")
@@ -39,7 +39,7 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
 
 
 def summary_facts(summary: dict[str, Any], shift_s: float) -> dict[str, Any]:
-    """Return what a page shows of a summary alone, whose session begins so long after the recording [s]."""
+    """Return the content of a page from a summary alone; shift_s: start of the session in the recording [s]."""
     spans = {
         name: [{**one, "from_s": one["start_s"] + shift_s, "to_s": one["end_s"] + shift_s} for one in summary[name]]
         for name in ("holds", "interruptions")
@@ -62,7 +62,7 @@ def _session_facts(
         {"t_s": moment.time_s + shift_s, "kind": moment.kind, "level": "info", "src": "afm_node", "text": moment.text}
         for moment in moments_of(contacts, session.duration_s)
     ]
-    # A node has reported itself what else interrupted a session.
+    # Nodes report other interruptions themselves.
     moments += [
         {
             "t_s": one["start_s"] + shift_s, "kind": one["kind"], "level": "warning",
@@ -91,7 +91,7 @@ def _session_facts(
 
 
 def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> list[dict[str, Any]]:
-    """Return marks and what nodes reported, the newest left out where there are too many."""
+    """Return marks and reports of nodes, at most _MOST_EVENTS of them, the first ones."""
     rows = []
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
     for message, fields in readable(events, recording.left_out):

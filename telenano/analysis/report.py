@@ -1,4 +1,4 @@
-"""Figure and summary of a session, written from its recording alone."""
+"""Report of a session, a figure and a summary, from its recording alone."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -30,19 +30,19 @@ def write_report(
 
     Args:
         path: The recording, or the parts of one.
-        out: The folder that the report is written to.
-        missing: Sentences on what is known to be missing besides what the recording itself shows.
+        out: The folder of the report.
+        missing: Sentences on missing data that the recording itself does not show.
         options: The formats and the style of the figure.
-        show: Called with what is done next, each of which takes seconds for a recording of minutes.
-        same_session: Whether files are joined of which it is not recorded that they are of one session.
+        show: Called with the name of each step; a step takes seconds for a recording of minutes.
+        same_session: Whether to join files that are not recorded to be of one session.
 
     Returns:
         The summary.
 
     Raises:
-        RecordingError: A file lacks something, or two are not of one session; the message names them.
-        ReportError: A file cannot be written, and none is left half written; or the figure needs a package that is
-            not installed, and the summary is written without it. The error has the summary.
+        RecordingError: A file is incomplete, or two are not of one session; the message names them.
+        ReportError: A file cannot be written, and no partial file is left; or the figure needs a package that is not
+            installed, and the summary is written without it. The error has the summary.
     """
     paths = [path] if isinstance(path, Path) else path
     recording = open_recordings(paths, same_session=same_session)
@@ -51,7 +51,7 @@ def write_report(
     show(f"2 of 3: reading all messages of its {session.duration_s:.0f} s, and judging")
     summary = summary_of(session, recording, missing)
     show("3 of 3: drawing the figure")
-    # a node that stood still leaves a gap as well, which is no fault of the recording
+    # A stalled node leaves a gap as well, although the recording is complete.
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     figures: dict[str, bytes] = {}
@@ -67,7 +67,7 @@ def write_report(
 
 
 def write_files(folder: Path, files: Mapping[str, bytes], summary: Mapping[str, Any] | None = None) -> None:
-    """Write all files of a folder or none of them.
+    """Write all files to a folder, or none of them.
 
     Raises:
         ReportError: One cannot be written; the message names it, and the error has the summary.
@@ -75,7 +75,7 @@ def write_files(folder: Path, files: Mapping[str, bytes], summary: Mapping[str, 
     try:
         with whole_results(folder) as part:
             for name, data in files.items():
-                # An error of a full disk does not name its file.
+                # The error of a full disk does not name the file.
                 try:
                     (part / name).write_bytes(data)
                 except OSError as error:
@@ -85,14 +85,14 @@ def write_files(folder: Path, files: Mapping[str, bytes], summary: Mapping[str, 
 
 
 def figure_title(session: Session, summary: Mapping[str, Any]) -> str:
-    """Return the title of the figure of a session: conditions, verdict, and whether something is missing."""
-    # A motion that drifts, or presses with another force, is not stable either, and does not oscillate.
+    """Return the title of a session's figure: conditions, verdict, and a note if something is missing."""
+    # The verdict is named, because an unstable session need not oscillate: it may drift, or press with another force.
     verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]
     error = summary.get("intervals", {}).get("hold_ratio")
-    # the ratio of one hold is no merit of a session that another one decides
+    # The ratio of one hold does not describe a session whose verdict another hold decides.
     is_held = ratio is not None and summary["verdict"] == "stable"
     hold = f", hold ratio {with_error(ratio, error)}" if is_held else ""
-    # a figure goes further than the summary: what it does not show has to stand in it
+    # A figure is passed on without its summary, so it must state that data are missing.
     whole = "" if summary["recording"]["complete"] else "\nthe recording is not whole: what is missing is grey"
     return f"{session.scenario}, {title(session.conditions)}: {verdict}{hold}{whole}"

@@ -1,4 +1,4 @@
-"""What a session is for a program, recorded or simulated: conditions, verdict, holds, columns, tables, a picture.
+"""Interface of a session, recorded or simulated: conditions, verdict, holds, columns, tables, and a figure.
 
 `telenano.open` and `telenano.simulate` both return a `Session`, so that one function reads both.
 """
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from telenano.analysis.holds import Hold
     from telenano.settings.scenario import Scenario
 
-# What every session has, with unit and text.
+# columns of every session, with unit and description
 COLUMNS = {
     "time_s": ("s", "Time since the start of the operator's force profile"),
     "operator_force_n": ("N", "Force of the operator on the device, F_m, towards the sample"),
@@ -44,19 +44,19 @@ COLUMNS = {
     "in_contact": ("", "Whether the tip touches"),
     "hand_following": ("", "Whether the device follows commands"),
 }
-# An HTML form lists so many holds, which leaves it within 20 lines.
+# greatest number of holds in the HTML representation, which then has at most 20 lines
 _HOLDS_SHOWN = 10
-# On these colours of a verdict white can be read.
+# verdicts whose colour needs white text
 _DARK = ("diverged", "contact_lost", "guarded", "cannot_say")
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What was set for a session, as a figure has to state it; what was measured is in `Session` and its summary.
+    """Settings of a session, as a figure must state them; measured values are in `Session` and its summary.
 
-    law: those in force one after the other, joined by `then`; parameters: of the law that the scenario names;
-    round_trip_ms: the fixed delays of both ways of the link together [ms], without what a network adds to them;
-    link_profile: the name of the network; sample and hand: in words; changed: what was set while the session ran.
+    law: the laws in order, joined by `then`; parameters: those of the law that the scenario names; round_trip_ms: the
+    sum of the fixed delays of both directions of the link [ms], without the delays that a network adds; link_profile:
+    the name of the network; sample and hand: in words; changed: settings changed during the session.
     """
 
     scenario: str
@@ -72,7 +72,7 @@ class Conditions:
     changed: tuple[str, ...] = ()
 
     def title(self) -> str:
-        """Return the words of a title."""
+        """Return a title: scenario, law, round trip, and the network and the instrument if they are not ideal."""
         from telenano.settings.link_settings import EVEN
 
         words = [self.scenario, self.law]
@@ -85,13 +85,13 @@ class Conditions:
         return ", ".join(words)
 
     def row(self) -> dict[str, Any]:
-        """Return them as columns of a table without the parameters of the law; the changes are one text."""
+        """Return the settings as a row of a table, without the parameters of the law; the changes are one text."""
         own = {name: value for name, value in asdict(self).items() if name != "parameters"}
         return {**own, "changed": "; ".join(self.changed)}
 
 
 def sample_in_words(scenario: "Scenario") -> str:
-    """Return what the tip meets, by the scenario: the instrument's driver, or the sample and what lies on it."""
+    """Return the sample of a scenario in words, or the driver of an instrument that is not simulated."""
     section = scenario.afm_node
     driver = str(section.get("driver", "simulated"))
     if driver != "simulated":
@@ -106,12 +106,12 @@ def sample_in_words(scenario: "Scenario") -> str:
 
 
 def hand_in_words(scenario: "Scenario", origin: str) -> str:
-    """Return who presses, by the scenario: a person at a device, or the simulated hand and what it does.
+    """Return the hand of a scenario in words: the device that a person uses, or the kind of simulated hand.
 
     Raises:
-        ConfigError: The hand cannot be read; the message names the key.
+        ConfigError: The section of the hand is invalid; the message names the key.
     """
-    # A kept summary is read without these, whose import takes longer.
+    # Imported here, because reading a kept summary does not need these slow imports.
     from telenano.sections.hand_section import recorded_hand
     from telenano.sections.operator_section import ForceProfileConfig, ImpedanceConfig
 
@@ -124,9 +124,9 @@ def hand_in_words(scenario: "Scenario", origin: str) -> str:
 
 
 class Session(Mapping[str, Column]):
-    """A session, recorded or simulated: a mapping of columns of shape (n,), one value a sample of the hand.
+    """A session, recorded or simulated: a mapping of columns of shape (n,), one value per sample of the hand.
 
-    `units` and `descriptions` have an entry for each column. Two sessions are equal if they are one object.
+    `units` and `descriptions` have an entry for each column. Two sessions are equal only if they are the same object.
     """
 
     __hash__ = object.__hash__
@@ -135,37 +135,37 @@ class Session(Mapping[str, Column]):
         return self is other
 
     def __bool__(self) -> bool:
-        # the length of a mapping would read a recording
+        # The default, the length of the mapping, would read the recording.
         return True
 
     @abstractmethod
     def __repr__(self) -> str:
-        """Return what it is, in a line."""
+        """Return the session in one line."""
 
     @property
     @abstractmethod
     def course(self) -> ColumnTable:
-        """All columns as a table, which is read once."""
+        """All columns as a table, which is read only once."""
 
     @property
     @abstractmethod
     def conditions(self) -> Conditions:
-        """What was set: scenario, law and its parameters, delay, line, sample, instrument and hand."""
+        """The settings: scenario, law and its parameters, delay, network, sample, instrument and hand."""
 
     @property
     @abstractmethod
     def measured_round_trip_ms(self) -> float | None:
-        """Median of what the link took there and back [ms], None where nothing was recorded of it."""
+        """Median of the link's delays there and back [ms], None if they were not recorded."""
 
     @property
     @abstractmethod
     def holds(self) -> "list[Hold]":
-        """The holds of the hand, each judged."""
+        """The holds of the hand, each with its verdict."""
 
     @property
     @abstractmethod
     def verdict(self) -> "Kind":
-        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        """The verdict on the session: that of its worst hold, or guarded if the instrument's guard ended it."""
 
     @property
     @abstractmethod
@@ -175,20 +175,20 @@ class Session(Mapping[str, Column]):
     @property
     @abstractmethod
     def felt_stiffness(self) -> "FeltSession":
-        """What the hand felt of the stiffness that is there, or why that cannot be known."""
+        """The felt and the true stiffness, or the reason why they are unknown."""
 
     @property
     @abstractmethod
     def channels(self) -> dict[str, tuple[str, ...]]:
-        """The publishers of each channel that `table` gives."""
+        """The publishers of each channel that `table` can return."""
 
     @abstractmethod
     def table(self, channel: str, src: str | None = None) -> ColumnTable:
-        """Return the messages of a channel, in the frame of a site, z away from the sample."""
+        """Return the messages of a channel as a table, in the frame of a site with z away from the sample."""
 
     @abstractmethod
     def _drawn(self) -> "tuple[SessionSeries, str]":
-        """Return what the three panels of Fig. 12 show, and the title."""
+        """Return the series of the three panels of Fig. 12, and the title."""
 
     @property
     def units(self) -> dict[str, str]:
@@ -197,10 +197,10 @@ class Session(Mapping[str, Column]):
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """What each column is, in words."""
+        """The description of each column."""
         return self.course.descriptions
 
-    # a column that is not known by its name has numbers
+    # All other columns have numbers.
     @overload
     def __getitem__(  # type: ignore[overload-overlap]
         self, name: Literal["in_contact", "hand_following"]
@@ -210,14 +210,14 @@ class Session(Mapping[str, Column]):
     def __getitem__(self, name: str) -> npt.NDArray[np.float64]: ...
 
     def __getitem__(self, name: str) -> Column:
-        """Return a column; KeyError names the one that was probably meant, and those that there are."""
+        """Return a column; KeyError names the column that was probably meant, and all columns."""
         return self.course[name]
 
     if not TYPE_CHECKING:
-        # To a checker of types a name that is not here is none.
+        # Hidden from type checkers, so that they report an unknown attribute.
         def __getattr__(self, name: str) -> Any:
             columns: Mapping[str, Any] = {}
-            # What begins with _ is asked by the language and by notebooks, which takes no reading of a recording.
+            # Python and notebooks look up names that begin with _, which must not read a recording.
             if not name.startswith("_") and not hasattr(type(self), name):
                 with suppress(TelenanoError):
                     columns = self.course
@@ -227,7 +227,7 @@ class Session(Mapping[str, Column]):
             raise AttributeError(no_attribute(self, name, columns))
 
     def __array__(self, *_args: Any, **_options: Any) -> npt.NDArray[Any]:
-        """Raise TypeError, because columns of numbers and of truth values are no array; NumPy and pandas ask for it."""
+        """Raise TypeError when NumPy or pandas converts a session: mixed columns of numbers and flags are no array."""
         raise TypeError("a session is columns by name and no array: [name] is one, and `to_pandas()` has all")
 
     def __iter__(self) -> Iterator[str]:
@@ -240,7 +240,7 @@ class Session(Mapping[str, Column]):
         try:
             return list(self.course)
         except TelenanoError:
-            # what cannot be read has nothing to complete
+            # A session that cannot be read has no names to complete.
             return []
 
     def df(self, channel: str, src: str | None = None) -> "pandas.DataFrame":
@@ -256,10 +256,10 @@ class Session(Mapping[str, Column]):
         return self.course.to_xarray()
 
     def plot(self, *columns: str) -> "Figure":
-        """Draw columns over the time, a panel each; without any the three panels of Fig. 12.
+        """Draw columns over the time, one panel each; without arguments, the three panels of Fig. 12.
 
         Raises:
-            ConfigError: matplotlib is not installed; the message says what adds it.
+            ConfigError: matplotlib is not installed; the message names the package to add.
             KeyError: There is no such column; the message names the one that was probably meant.
         """
         required_module("matplotlib", "a picture of a session: matplotlib is not installed", "viz")

@@ -1,4 +1,4 @@
-"""What is judged of a session: its holds and verdict, what it lacks, and the figures of its summary."""
+"""Summary of a session: its holds and verdict, missing samples, and figures."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -40,20 +40,20 @@ Series = npt.NDArray[Any]
 
 RELEASE_WINDOW_S = 1.0
 _DECLARED_LOOP_HZ = 1000.0
-# The percentiles of the loop's age are taken of this number of parts of a session.
+# number of parts of a session from which the interval of a percentile of the loop's age is estimated
 _AGE_PARTS = 10
-# A part needs this number of answers.
+# least number of answers in each part
 _LEAST_AGES = 100
-# A press rises and falls by more than this part of the greatest force: less is a tremor or noise.
+# least rise and fall of a press, as a share of the greatest force [1]: less is a tremor or noise
 _LEAST_SHARE = 0.1
-# A press also rises and falls by more than this.
+# least rise and fall of a press [N]
 _LEAST_N = 0.1
 
 
 def summary_of(session: Session, recording: RecordingSource, missing: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the summary of a session, with the keys of `Summary`; what the session does not show is null.
+    """Return the summary of a session, with the keys of `Summary`; a figure that the session does not show is null.
 
-    All messages of its recording are read once. `missing` has sentences on what is known to be missing besides.
+    All messages of the recording are read once. `missing` has further sentences on missing data.
     """
     unread = LeftOut()
     info, sent, overruns = _counted(session, recording, unread)
@@ -104,7 +104,7 @@ def summary_of(session: Session, recording: RecordingSource, missing: Sequence[s
 
 
 def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
-    """Return the series of a session, its holds, and what depends on how the clocks of two sites are read."""
+    """Return the series of a session, its holds, and the figures that depend on the reading of the clocks."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
     mode = session.tip["mode"]
@@ -120,21 +120,21 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     guard = guard_of(series.tip_time_s, tip, session.context)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
     verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.context.interruptions))
-    # a hold whose fate is not known cannot be said to be unstable
+    # An undecided session is not called unstable.
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
     judged = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
     return series, holds, judged
 
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], info: RecordingInfo) -> list[str]:
-    """Return a sentence for each loss that makes a hold one without data, as long as it is in the session.
+    """Return a sentence for each loss because of which a hold has no data, with its full length in the session.
 
-    What was left out by a reader is in the recording, and is not lacking.
+    Messages that the reader left out are in the recording, so they are not missing.
     """
     context = session.context
     whole_topics = {one.channel_topic for one in info.channels if not one.lost} if info.closed else set()
     times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: context.answered_s}
-    # The holds after the end of a recording that ends early are lacking as well.
+    # Planned holds after the end of a recording that ends early are missing as well.
     end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
     sentences = []
     for hold in holds:
@@ -149,7 +149,7 @@ def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], inf
 
 
 def _felt(found: FeltSession) -> dict[str, Any]:
-    """Return what the hand felt of the stiffness that is there, and when that was far from it."""
+    """Return the key `felt_stiffness` of a summary: felt and true stiffness, and spans in which they differed much."""
     felt, names = found.felt, ("ratio", "low", "high", "felt_n_per_m", "there_n_per_m")
     outside = [
         {"from_s": round(one.from_s, 1), "to_s": round(one.to_s, 1), **_figures(one.felt, names[:3]), "text": str(one)}
@@ -160,12 +160,12 @@ def _felt(found: FeltSession) -> dict[str, Any]:
 
 
 def _figures(felt: Felt, names: Sequence[str]) -> dict[str, float]:
-    # What comes after these digits depends on the processor.
+    # Further digits depend on the processor.
     return {name: float(f"{getattr(felt, name):.6g}") for name in names}
 
 
 def _clocks(session: Session) -> dict[str, Any] | None:
-    """Return what the slave's clock was ahead, and the figures of the other reading where it cannot be excluded."""
+    """Return the offset of the slave's clock, and the figures of the other reading if it cannot be excluded."""
     clock = session.timeline.clock
     if clock is None:
         return None
@@ -180,7 +180,7 @@ def _clocks(session: Session) -> dict[str, Any] | None:
 
 
 def cycles_of(force_n: npt.NDArray[np.float64]) -> int:
-    """Return how often a force [N], of shape (n,), rose and then fell again, by a tenth of its greatest."""
+    """Return how often a force [N], of shape (n,), rose and then fell, by a tenth of its greatest and 0.1 N or more."""
     least_n = max(_LEAST_N, _LEAST_SHARE * float(np.abs(force_n).max(initial=0.0)))
     cycles, rises, turn_n = 0, False, float(force_n[0]) if force_n.size else 0.0
     for now_n in force_n.tolist():
@@ -194,8 +194,8 @@ def cycles_of(force_n: npt.NDArray[np.float64]) -> int:
 def _counted(
     session: Session, recording: RecordingSource, left_out: LeftOut
 ) -> tuple[RecordingInfo, dict[str, int], int]:
-    """Return what a recording holds, and of its session the messages sent by channel and the deadlines missed."""
-    # the session by the clock of each source
+    """Return the facts on a recording, and for its session the messages by channel and the missed deadlines."""
+    # start and end of the session by the clock of each source [ns]
     spans: dict[str, list[int]] = {}
     sent: dict[str, int] = {}
     overruns: dict[str, list[int]] = {}
@@ -218,9 +218,9 @@ def _counted(
 
 
 def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: float) -> dict[str, float]:
-    """Return the recorded share of the declared number of messages, for channels of one source and a rate.
+    """Return the recorded share of the declared number of messages, for channels with one source and a declared rate.
 
-    The topics of the loop are declared at 1 kHz, and have the rate of the scenario.
+    The topics of the loop are declared at 1 kHz, but have the rate of the scenario.
     """
     shares = {}
     for name, count in sent.items():
@@ -233,7 +233,7 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
 
 
 def _hold_ratios(session: Session, holds: Sequence[Hold]) -> Series:
-    """Return F_m/(alpha_f F_s) of each sample at rest in the last hold that has such a ratio; none where none has."""
+    """Return F_m/(alpha_f F_s) of each sample at rest in the last hold with such a ratio; empty without one."""
     own = next((hold for hold in reversed(holds) if hold.hold_ratio is not None), None)
     if own is None:
         return np.empty(0)
@@ -255,15 +255,15 @@ def _loop_age_parts(split_s: Mapping[str, Series]) -> dict[str, Any]:
     if not split_s:
         return {}
     parts = loop_age.parts_of(split_s)
-    # a simulated device has no age, and on one machine there is no line
+    # Parts that take no time are left out: a simulated device has no age, and one machine has no line.
     parts_ms = {part.name: [round(1e3 * each, 4) for each in (part.p50_s, part.p99_s)] for part in parts if part.p99_s}
     return {"loop_age_parts_ms": parts_ms, "loop_age_largest": loop_age.in_words(parts)}
 
 
 def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
-    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session.
+    """Return the interval of each mean, and of the percentiles of the loop's age from those of parts of the session.
 
-    A mean whose record does not say how well it is known has none.
+    A mean without a known error has no interval.
     """
     halves = {name: mean_half_width(values) for name, values in samples.items()}
     means = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
@@ -287,6 +287,6 @@ def _mean(values: Series) -> float | None:
 
 
 def _rounded(force_nn: float | None) -> float | None:
-    """Return a force to a millionth of a nN: what is less is what the equilibrium of the cantilever is found to."""
-    # the sum makes a -0.0 plain
+    """Return a force rounded to 1e-6 nN, the tolerance of the equilibrium of the simulated cantilever."""
+    # Adding 0.0 turns -0.0 into 0.0.
     return None if force_nn is None else round(force_nn, 6) + 0.0

@@ -1,4 +1,4 @@
-"""The summary of a session as a model: every key of `summary.json` with its type and its meaning.
+"""Model of the summary of a session: each key of `summary.json` with its type and its meaning.
 
 `make regenerate` writes its JSON Schema and the page docs/summary.md.
 """
@@ -40,11 +40,11 @@ class _Part(BaseModel):
 
 @dataclass(frozen=True)
 class OfTip:
-    """How a figure of the summary is made of columns of afm/state within the session, each of shape (n,), n > 0.
+    """Computation of a figure of the summary from columns of afm/state within the session, each of shape (n,), n > 0.
 
-    It stands in the type of its key, so that a figure of what the tip did is declared in one place. The figure is null
-    where the session has no sample of the tip, and where `value` returns None. A column that the recording does not
-    have, because it is older, is filled with NaN.
+    It is part of the type of the key, so that a figure on the tip is declared in one place. The figure is null if the
+    session has no sample of the tip, or if `value` returns None. A column that an older recording does not have is
+    filled with NaN.
     """
 
     columns: tuple[str, ...]
@@ -406,12 +406,12 @@ class Summary(_Part):
 
 
 def tip_columns() -> tuple[str, ...]:
-    """Return the columns of afm/state that figures of the summary are made of."""
+    """Return the columns of afm/state from which figures of the summary are computed."""
     return tuple(dict.fromkeys(name for figure in _figures_of_tip().values() for name in figure.columns))
 
 
 def tip_figures(tip: Mapping[str, npt.NDArray[Any]]) -> dict[str, float | None]:
-    """Return the figures that are made of columns of afm/state, those of `tip_columns`, each of shape (n,)."""
+    """Return the figures computed from `tip`, the columns of afm/state in `tip_columns`, each of shape (n,)."""
     return {
         name: figure.value(*columns) if (columns := [tip[each] for each in figure.columns])[0].size else None
         for name, figure in _figures_of_tip().items()
@@ -449,7 +449,7 @@ def _rows(part: dict[str, Any], parts: dict[str, Any], stem: str) -> Iterator[tu
 
 
 def _inside(value: dict[str, Any], name: str) -> Iterator[tuple[dict[str, Any], str]]:
-    """Yield the references in the type of a key, each with the name that the keys of that part begin with."""
+    """Yield the references in the type of a key, each with the prefix of the keys in that part."""
     if "$ref" in value:
         yield value, f"{name}."
     for choice in value.get("anyOf", ()):

@@ -1,12 +1,13 @@
-"""Swings of a force: a motion that goes to and fro evenly, as the page of the view looks for one while it runs.
+"""Swings of a force: even oscillations, found by the same rule as on the page of a running rig.
 
-`services/viz_node/web/src/oscillation.ts` has the same rule for the last seconds of a live rig, and
-`services/viz_node/web/test/swings.json` holds both to it. A turning point counts where the force comes back from it by
-a least height. The motion swings in three whole turns that are even: each turn takes at most 1.5 times as long as the
-one half a turn before and no less than 1 / 1.5 of it, and no way of it is more than four times another, so that a press
-is no part of the swing that follows it. A turn is timed from the middle of a way to the middle of the way after the
-next, where the force goes fast, because when it turns is vague where the tip is off the sample. Heights of two, four
-and eight times the least are tried as well, so that a small ripple on a large swing hides neither.
+`services/viz_node/web/src/oscillation.ts` has this rule for the last seconds of a live rig, and
+`services/viz_node/web/test/swings.json` tests both. A turning point counts if the force returns from it by a least
+height; a stroke is the motion between two turning points. A swing needs three whole turns that are even: each turn
+takes at most 1.5 times as long as the one half a turn before, and at least 1 / 1.5 of it, and no stroke is more than
+four times another, so that a press is not part of the swing that follows it. A turn is timed from the middle of a
+stroke to the middle of the next but one, where the force changes fast, because turning points are vague while the tip
+is off the sample. Twice, four and eight times the least height and so on are tried as well, so that a small ripple on
+a large swing hides neither.
 """
 
 from collections.abc import Sequence
@@ -18,25 +19,25 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-# at the hand: below this a swing of the force is not felt [N]
+# least peak-to-peak swing of the force that a hand feels [N]
 FELT_N = 0.3
 TURNS = 3
-# A turn of an even swing is longer or shorter than the one before by this factor at most.
+# greatest ratio of two successive turns of an even swing, either way [1]
 _EVENNESS = 1.5
-# The longest of three ways between turning points is at most this multiple of the shortest.
+# greatest ratio of the longest to the shortest of three successive strokes [1]
 _LIKENESS = 4.0
-# the page looks at 15 s, in which three slower turns have no room
+# longest turn [s]: the page examines 15 s, which has no room for three slower ones
 _LONGEST_TURN_S = 5.0
-# The force is looked at so often [1/s]; one sample alone, as where an answer is missing, does not count.
+# rate at which the force is sampled [1/s]; a single deviating sample, as where an answer is missing, does not count
 _RATE_HZ = 100.0
-# Between two swings that are one, a turn or two were uneven.
+# longest gap between two swings that count as one [turns]
 _UNEVEN_TURNS = 2.0
 
 
 class Swing(NamedTuple):
-    """A stretch in which a force swings, from its first turning point to its last: the greatest way from peak to peak.
+    """A stretch in which a force swings: start and end [s], frequency of its turns [Hz], and largest stroke [N].
 
-    frequency_hz: of the turns that go as far.
+    If several swings are joined, frequency and size are those of the largest.
     """
 
     start_s: float
@@ -64,7 +65,7 @@ def swings_of(time_s: Series, force_n: Series) -> list[Swing]:
 
 
 def turning_points(values: Sequence[float], places: Sequence[int], height: float) -> list[int]:
-    """Return the places, of those given, from which a motion comes back by a height, and that at which it begins."""
+    """Return those of the given indices from which a motion returns by a height, and the one at which it starts."""
     turns: list[int] = []
     rises: bool | None = None
     if not places:
@@ -86,7 +87,7 @@ def turning_points(values: Sequence[float], places: Sequence[int], height: float
 
 
 def _sampled(time_s: Series, force_n: Series) -> tuple[list[float], list[float]]:
-    """Return even times, and the force there: of each three samples in a row the middle one."""
+    """Return even times [s], and the force there [N], as the median of each three samples in a row."""
     if len(time_s) < 2:
         return [], []
     grid = np.arange(time_s[0], time_s[-1] + 0.5 / _RATE_HZ, 1.0 / _RATE_HZ)
@@ -97,7 +98,7 @@ def _sampled(time_s: Series, force_n: Series) -> tuple[list[float], list[float]]
 
 
 def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]) -> list[Swing]:
-    """Return the runs of turning points of which each whole turn takes about as long as the one before."""
+    """Return the swings: runs of turning points in which turns and strokes are even, at indices `places`."""
     middles = [times[_crossing(values, first, last)] for first, last in pairwise(places)]
     turns = [after - before for before, after in zip(middles, middles[2:], strict=False)]
     ways = [abs(values[last] - values[first]) for first, last in pairwise(places)]
@@ -110,7 +111,7 @@ def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]
         # the turns first .. i - 1 lie between the points first .. i + 2
         if i + 2 - first > 2 * TURNS:
             turn_s = float(np.median(turns[first:i]))
-            # before its first way and after its last the force may have stood for long
+            # The force may have been constant for long before the first stroke and after the last one.
             begin_s = max(times[places[first]], middles[first] - 0.5 * turn_s)
             end_s = min(times[places[i + 2]], middles[i + 1] + 0.5 * turn_s)
             evened.append(Swing(begin_s, end_s, 1.0 / turn_s, max(ways[first : i + 2])))
@@ -119,13 +120,13 @@ def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]
 
 
 def _crossing(values: Sequence[float], first: int, last: int) -> int:
-    """Return the first place between two turning points at which half of the way is behind."""
+    """Return the first index between two turning points at which half of the stroke is done."""
     middle, sign = 0.5 * (values[first] + values[last]), 1.0 if values[last] > values[first] else -1.0
     return next((i for i in range(first, last) if sign * (values[i] - middle) >= 0.0), last)
 
 
 def _joined(swings: Sequence[Swing]) -> list[Swing]:
-    """Return the swings with those joined that overlap, or that a turn or two part; of the larger one the frequency."""
+    """Return the swings in order, joining those that overlap or are at most two turns apart."""
     joined: list[Swing] = []
     for swing in sorted(swings):
         if joined and swing.start_s - joined[-1].end_s <= _UNEVEN_TURNS / max(

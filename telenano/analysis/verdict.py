@@ -1,12 +1,12 @@
-"""What becomes of the motion of a loop: does it die out, go on, or grow.
+"""Verdict on the motion of a loop: whether it dies out, goes on, or grows.
 
     from telenano.analysis.verdict import judge
     judge(time_s, force_n, hand_force_n=1.0).kind          # "limit_cycle"
 
-`judge` is given the force at the tip of one episode alone (`telenano.analysis.holds`): contact under a constant force
-with the loop closed. `telenano.analysis.decision` finds what it does, from the fits of its parts
-(`telenano.analysis.motion_fit`) and from its envelope (`telenano.analysis.envelope`). A finding is a value
-(`telenano.analysis.findings`), and its sentence comes last (`telenano.analysis.verdict_sentences`).
+`judge` takes the force at the tip in one episode (`telenano.analysis.holds`): contact under a constant force with the
+loop closed. `telenano.analysis.decision` decides from the fits of parts of the motion (`telenano.analysis.motion_fit`)
+and from its envelope (`telenano.analysis.envelope`). The result is a value (`telenano.analysis.findings`), which is put
+into a sentence last (`telenano.analysis.verdict_sentences`).
 """
 
 from typing import NamedTuple
@@ -37,11 +37,11 @@ Series = npt.NDArray[np.float64]
 
 
 class Verdict(NamedTuple):
-    """What becomes of a motion.
+    """Verdict on a motion.
 
-    growth_per_s: of the mode that decides [1/s], None where nothing moves; peak_to_peak_n: of the motion that decides,
-    at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in
-    words; rest_from_s: from when on the force is at rest, None if it never is [s]; cause: the reason as a value.
+    growth_per_s: growth of the mode that decides [1/s], None if nothing moves; peak_to_peak_n: size of the motion that
+    decides, at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict
+    in words; rest_from_s: start of the rest [s], None without one; cause: the reason as a value.
     """
 
     kind: Kind
@@ -61,10 +61,10 @@ def judge(
     Args:
         time_s: The times of the samples [s], shape (n,), rising.
         force_n: alpha_f F_s at those times [N], shape (n,).
-        hand_force_n: What is large beside it [N], > 0: the hand's greatest force.
-        rest_n: The force that the law rests at [N], None if it does not say: an approach to it is one.
-        step_n: The step of a read-out that rounds [N], as `rounding_of` finds it in the whole recording, 0 of one that
-            does not; None finds it in the episode, where a motion between two values looks the same.
+        hand_force_n: The hand's greatest force [N], > 0, which is the measure of large and small.
+        rest_n: The force at which the law rests [N], None if the law does not state it: an approach to it is stable.
+        step_n: The step of a read-out that rounds [N], as `rounding_of` finds it in the whole recording, 0 if it does
+            not round; None finds it in the episode, where a motion between two values looks like rounding.
 
     Raises:
         ValueError: The hand's force is not positive.
@@ -88,6 +88,6 @@ def judge(
 
 
 def _in_words(found: Finding, noise_n: float) -> Verdict:
-    """Return a finding with its sentence."""
+    """Return a finding as a verdict, with its sentence."""
     growth, size_n = found.growth_per_s, found.size_n
     return Verdict(found.kind, growth, size_n, noise_n, sentence(found, noise_n), found.rest_from_s, found.cause)

@@ -1,4 +1,4 @@
-"""The sentences of findings: what was found of a motion, and what would decide what is not known."""
+"""Sentences for findings on a motion; for an undecided one they state what would decide it."""
 
 from telenano.analysis.findings import Cause, Finding
 from telenano.analysis.modes import LEAST_SAMPLES

@@ -1,4 +1,4 @@
-"""Real nodes of both sites on a bus in memory, in virtual time: recordings without a wait, from one seed."""
+"""Simulation of a rig: real nodes of both sites on a bus in memory, in virtual time, reproducible by a seed."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The bus in memory: what a node publishes goes to the rig, and a reader takes what has arrived as from a socket."""
+"""The bus in memory: a node publishes to the rig, and reads the messages that have arrived as from a socket."""
 
 import heapq
 from bisect import bisect_right
@@ -17,21 +17,21 @@ from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
 from telenano.wire.nodes import LINK, RECORDER, name_of
 from telenano.wire.received import Received
 
-# A reader takes this number of messages at once.
+# greatest number of messages that a reader takes at once
 _BATCH = 256
-# A recorder takes what comes within this time together [ns]; each message keeps its own time of reception.
+# period in which a recorder takes its messages together [ns]; each message keeps its own time of reception
 _RECORDER_PERIOD_NS = 5_000_000
 
 
 class VirtualBus:
-    """The bus of one node, or the endpoint of who only publishes."""
+    """The bus of one node, or the endpoint of a publisher without subscriptions."""
 
-    # What a publisher of the link says of its thread, which there is none of here.
+    # A publisher of the link has this flag for its thread, of which there is none here.
     yields = False
     is_brief = False
 
     def __init__(self, rig: World, key: str, topics: Sequence[str] = (), *, newest_only: bool | None = None) -> None:
-        """Open the bus of `key`; the link takes every message, the other nodes the newest."""
+        """Open the bus of node `key`; by default the link reads every message, and any other node only the newest."""
         self.key = key
         self.inbox: list[Arriving] = []
         is_newest_only = name_of(key) != LINK if newest_only is None else newest_only
@@ -39,13 +39,13 @@ class VirtualBus:
         self.reader = HandedReader(self._clock, topics or TOPICS, newest_only=is_newest_only)
         self._rig = rig
         self._numbers: dict[str, int] = {}
-        # By topic, the version of its messages and what draws how long one takes to be sent [ns].
+        # By topic, the version of its messages, and a function that draws the delay of sending one [ns].
         self._sending: dict[str, tuple[int, Callable[[], int]]] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
         rig, seq = self._rig, self._numbers.get(topic, 0)
         version, draw = self._sending.get(topic) or self._open(topic)
-        # sent some time after the turn began, which no re-run knows
+        # A message is sent some time after the start of the turn, which a re-run does not know.
         drawn_ns = draw()
         t_ns = self._clock.now_ns() + drawn_ns
         message, payload = compose(topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, **fields})
@@ -71,7 +71,7 @@ class VirtualBus:
         return self.reader.arrived(waiting, self._clock.now_ns())
 
     def wait(self, deadline_ns: int) -> None:
-        """Return at once: the rig has let the time pass."""
+        """Return at once, because the rig advances the time."""
 
     def next_ns(self) -> int:
         """Return when the next message arrives, on the monotonic clock [ns]."""
@@ -111,14 +111,14 @@ class _Listener(Protocol):
 
 
 class _Intake(Protocol):
-    """What a recorder records with."""
+    """The part of a recorder that writes messages."""
 
     def record(self, listener: Any, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        """Record one message, and return it if the node has to act on it."""
+        """Record one message, received at a time [ns]; return it if the node must act on it."""
 
 
 class RecorderWay(NamedTuple):
-    """A topic on its way from an endpoint to a recorder: how late it comes [ns], its listener, and its first frame."""
+    """The connection of a topic from an endpoint to a recorder: draw of its delay [ns], listener, first frame."""
 
     draw: Callable[[], int]
     listener: _Listener
@@ -126,7 +126,7 @@ class RecorderWay(NamedTuple):
 
 
 class RecordingBus(VirtualBus):
-    """The bus of a recorder: it hands over what every endpoint sends, each message with its time of reception."""
+    """The bus of a recorder, which records the messages of every endpoint with their times of reception."""
 
     def __init__(self, publisher: VirtualBus, listeners: Sequence[_Listener], intake: _Intake) -> None:
         super().__init__(publisher._rig, publisher.key)
@@ -134,13 +134,13 @@ class RecordingBus(VirtualBus):
         self._record: Callable[..., Received | None] = intake.record
         self._taken_ns = 0
         self._ways: dict[tuple[str, str], RecorderWay | None] = {}
-        # When the newest message of an endpoint is received [ns]: a recorder receives from one in the order of sending.
+        # By endpoint, the reception of its newest message [ns]: its messages arrive in the order of sending.
         self.newest_ns: dict[str, int] = {}
-        # The messages on their way: when each is received [ns], its number, its way and its bytes.
+        # Messages in transit: time of reception [ns], number, connection and bytes of each.
         self.coming: list[tuple[int, int, RecorderWay, bytes]] = []
 
     def way(self, endpoint: str, topic: str) -> RecorderWay | None:
-        """Return the way of a topic from an endpoint to this recorder; None where it does not want it."""
+        """Return the connection of a topic from an endpoint to this recorder; None if it does not want the topic."""
         place = (endpoint, topic)
         try:
             return self._ways[place]
@@ -149,7 +149,7 @@ class RecordingBus(VirtualBus):
             if listener is None or not listener.subscriber.wants(topic):
                 self._ways[place] = None
             else:
-                # The streams of the first recorder have no name of their own.
+                # The first recorder adds no name to its streams.
                 further = () if self.key == RECORDER else (self.key,)
                 draw = self._rig.streams.draws(self._rig.timing.recorder, ("recorder", endpoint, topic, *further))
                 self._ways[place] = RecorderWay(draw, listener, topic.encode())

@@ -1,4 +1,4 @@
-"""The machine of a node in virtual time: nothing that it tells differs between two runs or two computers."""
+"""The machine of a node in virtual time, whose facts are the same in every run and on every computer."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,14 +7,14 @@ from telenano.recording.disk import Disk
 from telenano.runtime.loop.log import StructuredLog
 from telenano.virtual.timing import RandomStreams
 
-# The fields of node/health that every message needs have these values. Others that tell of a machine are left out, so
-# that a further one moves neither the bytes of a report nor what a link with a limited rate carries.
+# Required fields of node/health on the machine have these values. Optional ones are left out, so that a new one changes
+# neither the bytes of a report nor the load of a link with a limited rate.
 HEALTH: Mapping[str, int | float] = {"pid": 1, "cpu_percent": 0.0, "memory_bytes": 1}
 _KEPT_LINES = 6
 
 
 class VirtualMachine:
-    """What a node of a rig in virtual time takes from its machine: tokens by the seed, and a disk."""
+    """The machine of a node in a virtual rig, with tokens from the seed, and a disk."""
 
     def __init__(self, key: str, streams: RandomStreams, disk: Disk) -> None:
         self.disk = disk
@@ -31,12 +31,12 @@ class VirtualMachine:
 
 
 class QuietLog(StructuredLog):
-    """The log of a node in virtual time, of which the last lines are kept."""
+    """The log of a node in virtual time, which keeps the last lines in memory."""
 
     def __init__(self, node: str) -> None:
         super().__init__(node)
         self.lines: list[str] = []
 
     def write(self, level: str, text: str, **facts: Any) -> None:
-        """Keep a line."""
+        """Keep a line, without its facts."""
         self.lines = [*self.lines[1 - _KEPT_LINES :], f"{level}: {text}"]

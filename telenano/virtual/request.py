@@ -1,4 +1,4 @@
-"""A session in virtual time as it is asked for, planned, and run: what `telenano simulate` and the function share."""
+"""Request, plan and run of a session in virtual time, for `telenano simulate` and the function `telenano.simulate`."""
 
 import shlex
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from telenano.settings.option import Option
 from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
 from telenano.wire.errors import ConfigError, known_names
 
-# `--seed` and `--sweep seed=` also seed what else is random in a session.
+# keys of the scenario that `--seed` and `--sweep seed=` set as well
 SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _NAMES: tuple[str, ...] = CommandName.__args__  # type: ignore[attr-defined]
 
@@ -46,12 +46,12 @@ class SimulateRequest(SessionRequest):
     )
 
     def commands(self) -> tuple[TimedCommand, ...]:
-        """Return what is to be commanded; ConfigError names the text that is no command."""
+        """Return the commands of `at`; ConfigError names the text that is not a command."""
         return tuple(map(timed_command, self.at))
 
 
 def timed_command(text: str) -> TimedCommand:
-    """Return a command of a console with its time; ConfigError says what is wrong with the text."""
+    """Parse a console command with its time, `TIME COMMAND TARGET [KEY=VALUE …]`; ConfigError states the mistake."""
     try:
         time, name, target, *rest = shlex.split(text)
         time_s = float(time)
@@ -76,7 +76,7 @@ def timed_command(text: str) -> TimedCommand:
 
 
 def plan_of(request: SimulateRequest, default_out: Path) -> Plan:
-    """Read and check everything that a session in virtual time needs; ConfigError names file and key at fault."""
+    """Read and check everything for a session in virtual time; ConfigError names the file and key at fault."""
     seeds = () if request.seed is None else tuple(f"{key}={request.seed}" for key in SEEDS)
     sites = ("recorder.far=fetch",) if request.both_sites else ()
     asked = {name: getattr(request, name) for name in SessionRequest.model_fields}
@@ -96,8 +96,8 @@ def run_plan(
 
     Args:
         plan: The planned session.
-        request: What was asked for.
-        observe: Called with the node of the launcher at each of its ticks.
+        request: The request of the plan.
+        observe: Called with the launcher's node at each of its ticks.
         show: Called with each line for the user.
 
     Raises:

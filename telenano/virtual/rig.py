@@ -1,4 +1,4 @@
-"""The nodes of the rig on a bus in memory, in virtual time: real nodes, real loops, no process and no socket.
+"""A rig in virtual time: real nodes and real loops on a bus in memory, without processes and sockets.
 
     with closing(VirtualRig(Path("out"), seed=7, settings=["controller.law=wave"])) as rig:
         rig.run_until(0.15)
@@ -8,10 +8,10 @@
         rig.run_until(1.5)
         recording = rig.finish()
 
-Every delay comes from one seed: transit on a site and how late a loop wakes up; between the sites stands the link, with
-the impairments of the scenario. So a session takes less than its duration, and gives the same messages every time. With
-`constant_timing` nothing is random, and a constant delay stands for the link. A node can be made to stand still
-(`stall`): what is sent to it meanwhile waits for it.
+All delays come from one seed: the transit on a site and the lateness of a loop. Between the sites is the link, with the
+impairments of the scenario. So a session takes less time than its duration, and has the same messages in every run.
+With `constant_timing` nothing is random, and a constant delay replaces the link. `stall` lets a node stand still, while
+messages to it wait.
 """
 
 import gc
@@ -45,21 +45,21 @@ from telenano.wire.messages import DELAY_STEP_NS
 from telenano.wire.nodes import FAR_RECORDER, LAUNCHER, LINK, RECORDER, name_of, site_of
 from telenano.wire.topics import Topic
 
-# by how much the time of a message header is ahead of the monotonic clock, which begins at a second [ns]
+# time of a message header minus the monotonic clock, which starts at one second [ns]
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 BEGIN_NS = 10**9
 LINK_NODE, LINK_ENDPOINT = f"{LINK}@master", f"{LINK}@slave"
 NODES = ("afm_node@slave", "controller@slave", "controller@master", "haptic_node@master")
 RECORDERS = (RECORDER, FAR_RECORDER)
-# `record_session` arms and starts at these times since the start [s].
+# times after the start at which `record_session` arms the tip and starts the force profile [s]
 ARMED_S = 0.15
 STARTED_S = 0.3
 REALTIME = RealtimeStatus(fifo=True, memory_locked=False)
-# A late turn is late by this on top [ns].
+# additional lateness of a stalled turn [ns]
 _STALL_NS = 3_000_000
-# What is under way through the link is known again by its bytes, among this number of newest messages or more.
+# least number of newest messages that are kept, to recognise those that leave the link by their bytes
 _LEAST_KNOWN = 20_000
-# After the last node a recorder gets this time for what is on its way [s].
+# time after the last node in which a recorder still receives messages in transit [s]
 _LAST_MESSAGES_S = 0.01
 _SCENARIO = """
 name: virtual
@@ -79,7 +79,7 @@ afm_node:
 
 
 class Route(NamedTuple):
-    """Where what a publisher sends on a topic goes: the readers at its site, and whether it crosses the link."""
+    """The route of a publisher's topic: readers at its site, whether it crosses the link, and goes to a link node."""
 
     readers: tuple[str, ...]
     crosses: bool
@@ -93,13 +93,13 @@ class Engine:
         loaded: The scenario.
         seed: The seed of all delays.
         timing: The delays.
-        scenario_file: The scenario as a file; files that the link names are sought beside it.
-        site_file: The site file, whose nodes the recorders listen to.
+        scenario_file: The path of the scenario; files that the link names are relative to its folder.
+        site_file: The site file, whose nodes the recorders observe.
         disk: The disk of the recorders.
-        keeps: Whether every message is kept, for `received`.
-        counts_inputs: Whether node/health has the inputs of a node, by which a launcher knows that it is ready.
-        hears_recorders: Whether the nodes receive what recorders publish, as they do in a rig of processes. Without
-            that a session is the same to the bit whether or not it is recorded.
+        keeps: Whether to keep every message, for `received`.
+        counts_inputs: Whether node/health contains the inputs of a node, from which a launcher sees that it is ready.
+        hears_recorders: Whether the nodes receive messages of recorders, as they do in a rig of processes. Otherwise,
+            a session is the same to the bit whether or not it is recorded.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Engine:
         self._hears_recorders = hears_recorders
         self.book = AddressBook.load(site_file)
         self.files = site_file, scenario_file
-        # This stands in every recording, beside what is known of its versions.
+        # metadata of every recording, beside its versions
         self.facts = {
             "simulation": {
                 "time": "virtual",
@@ -134,7 +134,7 @@ class Engine:
         self.buses: dict[str, VirtualBus] = {}
         self.loops: dict[str, NodeLoop] = {}
         self.logs: dict[str, QuietLog] = {}
-        # The messages by their bytes: all of them where they are kept, else those that may be in the link.
+        # Messages by their bytes: all of them if they are kept, otherwise those that may be in the link.
         self.messages: dict[bytes, Message] = {}
         self._older: dict[bytes, Message] = {}
         self._keeps = keeps
@@ -142,24 +142,24 @@ class Engine:
         self._endpoints: dict[str, VirtualBus] = {}
         self._recorders: list[RecordingBus] = []
         self._order = 0
-        # By sender, reader and topic, what draws how long a message takes, and when the newest arrives: a connection
-        # keeps the order of what is sent through it [ns].
+        # By sender, reader and topic, a function that draws the transit of a message, and the arrival of the newest
+        # one [ns], because a connection preserves the order of messages.
         self._connections: dict[tuple[str, str, str], tuple[Callable[[], int], list[int]]] = {}
         self._newest_ns: dict[tuple[str, str], list[int]] = {}
-        # When each node takes its next turn [ns], in the order of their names; those to be found again stand in a set.
+        # By node, in the order of names, the time of its next turn [ns]; the set has those whose time must be updated.
         self._due_of: dict[str, int] = {}
         self._unknown: set[str] = set()
         self._late_ns: dict[str, int] = {}
         self._stalled_until_ns: dict[str, int] = {}
         self._routes: dict[tuple[str, str], Route] = {}
-        # No node takes a further turn, whatever the time.
+        # Set to end `advance`: no node takes a further turn.
         self.is_over = False
 
     def start(self, key: str, takes_ns: int = 0, *, starting_period_ns: int = HEALTH_PERIOD_NS) -> Node:
-        """Build a node by its row in the table of nodes, and let its loop take turns when that time [ns] has passed.
+        """Build a node by its row in the table of nodes, advance the time by takes_ns [ns], and run its loop from then.
 
         Raises:
-            ConfigError: Its section of the scenario cannot be used.
+            ConfigError: The section of the node in the scenario is invalid.
         """
         self._endpoints.pop(key, None)
         node, bus = self._built(key, None)
@@ -168,18 +168,18 @@ class Engine:
         return node
 
     def build(self, key: str, context: NodeContext) -> Node:
-        """Return a further node of a kind, on a context that is given, which takes no turns here."""
+        """Return a further node of the kind of `key`, on the given context; it takes no turns here."""
         return self._built(key, context)[0]
 
     def _built(self, key: str, given: NodeContext | None) -> tuple[Node, Any]:
         return node_kind(name_of(key)).open(self.wiring(key, given), self.loaded, self.config_of)
 
     def config_of(self, key: str, config: Any) -> Any:
-        """Return the section of a node as the node gets it."""
+        """Return the section of node `key` as the node gets it; a subclass may change it."""
         return config
 
     def wiring(self, key: str, given: NodeContext | None = None) -> VirtualWiring:
-        """Return what a builder of a node is given."""
+        """Return the wiring for the builder of node `key`, with the context of a further node if one is given."""
         site_file, scenario_file = self.files
         return VirtualWiring(
             key=key,
@@ -198,7 +198,7 @@ class Engine:
         )
 
     def clock_of(self, key: str) -> Clock:
-        """Return the clock of a node: one for all, unless a rig gives the machines clocks of their own."""
+        """Return the clock of a node: one for all, unless a subclass has a clock for each machine."""
         return self.clock
 
     def log_of(self, key: str) -> QuietLog:
@@ -206,13 +206,13 @@ class Engine:
         return self.logs.setdefault(key, QuietLog(key))
 
     def endpoint(self, key: str) -> VirtualBus:
-        """Return the endpoint of a publisher, opened when it is first asked for."""
+        """Return the endpoint of a publisher, which the first call opens."""
         if key not in self._endpoints:
             self._endpoints[key] = VirtualBus(self, key)
         return self._endpoints[key]
 
     def run_node(self, key: str, node: Node, bus: Any, *, starting_period_ns: int = HEALTH_PERIOD_NS) -> None:
-        """Let the loop of a node take turns from now on."""
+        """Run the loop of a node from now on; starting_period_ns: period of its reports while it starts [ns]."""
         self.buses[key] = bus
         self.loops[key] = NodeLoop(node, bus, REALTIME, starting_period_ns=starting_period_ns)
         self._late_ns[key] = self._stalled_until_ns[key] = 0
@@ -222,18 +222,18 @@ class Engine:
         self._recorders = [bus for bus in self.buses.values() if isinstance(bus, RecordingBus)]
 
     def restart(self, key: str, away_ns: int = 0) -> Node:
-        """Begin the process of a node again, as after a kill, and return its new node.
+        """Restart a node, as after a kill of its process, and return the new node.
 
         Args:
-            key: The node, whose last process ends now and leaves nothing but what is on a disk.
-            away_ns: How long there is no process of the node [ns].
+            key: The node, which ends now and loses everything that is not on a disk.
+            away_ns: The time until the new process starts [ns].
         """
         self.leave(key)
         self.advance(self.clock.monotonic_ns() + away_ns)
         return self.start(key)
 
     def leave(self, key: str) -> None:
-        """Let a node take no more turns."""
+        """Remove a node, which takes no more turns, and close its bus."""
         self._due_of.pop(key, None)
         self._unknown.discard(key)
         self.loops.pop(key, None)
@@ -242,17 +242,17 @@ class Engine:
         self._recorders = [bus for bus in self.buses.values() if isinstance(bus, RecordingBus)]
 
     def stall(self, key: str, duration_s: float) -> None:
-        """Let a node stand still from now on: it takes no turn, and what is sent to it waits."""
+        """Let a node stand still for a duration from now [s]: it takes no turn, and messages to it wait."""
         self._stalled_until_ns[key] = self.clock.monotonic_ns() + round(duration_s * 1e9)
         self._unknown.add(key)
 
     def received(self, topic: str, src: str) -> list[Any]:
-        """Return what a node has published on a topic so far, where messages are kept."""
+        """Return the messages that a node has published on a topic so far; empty unless messages are kept."""
         return list(self._published.get((topic, src), ()))
 
     def advance(self, end_ns: int) -> None:
-        """Let the nodes take their turns until a time on the monotonic clock [ns]."""
-        # As in the process of a node, nothing is made in a turn that needs the garbage collector.
+        """Run the nodes until a time on the monotonic clock [ns]."""
+        # As in the process of a node, a turn creates nothing that needs the garbage collector.
         collects = gc.isenabled()
         gc.disable()
         try:
@@ -268,12 +268,12 @@ class Engine:
         while not self.is_over:
             due_of, unknown = self._due_of, self._unknown
             for key in unknown:
-                # One that was stopped takes no turn, whatever it is sent.
+                # A stopped node takes no turn, even if messages arrive.
                 if key in due_of:
                     due_of[key] = self._due_ns(key)
             unknown.clear()
             now_ns = clock.monotonic_ns()
-            # Nodes stand in the order of their names, by which the first of those that are due takes its turn.
+            # Nodes are in the order of their names, so the first of those that are due takes its turn.
             due_ns, key = end_ns + 1, ""
             for name, at_ns in due_of.items():
                 if at_ns < due_ns:
@@ -284,10 +284,10 @@ class Engine:
             if not key or due_ns > end_ns or self._is_last(key, end_ns):
                 return
             clock.advance_ns(due_ns - now_ns)
-            # its next turn, and that of each node that something is brought to, has to be found anew
+            # Update its next turn; deliveries do the same for their readers.
             unknown.add(key)
             self.turn(key, loops[key])
-            # a loop wakes up late, and now and then very late
+            # A loop wakes up a little late, and now and then very late.
             if key not in late_of:
                 late_of[key] = streams.of(("stall", key)).random, streams.draws(wake, ("wake", key))
             random, wakes = late_of[key]
@@ -295,9 +295,9 @@ class Engine:
             self._late_ns[key] = wakes() + _STALL_NS * is_stalled
 
     def _is_last(self, key: str, end_ns: int) -> bool:
-        """Return whether only recorders that are not heard would take turns until `end_ns`, of which `key` is one.
+        """Return whether `key` is a recorder that no node hears, and only such recorders are due until `end_ns` [ns].
 
-        They take them later, so that the time at which a command is sent depends on no recorder.
+        Their turns are postponed, so that the time at which a command is sent does not depend on a recorder.
         """
         if self._hears_recorders or key not in RECORDERS:
             return False
@@ -305,7 +305,7 @@ class Engine:
         return bool(others) and min(others) > end_ns
 
     def turn(self, key: str, loop: NodeLoop) -> None:
-        """Let a node take a turn."""
+        """Run one turn of a node."""
         loop.turn()
 
     def draw(self, low_high: Range, *names: str) -> int:
@@ -313,12 +313,12 @@ class Engine:
         return self.streams.draw(low_high, names)
 
     def close(self) -> None:
-        """Let go of what has not been received."""
+        """Drop all messages that have not been received."""
         for bus in (*self.buses.values(), *self._endpoints.values()):
             bus.close()
 
     def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
-        """Bring a message to those who listen, on its own site and through the link."""
+        """Deliver a message, sent at a time [ns], to its readers on its own site and into the link."""
         src = message.src
         self._record(src, topic, payload, sent_ns)
         if self._keeps:
@@ -336,14 +336,14 @@ class Engine:
             self._bring(far, topic, message, payload, arrives_ns)
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
-        """Bring a message that left the link to those who listen there, who refuse what is none."""
+        """Deliver bytes that left the link to the readers at that endpoint, which reject damaged ones."""
         sent_ns = self.clock.monotonic_ns() + self.draw(self.timing.sending, "forwarding", endpoint, topic)
         message = self.messages.get(payload) or self._older.get(payload)
         if message is None:
             try:
                 message = accept(topic, payload)
             except WireError:
-                # The link has damaged it, and its readers count it as refused.
+                # The link has damaged the message, and its readers count it as rejected.
                 self._record(endpoint, topic, payload, sent_ns)
                 for key in self._subscribed(topic, site_of(endpoint)):
                     self._deliver(endpoint, key, topic, payload, sent_ns, None)
@@ -363,7 +363,7 @@ class Engine:
             self._deliver(endpoint, key, topic, payload, sent_ns, message)
 
     def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
-        """Bring a message to the recorders that listen to an endpoint, a little later than to all others."""
+        """Deliver a message to the recorders that observe an endpoint, with a delay of their own."""
         for bus in self._recorders:
             if (way := bus.way(endpoint, topic)) is None:
                 continue
@@ -400,7 +400,7 @@ class Engine:
     def _deliver(
         self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int, message: Message | None
     ) -> None:
-        """Bring a message from an endpoint to a reader."""
+        """Deliver a message from an endpoint to a reader; it is None if its bytes are damaged."""
         place = (sender, key, topic)
         connection = self._connections.get(place)
         if connection is None:
@@ -429,16 +429,16 @@ class Engine:
 
 
 class VirtualRig(Engine):
-    """Two sites, the link between them, and a recorder, which a test or a script commands step by step.
+    """Two sites, the link between them, and a recorder, for tests and scripts that command them step by step.
 
     Args:
         folder: The folder of the recording, None for none.
         seed: The seed of all delays.
-        settings: Dotted flags on top of the scenario.
+        settings: Dotted flags that override the scenario.
         timing: The delays.
         scenario: A scenario as read from a file; None lets a hand press the tip onto mica and let go.
         disk: The disk of the recorder.
-        counts_inputs: Whether node/health has the inputs of a node.
+        counts_inputs: Whether node/health contains the inputs of a node.
     """
 
     def __init__(
@@ -473,23 +473,23 @@ class VirtualRig(Engine):
             self.start(RECORDER)
         self.nodes = NODES if timing.link is not None else (LINK_NODE, *NODES)
         for key in self.nodes:
-            # nodes start one after the other
+            # Nodes start one after the other.
             self.start(key, self.draw(timing.start, "start", key))
         self._started_ns = self.clock.monotonic_ns()
         if timing.link is not None:
             self._declare(timing.link[0])
 
     def command(self, command: str, target: str, seen: Message | None = None, **parameters: Any) -> None:
-        """Send a command, and the same once more as a session does that has not received the answer yet.
+        """Send a command twice, as a session does that has not received the answer yet.
 
         Args:
             command: The command.
-            target: The node that it is for, or a pattern.
-            seen: A message of the target that proves to it that the command is fresh, none where it needs none.
+            target: The node that shall obey it, or a pattern.
+            seen: A message of the target, which proves to it that the command is fresh; None if it needs no proof.
             parameters: The parameters of the command.
         """
         self._commands += 1
-        # Of five letters at least, as many as a launcher takes.
+        # The id has at least five letters, as that of a launcher.
         name = f"{command}{self._commands:04d}"
         proof = {} if seen is None else {"node_t_ns": {seen.src: seen.t_ns}}
         for _ in range(2):
@@ -498,7 +498,7 @@ class VirtualRig(Engine):
             )
 
     def _declare(self, delay_ns: int) -> None:
-        """Declare the delay that stands for the link, as the link does."""
+        """Declare the constant delay that replaces the link [ns], as the link does."""
         declared = {"hand_t_ns": 0, "delay_ns": delay_ns - delay_ns % DELAY_STEP_NS, "transit_ns": 0}
         for endpoint, direction in (
             (LINK_ENDPOINT, "forward"),
@@ -508,11 +508,11 @@ class VirtualRig(Engine):
             self.endpoint(endpoint).publish("link/delay", direction=direction, clock_ahead_ns=0, **declared)
 
     def run_until(self, time_s: float) -> None:
-        """Let the nodes take their turns until a time since the start [s]."""
+        """Run the nodes until a time since the start [s]."""
         self.advance(self._started_ns + round(time_s * 1e9))
 
     def finish(self) -> Path:
-        """Stop the nodes, the recorder last, and return the path of its file."""
+        """Stop the nodes, the recorder last, and return the path of its file; ValueError if the rig has no folder."""
         if self.folder is None:
             raise ValueError("nothing was to be recorded: give the rig a folder")
         for key in self.nodes:
@@ -525,13 +525,13 @@ class VirtualRig(Engine):
         return path
 
     def close(self) -> None:
-        """Complete the file of a recording that was not finished, and let go of what has not been received."""
+        """Complete the file of a recording that was not finished, and drop all messages not received."""
         if RECORDER in self._due_of:
             self.stop(RECORDER)
         super().close()
 
     def stop(self, key: str) -> None:
-        """Stop a node as a signal does."""
+        """Stop a node, as a signal to its process does."""
         loop = self.loops[key]
         loop.node.context.request_stop()
         loop.run()
@@ -557,8 +557,8 @@ def record_session(
     Args:
         folder: The folder of the recording.
         seed: The seed of all delays.
-        settings: Dotted flags on top of the scenario.
-        duration_s: How long the nodes run [s].
+        settings: Dotted flags that override the scenario.
+        duration_s: The time for which the nodes run [s].
         scenario: A scenario as read from a file; see `VirtualRig`.
 
     Returns:

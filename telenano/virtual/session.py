@@ -1,9 +1,9 @@
-"""A session of a planned rig in virtual time: the launcher's own node starts, arms, runs and stops the nodes.
+"""A planned session in virtual time, in which the launcher's real node starts, arms, runs and stops the nodes.
 
     plan = make_plan(UpRequest(scenario="fig12", out=Path("out")), Path("out"))
     outcome = SimulatedRig(plan, seed=7).run()
 
-What is recorded is in the folder of the plan.
+The recording is in the folder of the plan.
 """
 
 import json
@@ -37,25 +37,25 @@ from telenano.wire.nodes import FAR_RECORDER, LAUNCHER, RECORDER, STOP_ORDER, na
 from telenano.wire.received import Received
 
 CONSOLE = "console@master"
-# The recorder of the other site writes to this folder in that of the session.
+# folder of the other site's recorder, within that of the session
 FAR_FOLDER = "far"
-# After a node has ended, its last messages arrive within this time [ns].
+# time in which the last messages of a node arrive after its end [ns]
 _DELIVERY_NS = 5_000_000
-# A recorder is stopped when it has what was sent last [ns].
+# time in which a recorder receives the last messages before it is stopped [ns]
 _LAST_MESSAGES_NS = 20_000_000
-# A console looks at its commands at this interval [ns].
+# period of a console [ns]
 _CONSOLE_NS = 20_000_000
 
 
 class TimedCommand(NamedTuple):
-    """A command that a person gives at a console, that time after the force profile began [s]."""
+    """A command that a person gives at a console, at a time after the start of the force profile [s]."""
 
     time_s: float
     command: Command
 
 
 class ConsoleNode(Node):
-    """A console, at which a person gives commands at times that were fixed before."""
+    """A console that sends commands at fixed times, as a person would."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/event", "node/health")
     period_s = _CONSOLE_NS * 1e-9
@@ -63,19 +63,19 @@ class ConsoleNode(Node):
     def __init__(
         self, context: NodeContext, commands: Sequence[TimedCommand], elapsed_s: Callable[[], float | None]
     ) -> None:
-        """Prepare to give commands; `elapsed_s` returns the time since the force profile began, None before it."""
+        """Prepare to send commands; `elapsed_s` returns the time since the force profile started [s], None before."""
         super().__init__(context)
         self._waiting = sorted(commands, key=lambda timed: timed.time_s)
         self._elapsed_s = elapsed_s
-        # A command to a pattern waits for further answers, while the next ones are given.
+        # A command to a pattern waits for further answers while the next commands are sent.
         self._clients: list[CommandClient] = []
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _CONSOLE_NS)
-        # What became of each command that failed, in sentences.
+        # A sentence for each command that failed.
         self._failures: list[str] = []
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What became of each command that failed or whose time did not come, in sentences."""
+        """A sentence for each command that failed, or whose time did not come."""
         late = (
             f"{command.name} {command.target}: the session ended before {time_s:g} s"
             for time_s, command in self._waiting
@@ -105,7 +105,7 @@ class ConsoleNode(Node):
 
 
 class VirtualProcesses:
-    """The nodes of a rig in virtual time, as a supervisor starts and ends processes."""
+    """The nodes of a rig in virtual time, with the interface through which a supervisor manages processes."""
 
     def __init__(self, rig: "SimulatedRig", folder: Path) -> None:
         self._rig, self._folder = rig, folder
@@ -113,7 +113,7 @@ class VirtualProcesses:
         self._ready_ns = 0
 
     def start(self, node: str) -> int:
-        """Start a node, after those that are starting; it takes its first turn when it has started."""
+        """Start a node after those that are starting, and return 1; it takes its first turn when it has started."""
         rig = self._rig
         now_ns = rig.clock.monotonic_ns()
         try:
@@ -127,7 +127,7 @@ class VirtualProcesses:
         return 1
 
     def died(self, node: str, exit_code: int = EXIT_DIED) -> None:
-        """Record that a turn of a node has failed, or by a negative code that a signal has ended its process."""
+        """Record the end of a node by a failed turn, or, with a negative code, by a signal to its process."""
         self._ended[node] = exit_code
 
     def reap(self) -> dict[str, int]:
@@ -135,7 +135,7 @@ class VirtualProcesses:
         return ended
 
     def kill(self, node: str) -> None:
-        """Do nothing: no node hangs without the rig."""
+        """Do nothing: a hanging node would stop the rig itself."""
 
     def log_tail(self, node: str) -> str:
         return "\n".join(self._rig.log_of(node).lines)
@@ -144,7 +144,7 @@ class VirtualProcesses:
         return self._folder / "logs" / f"{node}.log"
 
     def stop(self, observer: StopObserver) -> None:
-        """Stop every node in order, each when the last messages of the one before have arrived; recorders last."""
+        """Stop the nodes in order, recorders last, each after the last messages of the one before have arrived."""
         rig = self._rig
         running = [node for node in STOP_ORDER if node in rig.loops]
         for node in (node for node in running if name_of(node) != name_of(RECORDER)):
@@ -162,14 +162,14 @@ class SimulatedRig(Engine):
 
     Args:
         plan: The checked rig; every node runs here.
-        seed: The seed of all delays on the sites and of how late a loop wakes up.
+        seed: The seed of all delays on the sites and of the lateness of loops.
         timing: Those delays.
         disk: The disk of the recorders.
-        commands: What a person commands at a console while the session runs.
-        far: Whether each site records what it sends by a recorder of its own.
+        commands: The commands of a person at a console while the session runs.
+        far: Whether each site has its own recorder for the messages that it sends.
 
     Raises:
-        ConfigError: A device of the scenario is a real one.
+        ConfigError: The scenario has a real device.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class SimulatedRig(Engine):
             disk=FolderDisk(plan.out, disk),
             counts_inputs=True,
         )
-        # What a person commands is part of what makes this session the one that it is.
+        # The commands are part of the metadata, because the session depends on them.
         given = [(time_s, one.name, one.target, str(dict(one.parameters))) for time_s, one in commands]
         self.facts["simulation"]["commands"] = json.dumps(sorted(given))
         self.plan = plan
@@ -209,7 +209,7 @@ class SimulatedRig(Engine):
             self.run_node(CONSOLE, self.console, console)
 
     def run(self, observe: Callable[[RigNode], None] = lambda node: None) -> Outcome:
-        """Run the session to its end; `observe` is called with the launcher at each of its ticks."""
+        """Run the session and return its outcome; `observe` is called with the launcher at each of its ticks."""
         self.plan.prepare_folder()
         self.launcher.observe = observe
         loop = self.loops[LAUNCHER]
@@ -217,7 +217,7 @@ class SimulatedRig(Engine):
             self.launcher.launch()
             self.advance(NEVER_NS)
         finally:
-            # The launcher takes no more turns, and stops the nodes, which do.
+            # The launcher takes no more turns, but stops the nodes, which still take theirs.
             self._due_of.pop(LAUNCHER, None)
             self.is_over = False
             loop.end()
@@ -226,11 +226,11 @@ class SimulatedRig(Engine):
 
     @property
     def failed_commands(self) -> tuple[str, ...]:
-        """Why commands that were to be given at the console failed, in sentences."""
+        """A sentence for each command at the console that failed, with the reason."""
         return () if self.console is None else self.console.failures
 
     def turn(self, key: str, loop: NodeLoop) -> None:
-        """Let a node take a turn; one whose turn fails is started again by the launcher, as a process is."""
+        """Run one turn of a node; if it fails, the launcher restarts the node, as it does a process."""
         try:
             loop.turn()
         except (Exception, SystemExit) as error:
@@ -244,18 +244,18 @@ class SimulatedRig(Engine):
             self.is_over = True
 
     def end(self, key: str) -> None:
-        """Let a node make its device safe and publish its last message, and take no more turns."""
+        """End a node, which makes its device safe, publishes its last message, and takes no more turns."""
         loop = self.loops[key]
         loop.node.context.request_stop()
         try:
             loop.end()
-        # The device of a package may fail here as well, and the other nodes are stopped all the same.
+        # The device of a package may fail here, but the other nodes must be stopped.
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self.log_of(key).error("".join(traceback.format_exception_only(error)).strip())
         self.leave(key)
 
     def let_pass(self, duration_ns: int) -> None:
-        """Let time pass for the nodes that still run."""
+        """Advance the time [ns] for the nodes that still run."""
         self.advance(self.clock.monotonic_ns() + duration_ns)
 
     def config_of(self, key: str, config: Any) -> Any:
@@ -269,7 +269,7 @@ class SimulatedRig(Engine):
 
 
 def _require_simulated(plan: Plan) -> None:
-    """Raise ConfigError for a scenario with a real device, whose time is not virtual."""
+    """Raise ConfigError if the scenario has a real device, which cannot run in virtual time."""
     haptic = plan.loaded.section("haptic_node", HapticConfig)
     afm = plan.loaded.section("afm_node", AfmConfig)
     for section, driver, simulated in (
@@ -284,7 +284,7 @@ def _require_simulated(plan: Plan) -> None:
 
 
 def absence_of(plan: Plan) -> str:
-    """Return in words that the operator of a plan is a person, who takes no part in virtual time; else empty."""
+    """Return a warning if the operator of a plan is a person, who cannot take part in virtual time; else empty."""
     haptic = plan.loaded.section("haptic_node", HapticConfig)
     if haptic.operator.kind != "interactive":
         return ""

@@ -1,9 +1,9 @@
-"""`telenano.simulate`: a session in lockstep, or one of the real nodes in virtual time, with its recording.
+"""The function `telenano.simulate`: a session in lockstep, or of real nodes in virtual time with a recording.
 
     soft = simulate("fig12", law="wave", round_trip_ms=40.0)
     recording = simulate("fig12", law="wave", round_trip_ms=40.0, recording="out/wave", seed=7)
 
-The first keeps the course alone; the second is a recording as `telenano up` leaves one.
+The first call returns only the series of the session; the second also makes a recording, as `telenano up` does.
 """
 
 import inspect
@@ -28,14 +28,14 @@ Result = TypeVar("Result")
 
 
 def _abouts(function: Callable[..., object]) -> dict[str, str]:
-    """Return the first line of what the docstring of a function says of each argument."""
+    """Return the first line on each argument in the docstring of a function."""
     text = inspect.cleandoc(function.__doc__ or "").replace("\n    ", "\n        ")
     names = inspect.signature(function).parameters
     return {name: about for name, about in re.findall(r"^ {8}(\w+): (.*)$", text, re.M) if name in names}
 
 
 def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Result]:
-    """Return a function that says of an argument that it has not which one is meant, as of any other wrong name."""
+    """Return the function with a TypeError that suggests the intended argument for an unknown one."""
     signature = inspect.signature(function)
 
     @wraps(function)
@@ -55,9 +55,9 @@ def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Re
 
 
 def _wrong_argument(name: str, value: object, abouts: Mapping[str, str]) -> str:
-    """Return what is meant by an argument that there is none of: another one, or a key of the scenario."""
+    """Return a message on an unknown argument, which suggests another argument or a key of the scenario."""
     text = f"has no argument {name!r}"
-    # The text of settings has a key as its example, which is no argument.
+    # The description of settings contains a key as an example, which is not an argument.
     if meant := named_by(name, {each: text for each, text in abouts.items() if each != "settings"}):
         return f"{text}; did you mean {' or '.join(meant)}? There are {', '.join(abouts)}"
     if near := probably_meant(name, abouts):
@@ -165,7 +165,7 @@ def simulate(
             duration_s=duration_s,
             settings=settings,
         )
-    # A session in lockstep needs neither these nor the system that they need.
+    # Imported here, because a session in lockstep needs neither these modules nor their requirements.
     from telenano.api import RecordedSession
     from telenano.launcher.run import report_of
     from telenano.virtual.request import SimulateRequest, plan_of, run_plan
@@ -196,7 +196,7 @@ simulate.__qualname__ = "telenano.simulate"
 
 
 def _flags(tree: Mapping[str, Any], stem: str = "") -> Iterator[str]:
-    """Yield settings as the dotted flags that a person would give."""
+    """Yield nested settings as dotted flags, as on a command line."""
     for key, value in tree.items():
         name = f"{stem}{key}"
         if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Delays of a rig in virtual time: each from a stream of random numbers of its own, which one seed begins."""
+"""Random delays of a rig in virtual time, each from its own stream of random numbers, all from one seed."""
 
 import random
 from collections.abc import Callable
@@ -10,11 +10,11 @@ Range = tuple[int, int]
 
 @dataclass(frozen=True)
 class Timing:
-    """Delays of the rig [ns], each drawn evenly from low <= delay < high, and shares of what happens now and then.
+    """Delays of the rig [ns], each drawn uniformly from low <= delay < high, and the share of stalls.
 
-    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites, None where
-    the link is a node of its own; start: from one node to the next; wake: lateness of a loop; recorder: until the
-    recorder receives a message. stall_share of the turns are 3 ms late on top.
+    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites, None if
+    the link is a node of its own; start: from the start of one node to that of the next; wake: lateness of a loop;
+    recorder: from sending a message to its reception by the recorder. A share stall_share of the turns are 3 ms later.
     """
 
     sending: Range = (0, 20_000)
@@ -30,21 +30,20 @@ RANDOM_TIMING = Timing()
 
 
 def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
-    """Return a timing without jitter, lateness, stalls and repetitions: one delay of the link and one on a site [ns].
+    """Return a timing without jitter, lateness and stalls: one constant delay of the link and one on a site [ns].
 
-    The rig then runs on the grid that the lockstep loop assumes. The delay on a site is more than zero, because it
-    orders what happens within a tick. The recorder gets every message as late as every other, and so in the order of
-    sending.
+    The rig then runs on the grid that the lockstep loop assumes. The delay on a site must be more than zero, because it
+    orders the events within a tick. The recorder receives all messages with the same delay, so in the order of sending.
     """
     site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
     return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0)
 
 
 class RandomStreams:
-    """Streams of random numbers by name, all of one seed.
+    """Streams of random numbers by name, all from one seed.
 
-    Each topic and each loop draws from its own, so that one message more, such as a part of a journal, moves no other.
-    The numbers are those of the bits of Python's generator, which are the same on every processor and version.
+    Each topic and each loop has its own stream, so that an additional message, such as a part of a journal, changes no
+    other delay. The numbers use the bits of Python's generator, which are the same on every processor and version.
     """
 
     def __init__(self, seed: int) -> None:
@@ -64,7 +63,7 @@ class RandomStreams:
         return self.draws(low_high, names)()
 
     def draws(self, low_high: Range, names: tuple[str, ...]) -> Callable[[], int]:
-        """Return what draws a delay [ns] from the stream of these names."""
+        """Return a function that draws a delay [ns] from the stream of these names, low <= delay < high."""
         low, high = low_high
         width = high - low
         if width == 1:

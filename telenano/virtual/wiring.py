@@ -1,4 +1,4 @@
-"""How a process is put together, in memory: what the builder of a node is given instead of sockets and keys."""
+"""Wiring of a process in memory: the builder of a node gets it instead of sockets and keys."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from telenano.wire.nodes import site_of
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualWiring(Wiring):
-    """The part of a node in a rig in memory, with the methods that a builder calls.
+    """The wiring of a node in a rig in memory, with the methods that a builder calls.
 
-    `given` is the context of a node that is built beside the running one; None builds the one that runs.
+    `given` is the context of a node that is built beside the running one; None builds the running one.
     """
 
     rig: World
@@ -36,14 +36,14 @@ class VirtualWiring(Wiring):
         newest_only: bool = False,
         shared: bool = False,
     ) -> list[Subscriber]:
-        """Return a reader for all that is connected to; what it reads comes by the bus."""
+        """Return one reader for the topics of all connections; the bus hands it the messages."""
         topics = {topic for topics in connections.values() for topic in topics}
         return [cast(Subscriber, HandedReader(self.clock, topics, newest_only=newest_only))]
 
     def observe(
         self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES, *, shared: bool = False
     ) -> dict[str, Subscriber]:
-        """Return a reader for each node at `sites`, for the topics that are `wanted` of it."""
+        """Return a reader for each node at `sites`, for its topics for which `wanted(topic, node)` is true."""
         topics_of = self.book.observed(self.network.machine, sites)
         plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
         return {node: cast(Subscriber, _Observer(self, topics, wanted, node)) for node, topics in plan.items()}
@@ -72,7 +72,7 @@ class VirtualWiring(Wiring):
 
 
 class _Observer(HandedReader):
-    """What a recorder receives from one publisher: also topics of packages that this process learns of later."""
+    """The reader of a recorder for one publisher, also for topics of packages that become known later."""
 
     def __init__(
         self, wiring: VirtualWiring, topics: Sequence[str], wanted: Callable[[str, str], bool], node: str
@@ -85,5 +85,5 @@ class _Observer(HandedReader):
 
 
 def network_of(key: str) -> Any:
-    """Return the network of a node in memory, which is on the machine of its site."""
+    """Return the network of node `key` in memory, on the machine of its site."""
     return NoNetwork(site_of(key))

@@ -1,4 +1,4 @@
-"""What a bus in memory asks of the rig that it belongs to."""
+"""The interface of a rig in memory to its buses."""
 
 from typing import Any, Protocol
 
@@ -13,8 +13,8 @@ class World(Protocol):
     Attributes:
         clock: The clock by which the nodes take their turns.
         timing: The delays on the sites.
-        streams: The random numbers that the delays are drawn from.
-        counts_inputs: Whether node/health has the inputs of a node.
+        streams: The random numbers from which the delays are drawn.
+        counts_inputs: Whether node/health contains the inputs of a node.
     """
 
     clock: VirtualClock
@@ -23,13 +23,13 @@ class World(Protocol):
     counts_inputs: bool
 
     def clock_of(self, key: str) -> Clock:
-        """Return the clock of a node, which its machine has."""
+        """Return the clock of a node's machine."""
 
     def endpoint(self, key: str) -> Any:
         """Return the endpoint of a publisher."""
 
     def carry(self, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
-        """Bring a message of its publisher, sent at a time on the clock of the rig [ns], to those who listen."""
+        """Deliver a message, sent at a time on the clock of the rig [ns], to its subscribers."""
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
-        """Bring bytes that left the link at an endpoint to those who listen there."""
+        """Deliver bytes that left the link at an endpoint to the subscribers there."""
