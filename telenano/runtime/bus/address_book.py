@@ -94,8 +94,8 @@ class AddressBook(Settings):
     """The address book of a rig.
 
     `{runtime}` in an ipc endpoint represents the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint
-    the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
-    republishes on its own socket at each site.
+    for the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
+    republishes on a socket of its own at each site.
     """
 
     machines: dict[MachineName, str] = Field(
