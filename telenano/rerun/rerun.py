@@ -51,12 +51,12 @@ _LATEST_JOIN_NS = 30_000_000_000
 class RerunResult(BaseModel):
     """The result of a re-run.
 
-    `compared` is the number of recorded outputs found equal, by topic, or topic@site for messages that a link forwarded
-    there; `first_seq` is the number of the first of each. `left_out` is the number of recorded outputs that were not
-    compared, because the recording lacks the journal, or an input from before the first or after the last compared
-    turn. `difference` describes the first difference, and is empty without one; `topic`, `seq`, `time_s` (since the
-    start of the recording) and `field` are its place. `ended_early` is the reason why the comparison ended before the
-    journal did; `packages` lists the packages of the node that are not as recorded.
+    `compared` is the number of recorded outputs found equal within the tolerances, by topic, or topic@site for messages
+    that a link forwarded there; `first_seq` is the number of the first of each. `left_out` is the number of recorded
+    outputs that were not compared, because the recording lacks the journal, or an input from before the first or after
+    the last compared turn. `difference` describes the first difference, and is empty without one; `topic`, `seq`,
+    `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the reason why the
+    comparison ended before the journal did; `packages` lists the packages of the node that are not as recorded.
     """
 
     node: str

@@ -21,8 +21,8 @@ from telenano.wire.sequence import Arrival, SequenceTracker
 # Beyond that the newest messages are lost, and the reader counts them. [s]
 QUEUE_S = 10
 RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
-# A reader with heartbeats can queue the messages of five minutes while its thread is blocked, such as by a compiler.
-# If its socket is full, libzmq reads no answer to its pings, drops the connection, and may abort the process when a
+# A reader with heartbeats can queue the messages of five minutes while its thread is blocked, such as by a compiler. If
+# its socket is full, libzmq reads no answer to its pings, drops the connection, and may abort the process when a
 # message is read (libzmq #3937).
 PINGING_HIGH_WATER_MARK = 30 * SEND_HIGH_WATER_MARK
 _PING_MS = 1000
@@ -196,7 +196,7 @@ class MessageReader:
 class Subscriber(MessageReader):
     """SUB connections of a node: a `MessageReader` with its own socket."""
 
-    # A subscriber is never due by itself: it gives only what has arrived.
+    # A subscriber is never due by itself: it returns only messages that have arrived.
     due_ns = NEVER_NS
 
     def __init__(

@@ -36,7 +36,7 @@ BEACON = "node/health"
 _LOOK_NS = 400_000_000
 # A publisher that was not heard at this number of checks in a row gets a probe.
 _SILENT_LOOKS = 2
-# Checks between a reconnection that did not help and the next one; the number doubles each time, up to the second.
+# Number of checks between a reconnection that did not help and the next one: at first, and, as it doubles, at most.
 _FIRST_PAUSE, _LONGEST_PAUSE = 2, 128
 # A change of a folder counts as new for this number of checks, because a further one may have the same time stamp.
 _FRESH_LOOKS = 2
@@ -66,8 +66,8 @@ class _Ear:
     """The connection of a reader to one publisher.
 
     `heard` is the number of messages received by it, and `heard_ns` the time when a check last found new ones [ns].
-    `there` identifies the socket at the endpoint at the last check that found none; `probe` is the second connection.
-    `wait` is the number of checks to skip before the next reconnection, and `pause` that after the next one.
+    `there` identifies the socket at the endpoint at the last check without new messages; `probe` is the second
+    connection. `wait` is the number of checks to skip before the next reconnection, and `pause` that after it.
     """
 
     node: str

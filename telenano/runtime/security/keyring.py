@@ -210,7 +210,7 @@ class Keyring:
         return _certificate("secret", name, pair) + f'    secret-key = "{pair.secret.decode()}"\n'.encode()
 
     def misplaced(self, name: str) -> str:
-        """Return the reason why the secret in a machine's file belongs to another machine; empty if none is found."""
+        """Return the reason why the secret in a machine's file does not fit its name; empty if none is found."""
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
         own = self.own(name).public
         named = _NAMED.search(read_secret(path))
