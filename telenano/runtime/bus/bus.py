@@ -17,8 +17,8 @@ from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker
 
-# The publisher queues ten seconds of messages for a reader, and a running reader that is behind queues as many again.
-# Beyond that the newest messages are lost, and the reader counts them. [s]
+# Time of messages that a publisher queues for a reader [s]; a running reader that is behind queues as many again.
+# Beyond that the newest messages are lost, and the reader counts them.
 QUEUE_S = 10
 RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
 # A reader with heartbeats can queue the messages of five minutes while its thread is blocked, such as by a compiler. If
@@ -26,7 +26,7 @@ RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
 # message is read (libzmq #3937).
 PINGING_HIGH_WATER_MARK = 30 * SEND_HIGH_WATER_MARK
 _PING_MS = 1000
-# A larger frame is not even read into memory: libzmq drops the connection that sent it. [bytes]
+# Largest frame [bytes]; a larger one is not even read into memory: libzmq drops the connection that sent it.
 LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # A node checks its deadline again after this many messages, so that a flood cannot block a loop.

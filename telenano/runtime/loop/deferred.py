@@ -96,7 +96,7 @@ class DeferredTasks:
         """Add a task; a task that already waits keeps its place.
 
         Args:
-            task: The callable; the same object each time, because it identifies the task.
+            task: The callable, equal each time, because it identifies the task.
             is_turn: Whether the outputs of the node depend on the task.
             within_ns: Time after which the task is run even without an idle gap [ns]; NEVER_NS: only in a gap.
         """

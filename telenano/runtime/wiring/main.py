@@ -218,7 +218,7 @@ def exit_code_of(run: Callable[[], None], log: StructuredLog) -> int:
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is stopped; return its exit code, see `exit_code_of`."""
+    """Run a node until it is stopped; return its exit code, 2 if it could not start (see `exit_code_of`)."""
     arguments_read = parse_arguments(kind.name, kind.sites, arguments)
     log = StructuredLog(f"{kind.name}@{arguments_read.site}")
     return exit_code_of(lambda: _run(kind, arguments_read, log), log)
