@@ -1,1 +1,1 @@
-"""The nodes of a site in one process, where a scenario gives `realtime.processes: site`."""
+"""The service that runs the nodes of a site in one process, for scenarios with `realtime.processes: site`."""

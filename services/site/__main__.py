@@ -3,7 +3,7 @@
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # The imports make no garbage, and the collector would take an eighth of their time to look for it.
     gc.disable()
 
 import sys

@@ -1,1 +1,1 @@
-"""The re-run of a node from the journal of its inputs, bit by bit."""
+"""The re-run of a node from the journal of its inputs, with a bit-by-bit comparison of its outputs."""

@@ -1,9 +1,9 @@
-"""`telenano bag rerun`: a node run once more on the inputs of its journal, its outputs compared.
+"""`telenano bag rerun`: run a node again on the inputs of its journal, and compare its outputs with the recorded ones.
 
-A node writes down in which order it took its messages and deadlines, and what state it was in (`node/journal`,
-ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one. The keys that were
-recorded are compared: an optional key that a node has learned to say since leaves older recordings equal. What the link
-sends on beside that is compared with what came out of it at either site (ADR 0012).
+A node records the order in which it handled messages and deadlines, and its state (`node/journal`, ADR 0012). The
+re-run builds the node, restores that state, and repeats the turns one by one. Only recorded keys are compared: older
+recordings stay equal although newer versions of a node may send further optional keys. Messages that the link forwards
+are also compared with those that left it at either site (ADR 0012).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,21 +41,22 @@ from telenano.wire.nodes import NODES, RERUN_NODES, is_console, name_of, no_reru
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
-# the first parts of a journal may name inputs from before the recording began; later ones have to be complete
+# Longest time at the begin of a journal in which inputs may be missing, because the recording began after them; later
+# parts have to be complete.
 _LATEST_START_NS = 1_500_000_000
-# publishers start one after the other, and the recorder may be connected to each a moment after the node
+# Longest time in which the recorder may connect to a publisher later than the node; publishers start one by one.
 _LATEST_JOIN_NS = 30_000_000_000
 
 
 class RerunResult(BaseModel):
-    """What came of a re-run.
+    """The result of a re-run.
 
-    `compared` counts recorded outputs met, by topic, with `@site` for what a link sent on there; `first_seq` is the
-    number of the first of them. `left_out` counts
-    recorded outputs that were not compared, because the journal or an input from before the first or after the last
-    compared turn is not in the recording. `difference` describes the first difference, and is empty when there is
-    none; `topic`, `seq`, `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the
-    reason why the comparison ended before the journal did; `packages` says which of other packages is not as recorded.
+    `compared` is the number of recorded outputs found equal within the tolerances, by topic, or topic@site for messages
+    that a link forwarded there; `first_seq` is the number of the first of each. `left_out` is the number of recorded
+    outputs that were not compared, because the recording lacks the journal, or an input from before the first or after
+    the last compared turn. `difference` describes the first difference, and is empty without one; `topic`, `seq`,
+    `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the reason why the
+    comparison ended before the journal did; `packages` lists the packages of the node that are not as recorded.
     """
 
     node: str
@@ -93,18 +94,18 @@ def rerun(
     """Run a node on its recorded inputs and compare its outputs with the recorded ones.
 
     Args:
-        recording: The recording that has the inputs.
+        recording: The recording with the inputs and outputs.
         key: The node, as node@site.
         tolerances: The tolerances by field; None compares exactly.
-        settings: Settings over the recorded scenario, as `section.key=value`.
+        settings: Settings that replace those of the recorded scenario, as `section.key=value`.
         take: Called with the topic and the message of each output that was compared.
 
     Raises:
-        ConfigError: The node is not one that can be re-run, or the scenario is wrong.
+        ConfigError: The node cannot be re-run, or the scenario is invalid.
         RecordingError: The recording lacks the scenario, the journal or the inputs of the node.
     """
     if reason := no_rerun_reason(key):
-        # a node of the table was meant, and no other of a similar name
+        # For a known node, similar names are not suggested, because it was not misspelt.
         is_known = is_console(key) or key in {row.key for row in NODES}
         names = f"those that can are {', '.join(RERUN_NODES)}" if is_known else known_names(key, RERUN_NODES)
         raise ConfigError(f"node {key}: cannot be run again: {reason}; {names}")
@@ -151,7 +152,7 @@ def rerun(
 
 
 def _journal(recording: Recording, key: str) -> tuple[list[NodeJournal], list[bytes]]:
-    """Return the batches of a node's journal, and the state that each begins with, put together of its messages."""
+    """Return the batches of a node's journal, and the state at the begin of each, joined from its messages."""
     batches: list[NodeJournal] = []
     pieces: list[list[bytes]] = []
     for batch in recording.messages([JOURNAL]):
@@ -166,25 +167,28 @@ def _journal(recording: Recording, key: str) -> tuple[list[NodeJournal], list[by
 
 
 def _packages(recording: Recording, key: str) -> list[str]:
-    """Return what is not as recorded of the packages that a node used; ConfigError where one is not installed."""
+    """Return the differences of the node's packages from the recorded ones; raise ConfigError if one is missing."""
     document = parse_yaml(recording.attachments.get("scenario.yaml", b"{}"), f"scenario.yaml in {recording.path}")
     section = name_of(key)
     return differences(recorded_plugins(recording, {section: document.get(section, {})}))
 
 
 class _EndError(Exception):
-    """The recording lacks what would be needed to continue; the text names it."""
+    """The re-run cannot continue with this recording; the text has the reason, such as a missing input."""
 
 
 def _begin(recorded: RecordedNode, batches: Sequence[NodeJournal], states: Sequence[bytes]) -> int:
-    """Return the batch that a re-run begins with: the first with a whole state and all inputs.
+    """Return the index of the batch with which a re-run begins: the first one with a whole state and all inputs.
 
-    While the rig starts, inputs from before the recorder was connected to their publisher may be missing, and others in
-    a batch or two after the last of those. Raises RecordingError when no such batch is whole.
+    While the rig starts, inputs from before the recorder connected to their publisher may be missing, and others in one
+    or two batches after the last of those.
+
+    Raises:
+        RecordingError: None of the early batches is complete.
     """
     starting = [batch for batch in batches if start_ns(batch) - start_ns(batches[0]) <= _LATEST_JOIN_NS]
     first = 1 + max((place for place, batch in enumerate(starting) if recorded.is_early(batch)), default=-1)
-    # a large state is captured every few seconds
+    # Not every batch has a state, because a large state is captured only every few seconds.
     begins = [place for place in range(first, len(batches)) if is_whole(states[place])]
     for place in begins:
         if start_ns(batches[place]) - start_ns(batches[begins[0]]) > _LATEST_START_NS:
@@ -210,7 +214,7 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: RecordedNode)
     if turn.kind == DEADLINE:
         node.on_deadline(clock.monotonic_ns())
     elif turn.kind == DEFERRED:
-        # Tasks run in the order in which the node adds them, and none waits where a batch begins.
+        # Tasks run in the order in which the node adds them, and no task waits at the begin of a batch.
         if (task := node.context.deferred.take_turn()) is not None:
             task()
     else:
@@ -251,7 +255,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         book=AddressBook(nodes={}),
         site_file=Path(),
         period_s=loaded.scenario.period_s,
-        # Traces of the link with relative names are sought beside this file.
+        # Traces of the link with relative names are searched for in the folder of this file.
         scenario_file=Path(recording.metadata.get("recording", {}).get("scenario_file", "")),
         clock=clock,
         log=_NoLog(key),
@@ -264,7 +268,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
 
 
 class _NoLog(StructuredLog):
-    """What the node wrote to its log then is of no interest now."""
+    """A log that drops everything, because the node has already logged it in the session."""
 
     def write(self, level: str, text: str, **facts: Any) -> None:
         """Write nothing."""
@@ -272,7 +276,7 @@ class _NoLog(StructuredLog):
 
 @dataclass(frozen=True)
 class _RerunWiring(Wiring):
-    """Wiring without sockets: a node that asks for a bus gets the one of the re-run."""
+    """Wiring without sockets: every bus that a node requests is that of the re-run."""
 
     rerun_bus: RerunBus
 
@@ -292,19 +296,19 @@ class _RerunWiring(Wiring):
         newest_only: bool = False,
         shared: bool = False,
     ) -> list[Subscriber]:
-        """Return none: the re-run hands the messages over itself."""
+        """Return no subscribers, because the re-run passes the messages to the node itself."""
         return []
 
     def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:
-        """Return none, as for all inputs."""
+        """Return no transport, because the re-run passes the messages to the node itself."""
         return LinkEnds()
 
     def estop_inlet(self) -> list[Subscriber]:
-        """Return none, as for all inputs."""
+        """Return no inlet, because stops are among the recorded inputs."""
         return []
 
     def kept_stop(self) -> Path | None:
-        """Return none: a stop that the node found is among the recorded inputs."""
+        """Return no file, because a stop that the node found there is among the recorded inputs."""
         return None
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:

@@ -1,4 +1,4 @@
-"""A bus that compares what a node publishes in a re-run with what is recorded of it."""
+"""A bus that compares the messages that a node publishes in a re-run with its recorded ones."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -20,7 +20,7 @@ from telenano.wire.topics import output_name
 
 
 class DifferenceError(Exception):
-    """The node publishes something else than what is recorded."""
+    """A message of the re-run differs from the recorded one; `facts` are fields of `RerunResult`."""
 
     def __init__(self, **facts: Any) -> None:
         super().__init__(facts["difference"])
@@ -28,7 +28,7 @@ class DifferenceError(Exception):
 
 
 class RerunBus:
-    """A bus that compares what a node publishes with the recorded message of the same number."""
+    """A bus that compares each message that a node publishes with the recorded one of the same number."""
 
     def __init__(
         self,
@@ -49,11 +49,14 @@ class RerunBus:
         self._take = take
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Compare a message of the node."""
+        """Compare a message of the node with the recorded one; raise DifferenceError if it differs."""
         return self.publish_as(self._key, topic, fields)
 
     def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
-        """Compare a message of one of the node's endpoints; its `t_ns`, the time of sending, is the recorded one."""
+        """Compare a message of one of the node's endpoints; raise DifferenceError if it differs.
+
+        Its time of sending, `t_ns`, is copied from the recorded message, and so not compared.
+        """
         name = output_name(topic, src)
         seq = self.numbers.get(name, 0)
         self.numbers[name] = seq + 1
@@ -69,12 +72,12 @@ class RerunBus:
         return message
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
-        """Keep a message that was sent on, for the comparison at the end."""
+        """Keep a forwarded message for the comparison at the end."""
         self.numbers[endpoint] = self.numbers.get(endpoint, 0) + 1
         self._forwarded.setdefault(endpoint, []).append(ForwardedMessage(topic, payload, self._clock.time_ns))
 
     def compare_forwarded(self) -> dict[str, Any]:
-        """Compare what was sent on, in its order; return the facts of the first difference."""
+        """Compare the forwarded messages in their order; return the facts of the first difference, {} without one."""
         for endpoint, sent in self._forwarded.items():
             differences = compare_forwarded(sent, self._recorded.forwarded.get(endpoint, ()))
             for topic, count in differences.compared.items():
@@ -89,14 +92,14 @@ class RerunBus:
         return {}
 
     def receive(self) -> Iterator[Received]:
-        """Return nothing: the re-run hands the messages over itself."""
+        """Return no messages, because the re-run passes them to the node itself."""
         return iter(())
 
     def wait(self, deadline_ns: int) -> None:
-        """Do not wait."""
+        """Return at once, because the re-run sets the time."""
 
     def check_counts(self, batch: NodeJournal) -> None:
-        """Raise the difference when the node has sent more or fewer messages than before this batch it had."""
+        """Raise DifferenceError if the node has not sent as many messages as its journal counts before this batch."""
         for topic in {*self.numbers, *batch.outputs} - set(NOT_COMPARED):
             sent, expected = self.numbers.get(topic, 0), batch.outputs.get(topic, 0)
             if sent != expected:
@@ -119,27 +122,27 @@ class RerunBus:
 
 
 class RerunOutlet:
-    """A further endpoint of a node, where it publishes and sends on what others published."""
+    """A further endpoint of a node, at which it publishes and forwards messages of others."""
 
     def __init__(self, bus: RerunBus, endpoint: str) -> None:
         self.node = endpoint
         self._bus = bus
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Compare a message of the endpoint."""
+        """Compare a message of the endpoint, see `RerunBus.publish_as`."""
         return self._bus.publish_as(self.node, topic, fields)
 
     def send(self, topic: str, payload: bytes) -> None:
-        """Keep what is sent on for the comparison."""
+        """Keep a forwarded message for the comparison."""
         self._bus.forward(self.node, topic, payload)
 
     def sequence_numbers(self) -> dict[str, int]:
-        """Return nothing: the numbers are those of the bus of the re-run."""
+        """Return no numbers, because the bus of the re-run counts them."""
         return {}
 
 
 def _keys_added_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
-    """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
+    """Return the keys that may differ from an older recording: optional keys that it lacks, and a higher version."""
     optional = [field.name for field in msgspec.structs.fields(type(message)) if not field.required]
     since = {key for key in optional if kept[key] is None}
     return since | {"v"} if message.v > kept["v"] else since

@@ -1,4 +1,4 @@
-"""What a recording has of one node: its journal turn by turn, its inputs, and its outputs by number."""
+"""The data of one node in a recording: its journal turn by turn, its inputs, and its outputs by number."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
@@ -13,12 +13,12 @@ from telenano.wire.nodes import LINK, endpoints_of, name_of, site_of
 from telenano.wire.topics import output_name
 
 JOURNAL = "node/journal"
-# the loop around the node publishes on these too, with the same numbering: they are not compared
+# Topics that are not compared, because the loop around the node also publishes on them, with the same numbering.
 NOT_COMPARED = (JOURNAL, "node/health", "session/event", "link/key", "link/network")
 
 
 class Turn(NamedTuple):
-    """A line of the journal: topic and source are empty and seq is -1 for a deadline or a deferred task."""
+    """A row of the journal; for a deadline or a deferred task, topic and source are empty and seq is -1."""
 
     kind: int
     time_ns: int
@@ -34,16 +34,16 @@ class RecordedNode:
         self.path, self.key = recording.path, key
         self.start_ns = recording.span_ns[0]
         self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
-        # The messages that were forwarded, by endpoint.
+        # The forwarded messages by endpoint.
         self.forwarded: dict[str, list[ForwardedMessage]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
-        # when the recorder first received from a source
+        # Time at which the recorder first received from a topic and source [ns].
         self._first_received_ns: dict[tuple[str, str], int] = {}
         sources = {(source.topic, source.src) for batch in batches for source in batch.inputs}
         endpoints, is_link = endpoints_of(key), name_of(key) == LINK
 
         def is_input(channel: RecordedChannel) -> bool:
-            # the link is connected to the publishers of both sites
+            # The link is connected to the publishers of both sites.
             received = channel.via == "direct" if is_link else channel.site == site_of(key)
             return received and (channel.topic, channel.src) in sources
 
@@ -70,7 +70,7 @@ class RecordedNode:
     def _add_forwarded(self, message: RecordedMessage) -> None:
         endpoint, topic, payload = f"{LINK}@{message.site}", message.topic, message.payload
         if topic == REJECTED_TOPIC:
-            # Flipped bits have left this message without a header.
+            # Flipped bits have destroyed the header of this message.
             rejected = cast(RejectedRecord, message.decode())
             if name_of(rejected.publisher) != LINK or len(rejected.frames) != 2:
                 return
@@ -79,31 +79,34 @@ class RecordedNode:
         self.forwarded.setdefault(endpoint, []).append(ForwardedMessage(topic, payload, message.log_ns))
 
     def input(self, turn: Turn) -> RecordedMessage | None:
-        """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
+        """Return the message of a turn, None if it is not recorded.
+
+        Of several with the same number, from before and after a restart, it is the nearest in time.
+        """
         inputs = self._inputs.get((turn.topic, turn.src, turn.seq), ())
         if len(inputs) == 1:
             return inputs[0]
         return min(inputs, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
 
     def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
-        """Return the bytes of an input, zeros when it is not in the recording."""
+        """Return the bytes of an input; `size_bytes` zeros if it is not in the recording."""
         message = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
         return bytes(size_bytes) if message is None else message.payload
 
     def output(self, name: str, seq: int, time_ns: int) -> RecordedMessage | None:
-        """Return what the node published under a name and number."""
+        """Return the recorded output with a name and number; of several the nearest in time, None if there is none."""
         outputs = self.outputs.get((name, seq), ())
         if len(outputs) == 1:
             return outputs[0]
         return min(outputs, key=lambda message: abs(message.publish_ns - time_ns), default=None)
 
     def missing(self, batch: NodeJournal) -> str:
-        """Name the first input of a batch that is not there; empty when all are."""
+        """Return the first missing input of a batch as text; empty if all are recorded."""
         missing_part = next(self._missing(batch), None)
         return "" if missing_part is None else f"{missing_part.topic}, seq {missing_part.seq} of {missing_part.src}"
 
     def is_early(self, batch: NodeJournal) -> bool:
-        """Return whether a batch has an input from before the recorder was connected to its publisher."""
+        """Return whether a batch lacks an input from before the recorder was connected to its publisher."""
         missing = ((turn.time_ns, self._first_received_ns.get((turn.topic, turn.src))) for turn in self._missing(batch))
         return any(first_ns is not None and time_ns < first_ns for time_ns, first_ns in missing)
 

@@ -1,4 +1,4 @@
-"""What every process shares: bus, clock, loop, health, configuration."""
+"""The runtime that all processes share: bus, loop, security, and the way from a command line to a running node."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
-"""A node that holds messages between two places as the link between the sites does, and reports what it did to each.
+"""A node that delays, drops or alters messages between two endpoints, and reports the fate of each.
 
-`services/delay_node` forwards the messages of a rig with it, and `telenano link udp` the bytes of other programs: what
-shows, changes or records a link does so with either.
+`services/delay_node` uses it to forward the messages of a rig, and `telenano link udp` the bytes of other programs, so
+that displays, settings and recordings of a link work with both.
 """
 
 from abc import abstractmethod
@@ -26,29 +26,29 @@ from telenano.wire.nodes import LINK
 from telenano.wire.received import Received
 
 STATUS_PERIOD_NS = 100_000_000
-# seconds of exchanges of time stamps in view, one a report
+# Number of exchanges of time stamps in the filter of the clock offset, one per report.
 _CLOCK_WINDOW = 64
-# This number of rows of ground truth make a message worth sending.
+# A report of fates is sent when this number of rows is ready.
 FATES_AT_ONCE = 32
-# This number of rows fit into a message, with a margin.
+# Most rows in a message, with a margin to its limit.
 _MOST_FATES = 1000
 
 
 class SiteEndpoint(Protocol):
-    """The endpoint at a site: sends bytes as they are."""
+    """The endpoint of the link at a site, which also sends bytes unchanged."""
 
     def send(self, topic: str, payload: bytes) -> None:
-        """Send a message with the header of its first publisher."""
+        """Send a message with the header of its original publisher."""
 
     def publish(self, topic: str, **fields: object) -> Message:
-        """Send a message of the link's own."""
+        """Send a message of the link itself."""
 
     def sequence_numbers(self) -> dict[str, int]:
         """Return the seq of the link's next message on each topic."""
 
 
 class DirectionPath(NamedTuple):
-    """A direction of the link."""
+    """A direction of the link: its engine, and the name and object of the endpoint that it sends to."""
 
     name: Direction
     engine: DirectionEngine
@@ -57,25 +57,25 @@ class DirectionPath(NamedTuple):
 
 
 class LinkMemory(Protocol):
-    """What every link keeps for its reports: when the next is due [ns], and how many messages it has to tell of."""
+    """The state that every link keeps for its reports: time of the next one [ns], and number of unreported messages."""
 
     status_ns: int
     unreported: int
 
 
 class Reports(msgspec.Struct):
-    """The memory of a link that keeps nothing else."""
+    """The memory of a link that has no other state."""
 
     status_ns: int
     unreported: int = 0
 
 
 class ImpairedLink(Node):
-    """Holds messages of both directions until the engine releases them, and reports on link/status and link/fates."""
+    """Holds messages of both directions until the engine releases them; reports on link/status and link/fates."""
 
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
-    # After this the tick is at the master's side.
+    # After this message the tick is at the master's side.
     idle_after = "teleop/backward"
     acts_on_health = True
     period_s = 0.0
@@ -88,36 +88,36 @@ class ImpairedLink(Node):
         to_master: SiteEndpoint,
         folder: Path,
     ) -> None:
-        """Start with the settings; the files that they name are sought in `folder`.
+        """Start with the settings.
 
         Args:
             context: The context of the node.
             settings: The settings of the link.
-            to_slave: The end at the slave's site.
-            to_master: The end at the master's site.
-            folder: The folder in which the files of the settings are sought.
+            to_slave: The endpoint at the slave's site.
+            to_master: The endpoint at the master's site.
+            folder: The folder of the files that the settings name.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
-        # The settings that were named last, and what they were named; a restored link has others than it began with.
+        # The settings whose network name was determined last, and this name; restoring a link changes its settings.
         self._named = settings, settings.network_name
         self.forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
         self.backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self.directions = (self.forward, self.backward)
         self.offset = OffsetFilter(_CLOCK_WINDOW)
         self.memory: LinkMemory = Reports(self.clock.monotonic_ns() + STATUS_PERIOD_NS)
-        # These tasks report what happened to the messages of each direction.
+        # The tasks that report the fates of the messages, one per direction.
         self.fate_tasks: tuple[Task, ...] = tuple(partial(self.publish_fates, way) for way in self.directions)
-        # The report has the state of the link as well.
+        # A full report includes the state of the link.
         self.report_tasks: tuple[Task, ...] = (*self.fate_tasks, self.publish_status)
         self.state = "running"
 
     @abstractmethod
     def send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
-        """Send on in a direction what the engine has released."""
+        """Send the messages that the engine has released in a direction."""
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
@@ -125,7 +125,7 @@ class ImpairedLink(Node):
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
-        """Note the start of a session, which the schedules of the settings are counted from."""
+        """Record the start of a session, which is the zero time of the schedules in the settings."""
         self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
         message = received.message
         if type(message) is SessionControl and message.command == "start":
@@ -137,23 +137,22 @@ class ImpairedLink(Node):
         self.report_if_due(now_ns)
 
     def send_due(self, now_ns: int) -> None:
-        """Send on what is due in both directions."""
+        """Send the messages that are due in both directions."""
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way in self.directions:
             self.send(way, way.engine.due(epoch_ns))
 
     def report_if_due(self, now_ns: int) -> None:
-        """Have the next idle gap publish the reports, ten times a second."""
+        """Defer the reports to the next idle gap if they are due, ten times a second."""
         if now_ns >= self.memory.status_ns:
             self.memory.status_ns = deadline_after(self.memory.status_ns, now_ns, STATUS_PERIOD_NS)
             for task in self.report_tasks:
                 self.defer(task)
 
     def count_unreported(self, *, may_report: bool = True) -> None:
-        """Count a message whose fate is to be reported.
+        """Count a message whose fate has to be reported, and defer a report when FATES_AT_ONCE are ready.
 
-        Many of them are reported at once, because small reports hold up the next message for less than one of a tenth
-        of a second would.
+        Reports of this size delay the next message for less time than one report for a tenth of a second would.
 
         Args:
             may_report: Whether an idle gap of the loop comes next.
@@ -165,7 +164,7 @@ class ImpairedLink(Node):
                 self.defer(task)
 
     def on_control(self, control: SessionControl) -> str:
-        """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
+        """Change the settings for messages that arrive from now on; messages in flight keep their fate."""
         if control.command != "set":
             return super().on_control(control)
         if not control.parameters:
@@ -179,21 +178,21 @@ class ImpairedLink(Node):
         return text
 
     def make_safe(self) -> None:
-        """Do nothing: a link that stands still makes the devices safe by its silence."""
+        """Do nothing: the silence of a stopped link makes the devices safe."""
 
     def publish_fates(self, way: DirectionPath) -> None:
-        """Publish what became of the messages of a direction since the last report."""
+        """Publish the fates of the messages of a direction since the last report."""
         self.memory.unreported = 0
         fates = tuple(_link_fate(fate) for fate in self.take_fates(way))
         for first in range(0, len(fates), _MOST_FATES):
             self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
 
     def take_fates(self, way: DirectionPath) -> list[Fate]:
-        """Return the fates of a direction that are not reported yet."""
+        """Return the unreported fates of a direction, and forget them."""
         return way.engine.take_fates()
 
     def publish_status(self) -> None:
-        """Publish the settings in force and the counts of both directions."""
+        """Publish the current settings and the counts of both directions."""
         if self._named[0] is not self.engine.settings:
             self._named = self.engine.settings, self.engine.settings.network_name
         settings, network = self.engine.settings.flattened(only_set=True), self._named[1]
@@ -205,7 +204,7 @@ class ImpairedLink(Node):
         )
 
     def clock_status(self) -> dict[str, object]:
-        """Return the keys of link/status that tell of the clocks of the sites."""
+        """Return the fields of link/status on the clocks of the sites."""
         return {"clock": self.offset.report(of_line=False)}
 
 

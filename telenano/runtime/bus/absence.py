@@ -1,4 +1,4 @@
-"""What to say where no rig is found: where it was looked for, what else runs, and what cannot be seen from here."""
+"""The message for a user when no rig is found: the folders searched, other rigs that run, and what cannot be seen."""
 
 import shlex
 from collections.abc import Iterable
@@ -20,12 +20,12 @@ RIG_HINT = "is `telenano up` running with this site file?"
 
 
 def absence_text(seen: Look, paths: Iterable[Path], command: str = "") -> str:
-    """Return why no rig was found, for a sentence that begins with what was not found.
+    """Return the reasons why no rig was found, to continue a sentence that says so.
 
     Args:
         seen: The processes of this user that hold endpoints.
-        paths: Where the sockets of the rig would be.
-        command: The command that is to reach a rig in another folder; empty for any.
+        paths: The expected paths of the rig's sockets.
+        command: The command for which a rig in another folder is suggested; empty for any.
     """
     folders = ", ".join(sorted({str(path.parent) for path in paths})) or runtime_directory()
     texts = [f"no socket in {folders} answers, and no process of this user holds one"]
@@ -39,7 +39,7 @@ def absence_text(seen: Look, paths: Iterable[Path], command: str = "") -> str:
 
 
 def _elsewhere(seen: Look) -> dict[str, int]:
-    """Return a process of each rig whose folder is another one than that of this process, by the folder."""
+    """Return one process of each rig whose folder differs from that of this process, by folder."""
     found: dict[tuple[int, str], tuple[str, int]] = {}
     for holder in seen.holders:
         base, _ = base_and_rig(holder.folder)

@@ -1,4 +1,4 @@
-"""The site file: the endpoint of each node, and which nodes publish a topic for a reader at a given site."""
+"""The site file: the endpoints of the nodes, and the publishers of a topic that a reader at a site can reach."""
 
 import contextlib
 import ipaddress
@@ -26,13 +26,13 @@ from telenano.wire.messages import SOURCE_PATTERN
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.topics import TOPICS, Topic
 
-# the machine that the link runs on, with its endpoints for both sites
+# The machine on which the link runs, with its endpoints for both sites.
 LINK_MACHINE = "master"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
 HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
-# With a relay, nodes of other machines are reached at addresses of this machine that begin so, one for each machine.
+# With a relay, nodes of other machines are reached at local addresses with this prefix, one address per machine.
 _RELAYED = "127.77.0."
-# Nodes bind another address, so that both sites can be tried on one machine.
+# With a relay, nodes bind this other address, so that both sites can be tried on one machine.
 _RELAYED_BIND = "127.0.0.1"
 RELAY_VARIABLE = "TELENANO_RELAY"
 MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
@@ -77,12 +77,12 @@ class LinkSection(Settings):
     )
 
     def read(self, model: type[M]) -> M:
-        """Return the section as the model of a transport; ConfigError names the key at fault."""
+        """Return the section as the model of a transport; raise ConfigError, which names an invalid key."""
         return validate(model, {"transport": self.transport, **(self.model_extra or {})}, "site file", "link")
 
 
 def _as_entry(value: object) -> object:
-    """Return an entry in full, also where it is given as its only endpoint."""
+    """Return an entry as a mapping, even if the file has only one endpoint as text; ValueError for other text."""
     if isinstance(value, str):
         if not value.startswith(("ipc://", "tcp://")):
             raise ValueError(_NO_ENDPOINT)
@@ -155,7 +155,7 @@ class AddressBook(Settings):
         return self.spans_machines and not self.insecure
 
     def machine_of(self, node: str) -> str:
-        """Return the machine that a node runs on; both endpoints of the link are on one."""
+        """Return the machine on which a node runs; both endpoints of the link are on the same machine by default."""
         named = self._entry(node).machine
         if named is not None:
             return named
@@ -167,18 +167,22 @@ class AddressBook(Settings):
         return None if local is None else local_endpoint(local)
 
     def estop_endpoint(self, node: str) -> str | None:
-        """Return where a node takes emergency stops; None without an ipc endpoint, or with one that is too long."""
+        """Return the endpoint for emergency stops of a node; None if it has no ipc endpoint or the path is too long."""
         local = self.local_endpoint(node)
         endpoint = "" if local is None else estop_endpoint(local)
         return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= LONGEST_IPC_PATH else None
 
     def kept_stop(self, node: str) -> Path | None:
-        """Return the file that keeps an emergency stop for a node; None where it takes none at an inlet."""
+        """Return the file that keeps an emergency stop for a node; None if the node has no endpoint for such stops."""
         local = self.local_endpoint(node)
         return None if local is None or self.estop_endpoint(node) is None else kept_stop_path(local)
 
     def network_endpoint(self, node: str) -> str | None:
-        """Return the tcp endpoint at which other machines reach a node, None if it has none."""
+        """Return the tcp endpoint at which other machines reach a node, None if it has none.
+
+        Raises:
+            ValueError: The endpoint names a machine that is not in `machines`.
+        """
         network = self._entry(node).network
         if network is None:
             return None
@@ -195,7 +199,7 @@ class AddressBook(Settings):
         return _PLACEHOLDER.sub(lambda found: hosts[found.group(1)], network)
 
     def bind_endpoint(self, node: str) -> str | None:
-        """Return the tcp endpoint that a node itself binds; EndpointError when a host name cannot be resolved here."""
+        """Return the tcp endpoint that a node itself binds; raise EndpointError if its host name cannot be resolved."""
         endpoint = self.network_endpoint(node)
         match = _TCP.fullmatch(endpoint or "")
         if endpoint is None or match is None:
@@ -206,11 +210,11 @@ class AddressBook(Settings):
         return f"tcp://{named or _numeric(node, match.group(1))}:{match.group(2)}"
 
     def endpoint(self, node: str, reader: str | None = None) -> str:
-        """Return the endpoint at which a reader reaches `node`; KeyError names the nodes that the book has.
+        """Return the endpoint at which a reader reaches `node`; raise KeyError, which lists the nodes, if unknown.
 
         Args:
             node: The node.
-            reader: The machine on which the reader runs; None is the machine of the node.
+            reader: The machine of the reader; None for the machine of the node.
         """
         local, network = self.local_endpoint(node), self.network_endpoint(node)
         if local is not None and (network is None or reader in (None, self.machine_of(node))):
@@ -218,9 +222,9 @@ class AddressBook(Settings):
         return network or ""
 
     def connect_endpoint(self, node: str, reader: str) -> str:
-        """Return the endpoint at which a reader reaches `node`, with a host name resolved where that is possible now.
+        """Return the endpoint at which a reader reaches `node`, with its host name resolved if that is possible now.
 
-        libzmq would resolve it before each attempt, in the thread that moves all messages of a process, and that may
+        libzmq would resolve the name before each attempt, in the thread that moves all messages of a process, which may
         take many seconds while a network is down.
         """
         endpoint = self.endpoint(node, reader)
@@ -232,19 +236,19 @@ class AddressBook(Settings):
         return endpoint
 
     def reaches(self, reader: str | None, node: str) -> bool:
-        """Return whether a reader on a machine can connect to a node at all: ipc does not leave a machine."""
+        """Return whether a reader on a machine can connect to a node: ipc does not cross machines."""
         near = reader in (None, self.machine_of(node)) or not self.spans_machines
         return near or self.network_endpoint(node) is not None
 
     def sources(self, reader: str, topics: Sequence[str]) -> dict[str, list[str]]:
-        """Return which nodes a reader connects to and which topics it subscribes to at each.
+        """Return the nodes to which a reader connects, each with the topics to subscribe to there.
 
         Args:
             reader: The reader as node@site.
             topics: Topics of the topic table.
 
         Returns:
-            The topics by publisher, for those publishers only that are in the book.
+            The topics by publisher, only for publishers in the book.
         """
         plan: dict[str, list[str]] = {}
         for name in topics:
@@ -254,12 +258,17 @@ class AddressBook(Settings):
         return plan
 
     def observed(self, reader: str | None = None, sites: Sequence[str] = ("master", "slave")) -> dict[str, list[str]]:
-        """Return what an observer connects to: each node at `sites` that its machine reaches, with all its topics."""
+        """Return the nodes to which an observer connects: all at `sites` that its machine reaches, with their topics.
+
+        Args:
+            reader: The machine of the observer; None if every node can be reached.
+            sites: The sites of the nodes.
+        """
         reached = [node for node in self.nodes if site_of(node) in sites and self.reaches(reader, node)]
         return {node: self.published_by(node) for node in reached}
 
     def bridged_from(self, site: str) -> dict[str, list[str]]:
-        """Return what the link connects to at a site: each node there, the topics that cross to the other site."""
+        """Return the nodes to which the link connects at a site, each with its topics that cross to the other site."""
         away = "slave" if site == "master" else "master"
         link = f"{LINK}@{site}"
         reader = self.machine_of(link) if link in self.nodes else None
@@ -273,7 +282,7 @@ class AddressBook(Settings):
         return {node: topics for node, topics in plan.items() if topics}
 
     def published_by(self, node: str) -> list[str]:
-        """Return the topics published at a node's endpoint, the bridged ones included."""
+        """Return the topics published at a node's endpoint, including the bridged ones."""
         own = [name for name, topic in TOPICS.items() if topic.is_published_by(node)]
         if name_of(node) == LINK:
             own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
@@ -300,7 +309,7 @@ class AddressBook(Settings):
 
     @classmethod
     def load(cls, path: Path) -> "AddressBook":
-        """Read a site file; ConfigError names file and key."""
+        """Read a site file; raise ConfigError, which names file and key, if it is invalid."""
         book = validate(AddressBook, read_yaml(path), str(path))
         if book.spans_machines:
             relayed = book.relay is not None
@@ -309,12 +318,12 @@ class AddressBook(Settings):
 
 
 def is_relayed(endpoint: str) -> bool:
-    """Return whether an endpoint is one at which this machine reaches another one through a relay."""
+    """Return whether an endpoint is a local address at which a relay makes another machine reachable."""
     return endpoint.startswith(f"tcp://{_RELAYED}")
 
 
 def may_carry(node: str, src: str) -> bool:
-    """Return whether the socket of `node` may send a message of `src`: its own, or what the link bridges there."""
+    """Return whether the socket of `node` may send a message of `src`: its own, or one that the link bridges there."""
     name, _, site = node.partition("@")
     if name != LINK:
         return src == node
@@ -326,7 +335,7 @@ def _crosses(topic: Topic, to_site: str) -> bool:
 
 
 def _numeric(node: str, host: str) -> str:
-    """Return the address of a host; libzmq binds no names."""
+    """Return the numeric address of a host, because libzmq binds no names; EndpointError if it cannot be resolved."""
     try:
         ipaddress.ip_address(host.strip("[]"))
     except ValueError:
@@ -358,7 +367,7 @@ def _is_tcp(endpoint: str) -> bool:
 
 
 def _bracket_hint(endpoint: str) -> str:
-    """Return what to do about an IPv6 address without brackets, whose colons cannot be told from that of the port."""
+    """Return a hint if an endpoint is an IPv6 address without brackets, whose colons hide that of the port, else ""."""
     host, _, port = endpoint.removeprefix("tcp://").rpartition(":")
     try:
         ipaddress.IPv6Address(host.partition("%")[0])

@@ -17,58 +17,59 @@ from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival, SequenceTracker
 
-# Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
-# Beyond that the newest are lost, which the reader counts.
+# Time of messages that a publisher queues for a reader [s]; a running reader that is behind queues as many again.
+# Beyond that the newest messages are lost, and the reader counts them.
 QUEUE_S = 10
 RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
-# A reader with heartbeats has room for what comes in five minutes while its thread is held up, such as by a compiler.
-# Where its socket is full, libzmq reads no answer to its pings, gives the connection up, and may abort the process when
-# a message is taken (libzmq #3937).
+# A reader with heartbeats can queue the messages of five minutes while its thread is blocked, such as by a compiler. If
+# its socket is full, libzmq reads no answer to its pings, drops the connection, and may abort the process when a
+# message is read (libzmq #3937).
 PINGING_HIGH_WATER_MARK = 30 * SEND_HIGH_WATER_MARK
 _PING_MS = 1000
-# a frame above this is not even taken into memory: libzmq drops the connection that sent it
+# Largest frame [bytes]; a larger one is not even read into memory: libzmq drops the connection that sent it.
 LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
-# A node looks at its deadline again after this many messages, so that a flood cannot hold a loop.
+# A node checks its deadline again after this many messages, so that a flood cannot block a loop.
 _BATCH = 256
-# A message has two frames. Of one with more, at most this number is read in a turn, and the first turn's are refused.
+# A message has two frames. Of a longer one, at most this number of frames is read per turn; those of the first turn are
+# rejected as one message, and the rest is dropped.
 _MOST_FRAMES = 1000
-# A reader expects more messages after this many.
+# After this many messages in one turn, a reader receives without first polling the socket, because more are likely.
 _FEW = 3
-# Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
+# Plain numbers, because the enumerations of the binding make a call 50 % more expensive.
 _EVENTS = int(zmq.EVENTS)
 _READABLE = int(zmq.POLLIN)
 _DONTWAIT = int(zmq.DONTWAIT)
-# a member of an enumeration takes longer to look up, and there is one for every message
+# Bound to a name, because it is used for every message and the lookup of an enumeration member takes longer.
 _NEXT = Arrival.NEXT
-# sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory
+# Most sources of which a node keeps sequence statistics: a peer that invents names must not fill the memory.
 _MOST_TRACKERS = 1024
-# A connection reports at most this number of sources twice a second. The sender and every reader handle each of them,
-# and a thousand would cost a loop of 1 kHz tens of ticks.
+# A connection reports at most this number of sources, twice a second. The sender and every reader process each row, and
+# a thousand rows would cost a loop of 1 kHz tens of ticks.
 MOST_REPORTED = 64
 
 
-# frames of a message, and the time of reception [ns]
+# Frames of a message, and its time of reception [ns].
 Taken = tuple[Sequence[bytes], int]
-# the sequence statistics of its source, seq, t_ns
+# Sequence statistics of the source of a message, its seq, and its t_ns [ns].
 Header = tuple[SequenceTracker, int, int]
 
 
 class Bus(Protocol):
-    """What a node may ask of the bus."""
+    """The interface of the bus for a node."""
 
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message; the header is filled in."""
 
     def receive(self) -> Iterable[Received]:
-        """Return what has arrived, without waiting."""
+        """Return the messages that have arrived, without waiting."""
 
     def wait(self, deadline_ns: int) -> None:
-        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
+        """Wait until a message has arrived or the monotonic clock has reached `deadline_ns` [ns]."""
 
 
 class ConnectionEvent(NamedTuple):
-    """What happened to a connection of a node; it becomes a session/event."""
+    """An event of a connection of a node; it becomes a session/event."""
 
     level: str
     text: str
@@ -76,9 +77,9 @@ class ConnectionEvent(NamedTuple):
 
 
 class MessageReader:
-    """Turns frames of the bus into messages of a node, wherever they came from.
+    """Turns frames into messages for a node, from a socket or another source.
 
-    It decodes, counts what is refused or lost, and drops what was overtaken.
+    It decodes messages, counts rejected and lost ones, and drops those that a newer one has overtaken.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class MessageReader:
         permit: Callable[[str, str], None] | None = None,
         newest_only: bool = False,
     ) -> None:
-        """Read topics; for the rest see `Subscriber`."""
+        """Read topics; for the other arguments see `Subscriber`."""
         self._clock = clock
         self.permit = permit
         self.trackers: dict[tuple[str, str], SequenceTracker] = {}
@@ -100,13 +101,14 @@ class MessageReader:
         latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
         self._conflated = latest if newest_only else {}
         self._aside: dict[str, Callable[[Message], None]] = {}
-        # a topic that is read only to know that its publishers are heard, and that no report of inputs has
+        # A topic that is read only to know that its publishers are heard; reports of inputs leave it out.
         self._unlisted = ""
 
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
-        """Decode, validate and track what waited together, each message with the time of reception [ns]."""
+        """Decode, validate and track the messages of one batch, each with its time of reception [ns]."""
         if self._conflated and len(waiting) > 1:
-            # Commands, and reports of a changed delay, come before the messages that they apply to.
+            # Commands, and reports of a changed delay, come before the messages that they apply to: `latest` topics
+            # are sorted to the end.
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
         return [message for frames, at_ns in waiting if (message := self.decode_and_track(frames, at_ns)) is not None]
@@ -125,7 +127,7 @@ class MessageReader:
         return None if tracker is None else (tracker, seq, t_ns)
 
     def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
+        """Decode, validate and count one message; None if it is rejected, set aside, repeated or superseded."""
         if (accepted := self.accepted(frames)) is None:
             return None
         topic, message, payload, tracker = accepted
@@ -135,16 +137,17 @@ class MessageReader:
             return None
         if arrival is not _NEXT:
             overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
-            # A repeated command is known by its id; its number depends on the clock of an earlier sender of commands.
+            # Commands are recognised as repeated by their id, because their seq depends on the clock of an earlier
+            # sender of commands.
             if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
                 return None
         return Received(topic, message, payload, received_ns, arrival)
 
     def accepted(self, frames: Sequence[bytes]) -> tuple[str, Message, bytes, SequenceTracker] | None:
-        """Return topic, message and payload, and the statistics of its source; None when it is rejected.
+        """Return topic, message, payload, and the statistics of its source; None if it is rejected.
 
-        Whatever is read from the bus comes through here: each field is then bounded by its model, and what is not is
-        counted by its reason.
+        Every message from the bus passes through here: all fields of an accepted message are within the bounds of its
+        model, and rejected messages are counted by their reason.
         """
         try:
             topic, payload = self._names.get(frames[0], ""), frames[-1]
@@ -161,7 +164,7 @@ class MessageReader:
             return None
 
     def has_newer(self, topic: str, payload: bytes) -> bool:
-        """Return whether what was received of the source of a message is as new as it, or newer."""
+        """Return whether a message as new as this one, or newer, was received from the same source."""
         try:
             seq, t_ns, src = read_header(topic, payload)
         except WireError:
@@ -170,7 +173,7 @@ class MessageReader:
         return tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the sequence statistics of the sources that sent most; a topic without messages has empty ones."""
+        """Return the sequence statistics of the sources that sent most, and empty ones for silent topics."""
         now = self._clock.now_ns()
         received = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
@@ -179,7 +182,7 @@ class MessageReader:
         return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
-        """Return the sequence statistics of a topic from a source; WireError (`source`) for one too many."""
+        """Return the sequence statistics of a topic from a source; raise WireError (`source`) for too many sources."""
         tracker = self.trackers.get((topic, src))
         if tracker is None:
             if len(self.trackers) >= _MOST_TRACKERS:
@@ -191,9 +194,9 @@ class MessageReader:
 
 
 class Subscriber(MessageReader):
-    """SUB connections of a node: a `MessageReader` with a socket of its own."""
+    """SUB connections of a node: a `MessageReader` with its own socket."""
 
-    # A subscriber is never due by itself: it gives only what has arrived.
+    # A subscriber is never due by itself: it returns only messages that have arrived.
     due_ns = NEVER_NS
 
     def __init__(
@@ -214,33 +217,33 @@ class Subscriber(MessageReader):
             clock: The clock that stamps the reception.
             connections: The topics by endpoint.
             connect: False if the socket is connected later.
-            permit: Called with topic and source of each message; raises WireError for what the peers of this socket may
-                not publish.
+            permit: Called with topic and source of each message; raises WireError for messages that the peers of this
+                socket may not publish.
             newest_only: Whether only the newest waiting message of each source is returned on a `latest` topic.
-            queue_s: How much may wait after a stall [s].
+            queue_s: Longest time that messages stay queued while this process is stopped [s].
         """
         topics = {topic for topics in connections.values() for topic in topics}
         super().__init__(clock, topics, permit=permit, newest_only=newest_only)
-        # It is true once everything was read; before that, ZeroMQ's descriptor may be silent although messages wait.
+        # True once all messages were read; before that, ZeroMQ's descriptor may not signal although messages wait.
         self.drained = True
-        # What comes next is the rest of a message of more frames than are read in a turn.
+        # The next frames are the rest of a message with more frames than are read in one turn.
         self._is_in_rest = False
-        # Other code calls the socket as well, which may consume the signal of its descriptor.
+        # Other code also calls the socket, which may consume the signal of its descriptor.
         self.shared = not connect
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.AFFINITY, FIRST_THREAD)
         self.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
         if newest_only:
-            # The peer cuts a connection on which nothing came for the time that a ping of this side names, with what
-            # waits in it, so that a process that was stopped continues with the newest.
+            # The peer drops a connection, with the messages queued in it, if it receives nothing for the time that the
+            # last ping of this side named; so a process that was stopped continues with the newest messages.
             self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
             self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
             self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
         self.socket.set(zmq.LINGER, 0)
         self.socket.set(zmq.MAXMSGSIZE, LARGEST_FRAME)
         self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
-        # Looks at each message first, and returns its frames, or None where it is not wanted; only a reader that the
-        # link's datagrams feed as well has one.
+        # Called with the frames of each message before it is decoded; returns the frames to decode, or None to drop the
+        # message. Only a reader that also receives the link's datagrams has one.
         self.sift: Callable[[list[bytes]], list[bytes] | None] | None = None
         for topic in self.topics:
             self.socket.subscribe(topic.encode())
@@ -249,7 +252,7 @@ class Subscriber(MessageReader):
         self.descriptor: int = self.socket.fileno()
 
     def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
-        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
+        """Return the frames of a bounded number of arrived messages, each with the time at which it was read [ns].
 
         Args:
             signalled: Whether the descriptor has become readable, so that a message has probably arrived.
@@ -258,13 +261,13 @@ class Subscriber(MessageReader):
         waiting: list[tuple[list[bytes], int]] = []
         self.drained = False
         for taken in range(_BATCH):
-            # The socket is asked first, because an exception costs as much as reading a message; where many come it is
-            # not asked.
+            # The socket is polled first, because an exception costs as much as reading a message; if many messages
+            # come, polling is skipped.
             if taken < _FEW and not (signalled and taken == 0) and not pending():
                 self.drained = True
                 break
             try:
-                # A frame object knows whether more follow; asking the socket costs more than receiving a frame.
+                # A frame object knows whether more follow; querying the socket costs more than receiving a frame.
                 frame = receive(_DONTWAIT, False)
             except zmq.Again:
                 self.drained = True
@@ -281,7 +284,10 @@ class Subscriber(MessageReader):
         return waiting
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
+        """Return the valid messages that have arrived, without overtaken ones on `latest` topics and repeated ones.
+
+        Commands are returned even if repeated.
+        """
         waiting = self.receive_raw(signalled=signalled)
         if self.sift is not None:
             sifted = ((self.sift(frames), received_ns) for frames, received_ns in waiting)
@@ -289,18 +295,18 @@ class Subscriber(MessageReader):
         return self.take(waiting)
 
     def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
-        """Subscribe to a topic whose messages are for `handle` and not for the reader."""
+        """Subscribe to a topic whose messages are passed to `handle`, and not returned by `receive`."""
         self._aside[topic] = handle
         self.socket.subscribe(topic.encode())
 
     def hear_beacon(self, topic: str) -> None:
-        """Subscribe to a topic only to count its messages, by which `Hearing` knows that a publisher is heard."""
+        """Subscribe to a topic only to count its messages, which tells `Hearing` that a publisher is heard."""
         self._unlisted = topic
         self.set_aside(topic, lambda message: None)
 
     def pending(self) -> bool:
         """Return whether a message has arrived."""
-        # `Socket.poll` is avoided because it first makes a poller.
+        # `Socket.poll` is avoided, because it makes a poller first.
         events: Any = self.socket.get(_EVENTS)
         return bool(events & _READABLE)
 
@@ -310,13 +316,13 @@ class Subscriber(MessageReader):
 
 
 class Reader(Protocol):
-    """What a bus receives with."""
+    """A receiving part of a bus."""
 
     descriptor: int
     drained: bool
-    # It is called in each turn, whether or not its descriptor is readable.
+    # Whether the reader is called in each turn, even if its descriptor is not readable.
     shared: bool
-    # It returns messages at this time without a readable descriptor, on the monotonic clock [ns].
+    # Time at which the reader returns messages without a readable descriptor, on the monotonic clock [ns].
     due_ns: int
     trackers: dict[tuple[str, str], SequenceTracker]
     rejected: dict[str, int]
@@ -330,11 +336,11 @@ class Reader(Protocol):
 
 
 class Refusals(Protocol):
-    """What counts the messages or connections that it refuses."""
+    """A counter of refused messages or connections."""
 
     @property
     def rejected(self) -> dict[str, int]:
-        """How often something was refused, by reason."""
+        """The number of refusals by reason."""
 
     @property
     def last_error(self) -> str:
@@ -342,23 +348,23 @@ class Refusals(Protocol):
 
 
 class NetworkEvents(Refusals, Protocol):
-    """What looks after the network connections of a bus."""
+    """The events of the network connections of a bus; `has_pending` tells whether some are not processed yet."""
 
     has_pending: bool
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """What becomes readable when there is something to process."""
+        """Descriptors that become readable when there are events to process."""
 
     def process_events(self) -> list[ConnectionEvent]:
-        """Process pending events, a bounded number; `has_pending`: whether more are left."""
+        """Process a bounded number of pending events; set `has_pending` if more are left."""
 
 
 class ZmqBus:
-    """A publisher and its subscribers as one bus, with a wait that a signal or a message ends.
+    """A publisher and its subscribers as one bus; a signal or a message ends its wait.
 
-    One that `is_brief` reports of the inputs that are sent on change only those that were disturbed: its node's health
-    crosses to another machine, and these inputs are not judged by their age.
+    If `is_brief`, inputs without a declared rate are reported only if messages were lost or repeated or the source has
+    restarted: the node's health crosses to another machine, and these inputs are not judged by their age.
     """
 
     is_brief = False
@@ -372,7 +378,7 @@ class ZmqBus:
         network: NetworkEvents | None = None,
     ) -> None:
         self.subscribers = list(subscribers)
-        # At most one reader holds messages back until their time: the end of the link's datagrams.
+        # At most one reader holds messages back until a due time: the end of the link's datagrams.
         self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
         self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
@@ -381,7 +387,7 @@ class ZmqBus:
         self._counters: list[Refusals] = [*self.subscribers]
         self._counted = [0] * len(self._counters)
         self._last_error = ""
-        # The readers that the last wait found readable; it is empty where every socket has to be asked.
+        # The descriptors that the last wait found readable; if empty, every socket has to be polled.
         self._readable: Sequence[int] = ()
         self._network: NetworkEvents | None = None
         self._network_descriptors: frozenset[int] = frozenset()
@@ -389,8 +395,8 @@ class ZmqBus:
         self.look_after(network)
 
     def look_after(self, network: NetworkEvents | None) -> None:
-        """Have this bus look after the network of its process, whose sockets are all open by now."""
-        # a rig on one machine has no network to look after
+        """Also process the network events of this process, whose sockets are all open by now."""
+        # A rig on one machine has no network connections.
         if network is None or not network.descriptors:
             return
         self._network, self._network_descriptors = network, frozenset(network.descriptors)
@@ -399,7 +405,7 @@ class ZmqBus:
         self.count(network)
 
     def receive(self) -> Iterable[Received]:
-        """Return what has arrived on every connection, without waiting."""
+        """Return the messages that have arrived on all connections, without waiting."""
         readable, self._readable = self._readable, ()
         if not readable:
             return [received for subscriber in self.subscribers for received in subscriber.receive()]
@@ -412,10 +418,10 @@ class ZmqBus:
         return messages
 
     def wait(self, deadline_ns: int) -> None:
-        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
+        """Wait until a message has arrived or the monotonic clock has reached `deadline_ns` [ns]; may return early.
 
-        ZeroMQ's descriptor is edge-triggered, by changes of connections too: it may be waited for once everything
-        that it signalled has been taken.
+        ZeroMQ's descriptor is edge-triggered, by changes of connections too: waiting for it is only possible once all
+        messages that it has signalled are read.
         """
         self._readable = ()
         for subscriber in self.subscribers:
@@ -430,17 +436,17 @@ class ZmqBus:
                 self._events_pending = not self._network_descriptors.isdisjoint(ready)
 
     def count(self, counter: Refusals) -> None:
-        """Report what somebody else refuses as well."""
+        """Include the refusals of another counter in `rejections`."""
         self._counters.append(counter)
         self._counted.append(0)
 
     def has_arrived(self) -> bool:
-        """Return whether something may have arrived since the last wait, for `receive`."""
+        """Return whether messages may have arrived since the last wait; `receive` then reads only those sockets."""
         self._readable, _, _ = select.select(self._descriptors, (), (), 0)
         return bool(self._readable)
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Process events of network connections, if there may be any or `now`; return what happened to them."""
+        """Process events of network connections if some may be pending, or if `now` is set; return the notices."""
         if self._network is None or not (self._events_pending or now):
             return ()
         notices = self._network.process_events()
@@ -448,16 +454,16 @@ class ZmqBus:
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the sequence statistics of every input, or of as many as a message takes."""
+        """Return the sequence statistics of the inputs, at most as many as fit into a message."""
         rows = (row for subscriber in self.subscribers for row in subscriber.input_health())
         if self.is_brief:
             rows = (row for row in rows if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
         return tuple(islice(rows, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Return what was not taken so far by reason, and the text of a refusal since it was last asked.
+        """Return the number of messages and connections not accepted so far, by reason, and the newest refusal's text.
 
-        Beside what is refused that is what was superseded: no fault, for a newer message was waiting as well.
+        Superseded messages are counted too. They are no fault: a newer message was waiting as well.
         """
         total: dict[str, int] = {}
         for place, counter in enumerate(self._counters):
@@ -475,15 +481,15 @@ class ZmqBus:
 def without_superseded(
     waiting: Sequence[Taken], latest: Container[bytes], header_of: Callable[[Sequence[bytes]], Header | None]
 ) -> Sequence[Taken]:
-    """Return what waits without the messages of a `latest` topic that a newer one of their source stands behind.
+    """Return the waiting messages without those of a `latest` topic that a newer one from the same source follows.
 
-    Those are tracked by their header, and counted as superseded. The rest stays in its order and is judged as ever:
-    what is late or repeated, has no good header, or is the first from its source.
+    The omitted messages are tracked by their headers and counted as superseded. All others keep their order and are
+    checked later as usual: late or repeated messages, those without a valid header, and the first from a source.
 
     Args:
-        waiting: The messages that wait, in their order.
-        latest: The topics concerned.
-        header_of: Returns the header, or None for a message that is left alone.
+        waiting: The waiting messages, in order of arrival.
+        latest: The `latest` topics, encoded.
+        header_of: Returns the header, or None for a message that has to be kept.
     """
     topics = [frames[0] for frames, _ in waiting]
     if len(set(topics)) == len(topics):
@@ -509,7 +515,7 @@ def without_superseded(
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
-    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) for any other."""
+    """Return topic and payload of a message of two frames; raise WireError (`frames`, `topic`) for any other."""
     if len(frames) != 2:
         raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
     try:

@@ -1,6 +1,6 @@
-"""A reader of messages that come in memory: judged, counted and told of as those of a socket are.
+"""A reader of messages that are passed in memory: it checks, counts and reports them as those of a socket.
 
-The bus of a session in virtual time has it, and so have the nodes of a site that run in one process.
+The bus of a session in virtual time uses it, and so do the nodes of a site that run in one process.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,17 +11,17 @@ from telenano.wire import TOPICS, Message
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
-# a member of an enumeration takes longer to look up, and there is one for every message
+# Bound to names, because they are used for every message and the lookup of an enumeration member takes longer.
 _NEXT = Arrival.NEXT
 _DUPLICATE = Arrival.DUPLICATE
 _LATE = Arrival.LATE
 
-# when it arrives [ns], its number, topic and bytes, and what they say; None of bytes that are no message
+# Time of arrival [ns], number, topic, bytes and decoded message; None instead of the message if the bytes are invalid.
 Arriving = tuple[int, int, str, bytes, Message | None]
 
 
 class HandedReader(MessageReader):
-    """A reader that is handed messages, whose bytes need no second decoding."""
+    """A reader of messages that are passed in decoded form, so that their bytes are not decoded again."""
 
     def __init__(self, clock: Clock, topics: Iterable[str], *, newest_only: bool = False) -> None:
         super().__init__(clock, topics, newest_only=newest_only)
@@ -30,11 +30,11 @@ class HandedReader(MessageReader):
 
     @property
     def socket(self) -> "HandedReader":
-        """What topics are subscribed to at."""
+        """The object with the method `subscribe`, as other readers have a socket: this reader itself."""
         return self
 
     def subscribe(self, prefix: bytes) -> None:
-        """Also read the topics that begin so."""
+        """Also read the topics that begin with a prefix."""
         self.prefixes = (*self.prefixes, prefix.decode())
 
     def wants(self, topic: str) -> bool:
@@ -42,9 +42,9 @@ class HandedReader(MessageReader):
         return topic in self.topics or any(map(topic.startswith, self.prefixes))
 
     def arrived(self, waiting: Sequence[Arriving], received_ns: int) -> list[Received]:
-        """Return the messages that have arrived together, judged as those of a socket are."""
+        """Return the messages of a batch that are accepted by the same checks as those of a socket."""
         if len(waiting) == 1:
-            # most often there is one
+            # A batch has most often one message.
             _, _, topic, payload, message = waiting[0]
             received = self._track(topic, payload, message, received_ns)
             return [] if received is None else [received]
@@ -57,7 +57,7 @@ class HandedReader(MessageReader):
 
     def _track(self, topic: str, payload: bytes, message: Message | None, received_ns: int) -> Received | None:
         if message is None:
-            # It is refused and counted by the same words as on a socket.
+            # An invalid message is refused and counted with the same reasons as on a socket.
             return super().decode_and_track((topic.encode(), payload), received_ns)
         tracker = self.trackers.get((topic, message.src)) or self.tracker(topic, message.src)
         arrival = tracker.accept(message.seq, message.t_ns)

@@ -1,17 +1,17 @@
-"""Whether this process hears the publishers on its machine that send, and a new connection to one that it does not.
+"""Checks whether this process receives from the publishers on its machine, and reconnects to one that it does not hear.
 
-libzmq gives a connection up for good where its peer breaks the protocol, such as by a frame that is too large, and
-reports nothing. So silence is what shows it. Every node sends node/health twice a second, and each reader subscribes to
-it. Where two looks in a row find nothing new of a publisher whose socket answers, a further connection is opened beside
-the first. If something comes in by it, and still nothing by the first, the reader was deaf, and connects anew. If
-nothing comes in by either, the publisher itself is silent, and the connection is left as it is, with what waits in it.
+libzmq drops a connection for good and without a report if the peer breaks the protocol, such as by a frame that is too
+large; only silence shows it. Every node sends node/health twice a second, and each reader subscribes to it. If two
+checks in a row find nothing new from a publisher whose socket answers, this module opens a second connection, the
+probe. If messages arrive by the probe and none by the first connection, the reader was deaf, and reconnects. If none
+arrive by either, the publisher itself is silent, and the connection stays as it is, with the messages queued in it.
 
-A console comes for a command and goes, so it may have broken the connection and left nothing to hear. The folder of the
-sockets shows that somebody came or went: then readers connect anew to those who are not there, who cannot lose anything
-by it.
+A console connects for a command and leaves, so it may break a connection and leave nothing to hear. A change of the
+folder of sockets shows that a process has come or gone: then readers reconnect to absent publishers, where no message
+can be lost by it.
 
-No thread is needed: a look takes microseconds, and a loop has one with each report of its health. Safety relies on none
-of this: a device goes by the age of its newest input.
+No thread is needed: a check takes microseconds, and a loop makes one with each report of its health. Safety does not
+rely on any of this: a device acts on the age of its newest input.
 """
 
 import contextlib
@@ -30,23 +30,23 @@ from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import MAX_KEYS
 
-# Every node sends it twice a second.
+# The topic that every node sends twice a second.
 BEACON = "node/health"
-# Looks are at least this far apart, which is below the interval of the beacon and of the reports of a loop [ns].
+# Least time between two checks, below the interval of the beacon and of the reports of a loop [ns].
 _LOOK_NS = 400_000_000
-# A publisher that was not heard at this number of looks in a row is listened to by a further connection.
+# A publisher that was not heard at this number of checks in a row gets a probe.
 _SILENT_LOOKS = 2
-# A new connection that does not help is followed by the next after so many looks, and then after twice as many each.
+# Number of checks between a reconnection that did not help and the next one: at first, and, as it doubles, at most.
 _FIRST_PAUSE, _LONGEST_PAUSE = 2, 128
-# A change of a folder is new at this number of looks, because the next one may come in the same tick of the clock.
+# A change of a folder counts as new for this number of checks, because a further one may have the same time stamp.
 _FRESH_LOOKS = 2
-# This is enough to know that the publisher sends; of the rest, what the socket does not hold is dropped.
+# Messages that a probe queues and reads at once: enough to know that the publisher sends; the rest may be dropped.
 _PROBED = 20
 
 
 @dataclass
 class _Folder:
-    """A folder of sockets: when a file was made or removed there last [ns], and at how many looks that is still new."""
+    """A folder of sockets: time of its last change [ns], and the number of checks for which it still counts as new."""
 
     path: Path
     changed_ns: int = -1
@@ -65,9 +65,9 @@ class _Folder:
 class _Ear:
     """The connection of a reader to one publisher.
 
-    `heard` has how many messages came by it, `heard_ns` when that was found last [ns]. `there` is
-    the socket that was at the endpoint at the last look without any; `probe` is the further connection. `wait` looks go
-    by before the next new connection, and `pause` after that one.
+    `heard` is the number of messages received by it, and `heard_ns` the time when a check last found new ones [ns].
+    `there` identifies the socket at the endpoint at the last check without new messages; `probe` is the second
+    connection. `wait` is the number of checks to skip before the next reconnection, and `pause` that after it.
     """
 
     node: str
@@ -88,18 +88,18 @@ class _Ear:
         self.path = path_of(self.endpoint)
 
     def socket_there(self) -> tuple[int, int] | None:
-        """Return what tells the socket at the path from a later one there; None where no process has one."""
+        """Return inode number and change time [ns] of the socket at the path; None if no process holds one."""
         try:
             status = self.path.stat()
         except OSError:
             return None
-        # To ask again would fill the queue of a process that is stopped, from which it accepts connections.
+        # While there is a probe, `is_bound` is not called: it would fill the connection queue of a stopped process.
         if self.probe is None and not is_bound(self.endpoint):
             return None
         return status.st_ino, status.st_ctime_ns
 
     def hears_by_probe(self) -> bool:
-        """Return whether a message of the publisher came by the further connection that the reader would take."""
+        """Return whether a valid message of the publisher has arrived by the probe."""
         if self.probe is None:
             return False
         with contextlib.suppress(zmq.Again):
@@ -124,16 +124,16 @@ class Hearing:
     """The connections of one process to publishers on its machine."""
 
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock) -> None:
-        """Begin without a connection."""
+        """Begin without connections to check."""
         self._context, self._clock = context, clock
         self._ears: dict[Subscriber, list[_Ear]] = {}
         self._folders: dict[Path, _Folder] = {}
         self._next_look_ns = clock.monotonic_ns() + _LOOK_NS
 
     def add(self, subscriber: Subscriber, endpoints: Mapping[str, str]) -> None:
-        """Look after the connections of a subscriber to nodes (keys), by their ipc endpoints.
+        """Check the connections of a subscriber to nodes (keys) at their ipc endpoints (values) from now on.
 
-        A subscriber that does not read the beacon gets it beside what it reads.
+        A subscriber that does not read the beacon is subscribed to it in addition.
         """
         if BEACON not in subscriber.topics:
             subscriber.hear_beacon(BEACON)
@@ -145,17 +145,17 @@ class Hearing:
             ears.append(_Ear(node, endpoint, folder, now_ns))
 
     def nodes(self) -> list[str]:
-        """Return the publishers whose connections are looked after."""
+        """Return the publishers whose connections are checked, sorted."""
         return sorted({ear.node for ears in self._ears.values() for ear in ears})
 
     def deaf(self) -> dict[str, float]:
-        """Return the publishers that send and are not heard, each with how long it has not been heard [s]."""
+        """Return the publishers that send but are not heard, each with the time since it was last heard [s]."""
         now_ns = self._clock.monotonic_ns()
         deaf = [ear for ears in self._ears.values() for ear in ears if ear.is_deaf]
         return {ear.node: (now_ns - ear.heard_ns) * 1e-9 for ear in deaf[:MAX_KEYS]}
 
     def look(self) -> list[ConnectionEvent]:
-        """Compare what was heard with what was heard at the last look, and connect anew where that is needed."""
+        """Check which publishers were heard since the last check, and reconnect where needed; return the events."""
         now_ns = self._clock.monotonic_ns()
         if now_ns < self._next_look_ns:
             return []
@@ -169,7 +169,7 @@ class Hearing:
         return events
 
     def close(self) -> None:
-        """Close the connections that are open beside those of the readers."""
+        """Close the probes."""
         for ears in self._ears.values():
             for ear in ears:
                 ear.close_probe()
@@ -187,17 +187,17 @@ class Hearing:
             else:
                 ear.heard = heard
                 events += _note_heard(ear, now_ns)
-        # What waits is read first, as after a stall of this process.
+        # If messages wait, as after a stall of this process, they are read first, and nothing is concluded yet.
         if silent and not subscriber.pending():
             for ear in silent:
                 events += self._listen_beside(subscriber, ear, now_ns)
         if silent:
-            # A call on the socket may have taken the signal of its descriptor, for which a loop would wait.
+            # A call on the socket may have consumed the signal of its descriptor, for which a loop would wait.
             subscriber.drained = False
         return events
 
     def _listen_beside(self, subscriber: Subscriber, ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
-        """Act on a publisher of which nothing new has come."""
+        """Act on a publisher from which nothing new has arrived: open a probe, or reconnect; return the events."""
         ear.silent_looks += 1
         before, ear.there = ear.there, ear.socket_there()
         if ear.silent_looks < _SILENT_LOOKS:
@@ -211,7 +211,7 @@ class Hearing:
             return ()
         ear.was_there = True
         if ear.there != before:
-            # It has come since the last look, and nothing that it sent may have been expected before.
+            # This socket is new since the last check, so no messages from it could be expected before.
             ear.close_probe()
             ear.is_deaf, ear.silent_looks, ear.heard_ns = False, 1, now_ns
             return ()
@@ -221,7 +221,7 @@ class Hearing:
         if ear.wait:
             ear.wait -= 1
             return ()
-        # What comes at this moment has come by both connections.
+        # If a message is pending at this moment, both connections work.
         if not ear.hears_by_probe() or subscriber.pending():
             return ()
         _connect_anew(subscriber, ear)
@@ -258,8 +258,8 @@ def _note_heard(ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
 
 
 def _connect_anew(subscriber: Subscriber, ear: _Ear) -> None:
-    """Connect the socket to this one endpoint again; its other connections, and what they hold, stay as they are."""
+    """Reconnect the socket to this one endpoint; its other connections and their queued messages stay as they are."""
     with contextlib.suppress(zmq.ZMQError):
-        # libzmq may have let go of the endpoint.
+        # libzmq may have dropped the endpoint already.
         subscriber.socket.disconnect(ear.endpoint)
     subscriber.socket.connect(ear.endpoint)

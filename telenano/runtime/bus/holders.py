@@ -1,12 +1,12 @@
-"""Who has the sockets of rigs, by what the kernel knows of running processes: it needs no folder and no name.
+"""The processes that hold the sockets of rigs, found through /proc, without knowing the folder or name of a rig.
 
 for holder in look().holders:
     print(holder.node, holder.process, holder.path)
 
-A process that binds an ipc endpoint holds a lock (`endpoint_lock.py`) in which its node and the path stand. The lock
-stays open after its file was removed, so a path that is missing says nothing of the process. Only processes of this
-user are read, and the kernel lets nobody else open files in their name. It imports no model, because an emergency stop
-has no time for them.
+A process that binds an ipc endpoint holds a lock file (`endpoint_lock.py`), which contains its node and the path. The
+lock stays open after its file was removed, so a process can run although its path is missing. Only processes of this
+user are read, and the kernel lets no other user open files in their name. The module imports no models, because an
+emergency stop has no time for them.
 """
 
 import contextlib
@@ -18,22 +18,22 @@ from typing import NamedTuple
 
 from telenano.runtime.bus.local_endpoint import folder_identity
 
-# A device takes an emergency stop by this signal, where its socket cannot be reached; Windows has no such signal.
+# The signal for an emergency stop of a device whose socket cannot be reached; Windows has no such signal.
 STOP_SIGNAL = getattr(signal, "SIGUSR2", None)
 _PROC = Path("/proc")
 _SUFFIX = ".lock"
 _DELETED = " (deleted)"
 _LARGEST_LOCK = 4096
-# The kernel gives the first namespace of processes this number; another one is that of a container.
+# The inode number of the first PID namespace of the kernel; any other namespace is that of a container.
 _FIRST_PID_NAMESPACE = 0xEFFFFFFC
 
 
 class Holder(NamedTuple):
     """A process of this user that holds the lock of an ipc endpoint.
 
-    `owner` is the process that took the lock, which may have passed it on to this one and ended. `folders_of`: whose
-    folders it sees, by the number of its mount namespace; 0 where they are those of this process, and another number as
-    in a container. `takes_signal`: it obeys `STOP_SIGNAL`.
+    `owner` is the id of the process that took the lock; it may have ended after passing the lock on to this one.
+    `folders_of` is the inode number of the mount namespace of the holder, 0 if it is that of this process; it differs
+    for example in a container. `takes_signal`: the holder obeys `STOP_SIGNAL`.
     """
 
     process: int
@@ -45,26 +45,26 @@ class Holder(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """The folder of the socket, as this process reaches it."""
+        """The folder of the socket, as seen by this process."""
         return Path(self.path_from_here).parent
 
     @property
     def rig(self) -> tuple[int, str]:
-        """What the processes of one rig have in common."""
+        """The identity of the rig: mount namespace and folder, the same for all its processes."""
         return self.folders_of, str(folder_identity(Path(self.path).parent))
 
     @property
     def path_from_here(self) -> str:
-        """Where this process reaches the socket."""
+        """The path by which this process reaches the socket."""
         return f"/proc/{self.process}/root{self.path}" if self.folders_of else self.path
 
     def is_at(self, path: str) -> bool:
-        """Return whether it is the holder of the socket that this process reaches at a path."""
+        """Return whether this holder holds the socket that this process reaches at a path."""
         mine, other = Path(self.path_from_here), Path(path)
         return mine.name == other.name and folder_identity(mine.parent) == folder_identity(other.parent)
 
     def signal_stop(self) -> bool:
-        """Have the process obey an emergency stop; return whether it takes one in this way."""
+        """Send the process an emergency stop as a signal; return whether it could be sent and has a handler."""
         if STOP_SIGNAL is None or not self.takes_signal:
             return False
         try:
@@ -72,7 +72,7 @@ class Holder(NamedTuple):
         except (OSError, AttributeError):
             return False
         try:
-            # The number may belong to another process since it was looked at, which the signal would end.
+            # The process id may now belong to another process, which the signal would kill.
             if not any(held.node == self.node for held in _held_by(self.process)) or not _takes_signal(self.process):
                 return False
             signal.pidfd_send_signal(descriptor, STOP_SIGNAL)
@@ -84,7 +84,7 @@ class Holder(NamedTuple):
 
 
 class Look(NamedTuple):
-    """The holders that are seen; `blind` says why there may be others, empty where there cannot be."""
+    """The holders found; `blind` says why there may be others, empty if there cannot be any."""
 
     holders: tuple[Holder, ...] = ()
     blind: str = ""
@@ -95,7 +95,7 @@ class Look(NamedTuple):
 
 
 def look() -> Look:
-    """Return the processes of this user that hold ipc endpoints."""
+    """Return the processes of this user that hold ipc endpoints of nodes."""
     if not (_PROC / "self" / "fd").exists():
         return Look((), "this system has no /proc, which lists the processes")
     found: list[Holder] = []
@@ -107,7 +107,7 @@ def look() -> Look:
             if _is_of_project(process):
                 closed.append(str(process))
         except OSError:
-            # It has ended meanwhile.
+            # The process has ended meanwhile.
             continue
     reasons = [f"process {', '.join(closed)} of this user cannot be looked into"] if closed else []
     if _in_container():
@@ -118,7 +118,8 @@ def look() -> Look:
 def _candidates() -> Iterator[int]:
     """Return the processes of this user that may hold locks: those that took one, and those of the project.
 
-    The latter may have a lock from a launcher that has ended. Where the kernel does not list the locks, they are all.
+    The latter may have inherited a lock from a launcher that has ended. If the kernel does not list the locks, all
+    processes of this user are returned.
     """
     try:
         rows = [line.split() for line in (_PROC / "locks").read_text().splitlines()]
@@ -147,7 +148,7 @@ def _held_by(process: int) -> list[Holder]:
         with contextlib.suppress(FileNotFoundError):
             with place.open("rb") as file:
                 lines = file.read(_LARGEST_LOCK).decode(errors="replace").splitlines()
-            # A lock of an earlier version has the number of the process alone, one on a full disk has nothing.
+            # A lock file of an earlier version contains only the process id; one on a full disk is empty.
             owner, node, path = (*(lines or [str(process)]), "", "")[:3]
             named = path or target.removesuffix(_SUFFIX)
             if owner.strip().isdigit():
@@ -158,13 +159,13 @@ def _held_by(process: int) -> list[Holder]:
 
 
 def _is_locked(information: Path) -> bool:
-    """Return whether a descriptor holds the lock of its file, and does not only look at it."""
+    """Return whether a descriptor holds the lock of its file; one that only reads the file does not."""
     locks = [line.split() for line in information.read_text().splitlines() if line.startswith("lock:")]
     return any({"FLOCK", "WRITE"} <= set(words) for words in locks)
 
 
 def _takes_signal(process: int) -> bool:
-    """Return whether a process has a handler for the signal, which would end it otherwise."""
+    """Return whether a process has a handler for the signal, which would kill it otherwise."""
     if STOP_SIGNAL is None:
         return False
     for line in (_PROC / str(process) / "status").read_text().splitlines():
@@ -184,7 +185,7 @@ def _user_of(process: int) -> int | None:
 
 
 def _other_folders(folder: Path) -> int:
-    """Return the number of the mount namespace of a process, 0 where it is that of this one."""
+    """Return the inode number of the mount namespace of a process, 0 if it is that of this one or unknown."""
     try:
         own, other = (_PROC / "self" / "ns" / "mnt").stat(), (folder / "ns" / "mnt").stat()
     except OSError:

@@ -1,9 +1,11 @@
-"""The socket file of an ipc endpoint that this process has bound, known by its inode.
+"""The socket file of an ipc endpoint that this process has bound, identified by its inode.
 
-The inode is kept open: its number would belong to the next file that is made as soon as this one was removed.
+The inode is kept open, because the system could otherwise reuse its number for a new file as soon as this one was
+removed.
 
-libzmq removes what stands at the path of an endpoint when it binds and when it closes, whoever made it. A socket that
-it is given is left alone, so this module makes the listening socket, and removes it only if it is still its own.
+libzmq removes any file at the path of an endpoint when it binds and when it closes, even one of another process. It
+leaves a socket alone that it was passed as a descriptor, so this module makes the listening socket, and removes its
+file only if the file is still this process's own.
 """
 
 import contextlib
@@ -19,18 +21,19 @@ from telenano.runtime.bus.local_endpoint import LONGEST_IPC_PATH
 from telenano.runtime.bus.pin import Pin
 from telenano.wire.errors import EndpointError
 
-# Options that were set for connections from other machines since the socket was bound are not for readers on this one.
-# libzmq cannot take back the domain of authentication: the authenticator accepts processes of this user without keys.
+# Options that may have been set for connections from other machines after the ipc endpoint was bound; they must not
+# apply to readers on this machine. libzmq cannot reset the domain of authentication: the authenticator accepts
+# processes of this user without keys.
 _PLAIN = (zmq.CURVE_SERVER, zmq.AFFINITY, zmq.HEARTBEAT_IVL, zmq.HANDSHAKE_IVL)
-# The system accepts this number of connections ahead of this process, as libzmq asks for by default.
+# Connections that the system queues until this process accepts them; the default of libzmq.
 _BACKLOG = 100
 
 
 class IpcListener:
-    """Binds a socket of ZeroMQ to an ipc endpoint, at first and whenever its file is gone."""
+    """Binds a ZeroMQ socket to an ipc endpoint, and binds it again when its file is gone."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", endpoint: str) -> None:
-        """Bind; OSError or ZMQError if that is not possible."""
+        """Bind the endpoint; raise OSError or ZMQError if that fails."""
         self.path = Path(endpoint.removeprefix("ipc://"))
         self._socket, self._endpoint = socket, endpoint
         self._options = {option: socket.get(option) for option in _PLAIN}
@@ -38,15 +41,15 @@ class IpcListener:
         self._bind()
 
     def lost(self) -> str:
-        """Return the path where another file or none stands there by now; empty while it is in place."""
+        """Return the path if its file was removed or replaced; empty while the file is in place."""
         is_kept = self._socket.closed or self._pin is None or self._pin.is_in_place()
         return "" if is_kept else str(self.path)
 
     def make_again(self) -> None:
-        """Bind the path once more; who is connected stays connected, because the first listener is not closed.
+        """Bind the path once more; existing connections stay, because the first listener is not closed.
 
         Raises:
-            EndpointError: It cannot be bound.
+            EndpointError: The path cannot be bound.
         """
         changed: dict[zmq.SocketOption, Any] = {
             option: now for option, plain in self._options.items() if (now := self._socket.get(option)) != plain
@@ -62,7 +65,7 @@ class IpcListener:
                 self._socket.set(option, value)
 
     def remove(self) -> None:
-        """Remove the file, if it is still that of this process."""
+        """Remove the file if it is still that of this process."""
         if self._pin is not None:
             self._pin.remove()
             self._pin = None
@@ -73,7 +76,7 @@ class IpcListener:
         with sockets.socket(sockets.AF_UNIX, sockets.SOCK_STREAM) as listening:
             listening.setblocking(False)
             with contextlib.suppress(FileNotFoundError):
-                # Who binds has the lock of the endpoint, so nobody uses what was left there.
+                # This process has the lock of the endpoint, so no other process uses a file that was left here.
                 self.path.unlink()
             listening.bind(str(self.path))
             pin = Pin(self.path)
@@ -86,7 +89,7 @@ class IpcListener:
                 raise
             finally:
                 self._socket.set(zmq.USE_FD, -1)
-            # libzmq closes it from now on.
+            # libzmq owns the descriptor from here on and closes it.
             listening.detach()
         if self._pin is not None:
             self._pin.close()

@@ -1,8 +1,8 @@
-"""The paths at which other processes reach this one: whether they are still there, and how they are made again.
+"""The paths at which other processes reach this one: checked for existence, and made again when they are lost.
 
-A folder of sockets may be removed while a rig runs: by the system at the last logout, by what cleans up, or by a
-person. Whoever is connected remains connected and notices nothing, but no command comes in any more, an emergency stop
-least of all. So the loop of each node looks at its paths twice a second.
+A folder of sockets may be removed while a rig runs: by the system at the last logout, by a clean-up program, or by a
+person. Existing connections stay and notice nothing, but new ones fail, so that no command arrives any more, above all
+no emergency stop. So the loop of each node checks its paths twice a second.
 """
 
 from collections.abc import Callable
@@ -10,22 +10,22 @@ from typing import NamedTuple, Protocol
 
 from telenano.wire.errors import TelenanoError
 
-# A path that could not be made again at so many looks in a row is given up: half a second after it was missed first.
+# A path that could not be made again at this number of checks in a row is given up: half a second after the first.
 _LOOKS = 2
 
 
 class Place(Protocol):
-    """Something that stands at a path: a socket, or a lock."""
+    """A file that belongs at a path: a socket, or a lock."""
 
     def lost(self) -> str:
-        """Return the path where another file or none stands there by now; empty while it is in place."""
+        """Return the path if its file was removed or replaced; empty while the file is in place."""
 
     def make_again(self) -> None:
-        """Put it there again; a TelenanoError says why that is not possible."""
+        """Make the file again; raise a TelenanoError with the reason if that is not possible."""
 
 
 class PlaceNotice(NamedTuple):
-    """What has happened to paths, as a sentence."""
+    """A report on a path: its level, a sentence, the path, and the state `lost` or `made_again`."""
 
     level: str
     text: str
@@ -37,28 +37,28 @@ class Places:
     """The places of one process."""
 
     def __init__(self, prepare: Callable[[], None] = lambda: None) -> None:
-        """Begin without a place; `prepare` is called before one is made again, and raises where that is not safe."""
+        """Begin without places; `prepare` is called before a place is made again, and raises if that is not safe."""
         self._prepare = prepare
         self._places: list[Place] = []
-        # Why a place cannot be made again, empty while each is in place; at how many looks in a row that was so.
+        # Reason why a place cannot be made again, empty while all are in place; number of failed checks in a row.
         self.obstacle = ""
         self._failures = 0
 
     def add(self, place: Place) -> None:
-        """Look after a further place."""
+        """Add a place to check."""
         self._places.append(place)
 
     @property
     def given_up(self) -> bool:
-        """Whether a place is lost and could not be made again for as long as is waited."""
+        """Whether a place is lost and could not be made again at two checks in a row."""
         return self._failures >= _LOOKS
 
     def are_kept(self) -> bool:
-        """Return whether everything is in place."""
+        """Return whether all places are intact."""
         return not any(place.lost() for place in self._places)
 
     def look(self) -> list[PlaceNotice]:
-        """Make again what is gone, and return what there is to say of it."""
+        """Check all places, make lost ones again, and return the notices; a repeated failure is reported once."""
         lost = [(place, path) for place in self._places if (path := place.lost())]
         if not lost:
             self._failures, self.obstacle = 0, ""

@@ -1,4 +1,4 @@
-"""How a node sends: a PUB socket that it binds, with messages that are numbered, stamped and checked."""
+"""The sending side of a node: a PUB socket that it binds; messages are numbered, time-stamped and checked."""
 
 import os
 from abc import ABC, abstractmethod
@@ -16,23 +16,24 @@ from telenano.wire.ends import END_TOPIC, end_data
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import Message
 
-# This number of messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
-# publisher, a half of the controller with 2100 a second.
+# Most messages that a publisher queues for a reader whose process is stopped: ten seconds of the busiest publisher, a
+# half of the controller with 2100 messages per second.
 SEND_HIGH_WATER_MARK = 22_000
-# a subscriber sends nothing but names of topics
+# Largest message from a subscriber [bytes]; subscribers send nothing but names of topics.
 _LARGEST_SUBSCRIPTION = 4096
-# A plain number is used, because the enumeration of the binding makes the call half as expensive again.
+# A plain number, because the enumeration of the binding makes a call 50 % more expensive.
 SNDMORE = int(zmq.SNDMORE)
-# This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
+# The I/O thread of a context for the messages of a node, as a bit of the affinity; sockets that strangers can reach are
+# served by another thread.
 FIRST_THREAD = 1
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
-# A node that ends continues sending for this time to a reader that is behind, its recorder above all. It stays within
-# the grace that a supervisor gives.
+# A node that ends continues to send for at most this time to a reader that is behind, above all its recorder. The time
+# is shorter than the grace period of a supervisor.
 LINGER_S = 20.0
 
 
 class Publisher(Protocol):
-    """What a bus sends with."""
+    """The sending part of a bus."""
 
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message on a topic; the header is filled in."""
@@ -44,16 +45,16 @@ class Publisher(Protocol):
 class _NumberingPublisher(ABC):
     def __init__(self, clock: Clock, node: str) -> None:
         self.node = node
-        # called with a sentence when a quantity was beyond its range
+        # Called with a sentence when a quantity was out of its range and has been limited.
         self.on_limited: Callable[[str], None] = lambda text: None
         self._clock = clock
         self._sequence: dict[str, int] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
+        """Send a message on a topic with the header filled in, and values limited to their ranges.
 
         Raises:
-            WireError: The fields do not make a valid message, or one that is too large.
+            WireError: The message is invalid or too large.
         """
         seq = self._sequence.get(topic, 0)
         header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic)}
@@ -71,7 +72,7 @@ class _NumberingPublisher(ABC):
 
 
 class NullPublisher(_NumberingPublisher):
-    """The publisher of who has no endpoint: numbers and checks as any other, and sends nothing."""
+    """A publisher for a process without an endpoint: it numbers and checks messages, but sends none."""
 
     def send(self, topic: str, payload: bytes) -> None:
         """Drop a message."""
@@ -90,7 +91,7 @@ class ZmqPublisher(_NumberingPublisher):
         kind: int = zmq.PUB,
         prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
     ) -> None:
-        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
+        """Open a socket, call `prepare` with it, and bind it to an endpoint; raise EndpointError if that fails."""
         super().__init__(clock, node)
         self._lock = EndpointLock(endpoint, node)
         self.socket = context.socket(kind)
@@ -101,10 +102,11 @@ class ZmqPublisher(_NumberingPublisher):
         # Call the C base class directly: the method of the subclass first checks options that a PUB socket does not
         # have.
         self.send_frame = super(zmq.Socket, self.socket).send
-        # It is called first with topic and bytes of each message, some of which cross to another machine on this other
-        # way, and returns what goes before the topic of the few of those that are sent by this socket once more.
+        # Called with topic and bytes before each message is sent: it may send the message to another machine by another
+        # transport. If it returns a prefix, this socket sends the message a second time, with the prefix before the
+        # topic.
         self.carry: Callable[[str, bytes], bytes | None] | None = None
-        # Whether the thread that carries a message has this processor before the next one is taken up.
+        # Whether to yield the processor after each message, so that the thread that sends it can run at once.
         self.yields = False
         prepare(self.socket)
         try:
@@ -114,9 +116,9 @@ class ZmqPublisher(_NumberingPublisher):
             raise
 
     def send(self, topic: str, payload: bytes) -> None:
-        """Send bytes as they are: what the link forwards keeps the header of its publisher."""
+        """Send bytes unchanged: a message that the link forwards keeps the header of its publisher."""
         sparse = None if self.carry is None else self.carry(topic, payload)
-        # a player may send under another name
+        # A player may send on a topic that is not in the table.
         frame = _FRAMES.get(topic) or topic.encode()
         self.send_frame(frame, SNDMORE)
         self.send_frame(payload)
@@ -127,7 +129,7 @@ class ZmqPublisher(_NumberingPublisher):
             os.sched_yield()
 
     def also_bind(self, endpoint: str) -> None:
-        """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
+        """Bind a further endpoint; if that fails, close everything and raise EndpointError with the reason."""
         try:
             bind(self.socket, endpoint, self.node)
         except EndpointError:
@@ -137,18 +139,18 @@ class ZmqPublisher(_NumberingPublisher):
             raise
 
     def lost(self) -> str:
-        """Return the path of its lock or socket that is no longer there; empty while both are in place."""
+        """Return the path of the lock or socket that was removed or replaced; empty while both are in place."""
         return self._lock.lost() or ("" if self._listener is None else self._listener.lost())
 
     def make_again(self) -> None:
-        """Lock and bind again what is gone; EndpointError where another process has the endpoint."""
+        """Restore a lost lock or socket; raise EndpointError if another process holds the endpoint."""
         if self._lock.lost():
             self._lock.make_again()
         if self._listener is not None and self._listener.lost():
             self._listener.make_again()
 
     def close(self) -> None:
-        """Close the socket and let the endpoint go."""
+        """Close the socket and release the endpoint."""
         self.socket.close()
         if self._listener is not None:
             self._listener.remove()
@@ -164,12 +166,12 @@ def version_of(topic: str) -> int:
 
 
 def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, str], int] | None = None) -> None:
-    """Publish how many messages were sent on each topic, as the last of all (see telenano/wire/ends.py).
+    """Publish the last message of a node: the number of messages it sent on each topic (see telenano/wire/ends.py).
 
     Args:
-        publisher: Sends the event and counts the messages.
+        publisher: Sends the event and has counted the messages.
         node: The name of the publisher.
-        forwarded: The messages that were sent on, see `end_data`.
+        forwarded: The numbers of forwarded messages, see `end_data`.
     """
     sent = publisher.sequence_numbers()
     sent[END_TOPIC] = sent.get(END_TOPIC, 0) + 1
@@ -178,10 +180,10 @@ def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, s
 
 
 def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> IpcListener | None:
-    """Bind a socket; EndpointError names node, endpoint and what to do.
+    """Bind a socket; on failure close it and raise EndpointError, which names node, endpoint and the reason.
 
     Returns:
-        What looks after the file of an ipc endpoint; None for another one, which has no file.
+        The listener that keeps the file of an ipc endpoint; None for other endpoints, which have no file.
     """
     try:
         if endpoint.startswith("ipc://"):

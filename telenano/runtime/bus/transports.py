@@ -1,7 +1,7 @@
-"""Ways between two machines beside TCP, of packages: entry points `telenano.transports` (docs/extending/io.md).
+"""Transports between two machines beside TCP, from packages: entry points `telenano.transports` (docs/extending/io.md).
 
-A site file names one in `link.transport`. Two names are of telenano itself: `stream`, everything over TCP; and `auto`,
-the transport that KNOWN_TRANSPORT names, where it is installed, and TCP where it is not.
+A site file names one in `link.transport`. Two names belong to telenano itself: `stream`, everything over TCP; and
+`auto`, the transport that KNOWN_TRANSPORT names if it is installed, else TCP.
 """
 
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from telenano.settings.known_packages import KNOWN_PACKAGES, KNOWN_TRANSPORT
 from telenano.wire.errors import ConfigError, known_names
 from telenano.wire.extras import how_to_add_package
 
-# Both names mean the one transport that is known.
+# `named` returns the transport of KNOWN_TRANSPORT for both names.
 STREAM = "stream"
 AUTO = "auto"
 
 
 class SiteFileTransport:
-    """What a site file may say of a transport; `telenano.runtime.LinkTransport` adds what it does.
+    """The declarations of a transport that reading a site file needs; `telenano.runtime.LinkTransport` adds its work.
 
     Attributes:
         settings: The model of the section `link` of a site file: `transport`, and the keys of this transport.
@@ -33,9 +33,11 @@ class SiteFileTransport:
 
 
 def named(name: str) -> SiteFileTransport:
-    """Return the transport of a name, `auto` and `stream` being the one that is known; ConfigError where there is none.
+    """Return the transport with a name; `auto` and `stream` stand for KNOWN_TRANSPORT.
 
-    The error names the package to install, or what is wrong with one that is installed.
+    Raises:
+        ConfigError: There is no such transport. The error names the package to install, or the fault of an installed
+            one.
     """
     entry = KNOWN_TRANSPORT if name in (AUTO, STREAM) else name
     loaded = plugins.load("transports", _checked, taken=(AUTO, STREAM), only=entry)
@@ -52,10 +54,10 @@ def named(name: str) -> SiteFileTransport:
 def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed: bool) -> None:
     """Check the section `link` of a site file by the model of its transport.
 
-    Nothing is looked up for a section that TCP alone can satisfy.
+    A section that needs only TCP passes without looking up a transport.
 
     Raises:
-        ConfigError: The transport is not installed, knows no relay, or refuses the keys.
+        ConfigError: The transport is not installed, supports no relay, or refuses the keys.
     """
     if not relayed and not keys and transport in (AUTO, STREAM):
         return
@@ -70,7 +72,7 @@ def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed:
 
 
 def fetching() -> SiteFileTransport | None:
-    """Return the installed transport that fetches the other site's recording, the known one first; None without any."""
+    """Return an installed transport that fetches the other site's recording, KNOWN_TRANSPORT first, or None."""
     for name in sorted(plugins.installed("transports"), key=lambda name: (name != KNOWN_TRANSPORT, name)):
         row = plugins.load("transports", _checked, taken=(AUTO, STREAM), only=name).found.get(name)
         if row is not None and row.fetches:

@@ -1,1 +1,1 @@
-"""The loop of a node: deadlines, commands, journal, and the state that it keeps."""
+"""The loop of a node: deadlines, deferred tasks, commands, journal, health, and real-time scheduling."""

@@ -1,16 +1,16 @@
-"""Commands on the bus: `CommandClient` sends them and collects the answers, `CommandHandler` takes them in a node.
+"""Commands on the bus: `CommandClient` sends them and collects answers, `CommandHandler` executes them in a node.
 
-A command is a `session/control`, its answers are `session/event`s of the same id. The client sends it again with the
-same id until all have answered; a node carries an id out once and answers each time that it receives it.
+A command is a `session/control`; its answers are `session/event`s with the same id. The client sends it again with the
+same id until all nodes have answered; a node executes an id once, and answers each time that it receives it.
 
-A command expires: it is refused when it cannot be shown to be younger than its validity (ADR 0014). Its age follows
-from `t_ns` where the clock of the sender can agree with that of the node. Where it cannot, or the node itself was held
-up, only a command is fresh that quotes a recent time of the node's own clock. The refusal says that time, and a client
-that is still there sends the command once more with it. What only stops something is obeyed at any age.
+A command expires: a node refuses it unless it can be shown to be younger than its validity (ADR 0014). Its age follows
+from `t_ns` if the clocks of sender and node can agree. If they cannot, or the node itself has stalled, a command is
+fresh only if it quotes a recent time of the node's own clock. The refusal contains that time, and a client that still
+runs sends the command again with it. Commands that only stop something are obeyed at any age.
 
-An emergency stop ends every earlier wish to move (ADR 0059): after one, a node begins a motion only for a command that
-quotes the newest stop. The refusal names it, beside the time, so that both are one quotation. The client quotes it
-where that stop came before the wish, and else gives up.
+An emergency stop voids all earlier commands to move (ADR 0059): after a stop, a node begins a motion only for a command
+that quotes the newest stop. The refusal names the stop beside the time, so that both are one quotation. The client
+quotes a stop that came before the commands were issued, and gives up at a later one.
 """
 
 import math
@@ -35,28 +35,29 @@ RESEND_NS = 200_000_000
 DEADLINE_NS = 5_000_000_000
 _RETRY_PERIOD_NS = 300_000_000
 _RELEASE_PERIOD_NS = 1_000_000_000
-# Every node that is alive has reported twice by then.
+# Time within which every live node has reported twice.
 _DISCOVERY_NS = 1_200_000_000
-# After a silence of this length since the last answer to a pattern, every node that knows the command has answered.
+# After this time without a further answer to a pattern, every node that knows the command has answered.
 _QUIET_NS = 500_000_000
 _REMEMBERED_ANSWERS = 256
 
 DEFAULT_VALIDITY_S = 1.0
 _LONGEST_VALIDITY_S = 60.0
-# These commands take a device to its safe side, or end a motion.
+# Commands that make a device safe, or end a motion.
 _OBEYED_AT_ANY_AGE = ("estop", "stop")
-# A stamp that is further ahead than two clocks that agree ever differ has no age.
+# Greatest difference of two synchronised clocks: if a time stamp is further ahead, the age of its command is unknown.
 _CLOCKS_AGREE_S = 0.1
-# After a stall as long as a command is valid, the messages in the queues may have waited as long.
+# After a stall of the default validity of a command, messages in the queues may have waited that long.
 STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command and the nodes (node@site) that have to answer it; none for a pattern, where those that know it answer.
+    """A command and the `expected` nodes (node@site) that have to answer it.
 
-    What is not `required` may fail, and the next command follows all the same. `by` is the name of who gave it. One
-    that is over when the tip is `placed` waits, after the answer, for the instrument's report of that.
+    There are none for a pattern, where the nodes that know the command answer. After a failed command that is not
+    `required`, the next one follows all the same. `by` is the name of the giver of the command. With `placed`, the
+    command is over only when the instrument reports, after its answer, that the tip is placed.
     """
 
     name: CommandName
@@ -79,14 +80,14 @@ class Command:
 class CommandClient:
     """Sends commands one after the other, each until it is answered, refused for good, or out of time.
 
-    Which nodes a pattern concerns is not known beforehand: answers are awaited until every node that is alive has
-    reported, and then until no more come.
+    The nodes that a pattern concerns are not known beforehand: the client waits for answers until every live node has
+    reported, and then until no more answers come.
 
-    `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
-    `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
-    `ended` are nodes whose process ended on its way to where a command was over: what it said is true of none now.
-    `void`: the failure is that an emergency stop has made the commands void. `latched` is a node in emergency stop from
-    before, which a person has to release: until then, the command is tried again.
+    `failure` is the reason why a required command failed; `tolerated_failures` has those of the other commands by
+    target. `answers` are the answers to the last command by node, including refusals; `ids` has the id of each answered
+    command. `ended` are nodes whose process ended while it was being placed, so that its answer no longer holds.
+    `void`: the failure is an emergency stop, which has made the commands void. `latched` is a node in an earlier
+    emergency stop, which a person has to release: until then, the command is tried again.
     """
 
     def __init__(
@@ -106,12 +107,12 @@ class CommandClient:
             clock: The clock of the sender.
             publish: Publishes a session/control.
             commands: The commands, in their order.
-            retry_ns: How long a required command is tried again after a refusal [ns].
-            issued_ns: When the commands were issued, on the monotonic clock [ns], now if None. A later emergency stop
-                makes them void.
-            releases_stops: False if no person who knows of earlier stops stands behind the commands; a node in
-                emergency stop is then waited for.
-            token: Returns a number of so many bytes that no other sender draws.
+            retry_ns: Time for which a required command is tried again after a refusal [ns].
+            issued_ns: Time at which the commands were issued, on the monotonic clock [ns]; None for now. A later
+                emergency stop makes them void.
+            releases_stops: False if the commands do not come from a person who knows of earlier stops; the client then
+                waits until a person releases a node in emergency stop.
+            token: Returns a random number of this many bytes, as hexadecimal text, unique to this sender.
         """
         self.failure = ""
         self.void = False
@@ -125,28 +126,29 @@ class CommandClient:
         self._commands = deque(commands)
         self._motions = [command for command in self._commands if command.begins_motion]
         self._retry_ns = retry_ns
-        # random, and no time in it: ids of two senders differ whatever their clocks say
+        # Random and without a time, so that ids of two senders differ whatever their clocks show.
         self._sender = token(8)
         self._issued = 0
         self._command: Command | None = None
         self._id = ""
-        # what the nodes that are to be placed have reported since the command was issued, and which of them are
+        # Newest report of each node to be placed since the command was issued.
         self._on_the_way: dict[str, SessionEvent] = {}
-        # number and stamp of the newest event of such a node, by which a new process is known
+        # Seq and t_ns of the newest event of such a node, which reveal a new process of the node.
         self._newest: dict[str, tuple[int, int]] = {}
+        # Nodes that have reported that they are placed.
         self._placed: set[str] = set()
-        # Those whose way to their place was ended by something else.
+        # Nodes whose motion to their place was ended by another cause.
         self._ended: set[str] = set()
         self._expected: set[str] = set()
         self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
         self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
         self._releases_stops = releases_stops
-        # refusals that the current command quotes by node, and their least round trip
+        # Refusals that the current command quotes, by node, and their shortest round trip.
         self._quoted: dict[str, SessionEvent] = {}
         self._round_trip_s = math.inf
 
     def advance(self) -> bool:
-        """Send what is due; return whether every command is over, or a required one has failed."""
+        """Send the command that is due; return whether every command is over, or a required one has failed."""
         while not self.failure:
             command = self._command
             if command is None:
@@ -161,7 +163,7 @@ class CommandClient:
         return True
 
     def on_event(self, event: Message) -> bool:
-        """Record a message; return whether it is a session/event with a node's first answer to the current command."""
+        """Record a message; return whether it is a node's first answer to the current command (a session/event)."""
         if not isinstance(event, SessionEvent):
             return False
         if event.kind == "ack" and event.data.get("command") == "estop" and self._would_move(event.src):
@@ -179,12 +181,13 @@ class CommandClient:
         self.answers[event.src] = event
         self._last_answer_ns = self._clock.monotonic_ns()
         if self._command is not None and self._command.placed:
-            # The tip may wait for the first command of an armed hand, or has said already how long its way takes.
+            # The tip may still wait for the first command of an armed hand, or may already have set a later deadline by
+            # the time that it needs.
             self._deadline_ns = max(self._deadline_ns, self._last_answer_ns + self._command.deadline_ns)
         return True
 
     def _record_way(self, command: Command, event: SessionEvent) -> None:
-        """Record how far a node is that has to be placed, and give it twice the time that it says it needs."""
+        """Record the progress of a node to be placed; set the deadline by twice the time that it says it needs."""
         if event.src not in command.expected or event.src in self._ended:
             return
         self._on_the_way[event.src] = event
@@ -192,7 +195,7 @@ class CommandClient:
         if event.data.get("placed") is True:
             self._placed.add(event.src)
         elif event.src in self.answers and "ended" in event.data:
-            # Something has ended its way, and it stays where it is.
+            # The motion of the node was ended, and it stays where it is.
             self._ended.add(event.src)
             self._deadline_ns = now_ns
         elif isinstance(needs_s, int | float):
@@ -203,11 +206,11 @@ class CommandClient:
             self._deadline_ns = now_ns
 
     def note_end(self, node: str, text: str = "") -> None:
-        """Forget what the process of a node has said that has ended; where it was on its way, the command has failed.
+        """Forget the reports of a node whose process has ended; the command fails if the node was being placed.
 
         Args:
             node: The node as node@site.
-            text: A sentence on the end; empty where none is known.
+            text: A sentence on the end; empty if none is known.
         """
         command = self._command
         if command is None or not command.placed or node not in command.expected:
@@ -215,13 +218,13 @@ class CommandClient:
         for noted in (self._on_the_way, self._newest):
             noted.pop(node, None)
         self._placed.discard(node)
-        # the process that was armed is not there any more, and the next one is not armed
+        # The armed process no longer exists, and the next one is not armed.
         if node in self.answers and not self.failure:
             self.ended.add(node)
             self.failure = f"{node} ended while it was being placed{text and ': '}{text}; arm it again"
 
     def _record_end(self, event: SessionEvent) -> None:
-        """Note the end of a process that its launcher, or itself, reports, or that the numbers of the next one show."""
+        """Note the end of a process: reported by its launcher or itself, or shown by a restart of its seq."""
         if event.kind == "node" and name_of(event.src) == name_of(LAUNCHER) and "exit_code" in event.data:
             self.note_end(str(event.data.get("about_node", "")), event.text)
         elif read_end({"kind": event.kind, "data": event.data}) is not None:
@@ -234,27 +237,27 @@ class CommandClient:
                 self._newest[event.src] = (event.seq, event.t_ns)
 
     def is_place(self, event: SessionEvent) -> bool:
-        """Return whether an event says that a node which these commands wait for is placed."""
+        """Return whether this event is the report that a node, for which these commands wait, is placed."""
         return event.src in self._placed and self._on_the_way.get(event.src) is event and "placed" in event.data
 
     def make_due(self) -> None:
-        """Send the current command again at once: a new reader has connected."""
+        """Make `advance` send the current command again at once, because a new reader has connected."""
         self._next_ns = self._clock.monotonic_ns()
 
     @property
     def unsent(self) -> tuple[Command, ...]:
-        """The commands that were not sent, because one before them has failed."""
+        """The commands that were not sent, because an earlier one has failed."""
         return tuple(self._commands)
 
     @property
     def is_unanswered(self) -> bool:
-        """Whether a node that has to answer has not, neither with a refusal; or nobody where none is named."""
+        """Whether an expected node has neither answered nor refused; without expected nodes, whether none has."""
         heard = {*self.answers, *self._quoted}
         return not self._expected <= heard if self._expected else not heard
 
     @property
     def has_all_answers(self) -> bool:
-        """Whether every node that has to answer the command in hand, or the last one, has answered."""
+        """Whether every expected node has answered the current or last command."""
         return self._expected <= set(self.answers)
 
     @property
@@ -271,16 +274,16 @@ class CommandClient:
         self._deadline_ns = self._issued_ns + command.deadline_ns
 
     def _would_move(self, node: str) -> bool:
-        """Return whether a node is one that these commands let move, and they are not over."""
+        """Return whether these commands are not over and one of them lets a node move."""
         is_over = self._command is None and not self._commands
         return not is_over and any(command.concerns(node) for command in self._motions)
 
     def _give_up(self, reason: str) -> None:
-        """End all commands: they are older than an emergency stop."""
+        """End all commands as void, because they are older than an emergency stop."""
         self.failure, self.void = self.failure or reason, True
 
     def _record_quotation(self, event: SessionEvent) -> None:
-        """Quote a refusal from now on: the time of the node, and its newest emergency stop unless that voids this."""
+        """Quote a refusal from now on, its time and emergency stop; give up if that stop voids the commands."""
         if reason := self._void_by(event):
             self._give_up(reason)
             return
@@ -289,7 +292,7 @@ class CommandClient:
             return
         now_ns = self._clock.monotonic_ns()
         if not self._quoted and self._command is not None:
-            # the node is alive, and may need as long again to answer
+            # The node is alive, and may need the full time again to answer.
             self._deadline_ns = now_ns + self._command.deadline_ns
         if event.src not in self._quoted and event.data.get("expired") is not True:
             self._next_ns = now_ns
@@ -299,10 +302,10 @@ class CommandClient:
             self._round_trip_s = min(self._round_trip_s, (self._clock.now_ns() - sent_t_ns) * 1e-9)
 
     def _void_by(self, event: SessionEvent) -> str:
-        """Return why the stops of which a refusal tells make the commands void, as a sentence; empty if they do not.
+        """Return a sentence why the stops in a refusal make the commands void; empty if they do not.
 
-        A stop is taken for older than the wish only where it was at the node for longer than the wish has existed when
-        the refusal arrives, which needs no common clock. The way back counts against the wish.
+        A stop counts as older than the commands only if its age at the node exceeds the age of the commands when the
+        refusal arrives; this needs no common clock. The transit time of the refusal counts against the commands.
         """
         data, name = event.data, "" if self._command is None else self._command.name
         quoted = self._quoted.get(event.src)
@@ -315,7 +318,7 @@ class CommandClient:
         return ""
 
     def _quotations(self) -> dict[str, Any]:
-        """Return what a session/control quotes of the refusals so far; nothing until there is one."""
+        """Return the fields of a session/control that quote the refusals so far; empty without a refusal."""
         if not self._quoted:
             return {}
         round_trip_s = self._round_trip_s if math.isfinite(self._round_trip_s) else 0.0
@@ -352,14 +355,14 @@ class CommandClient:
         return settled and bool(self.answers)
 
     def _conclude(self, command: Command, now_ns: int) -> bool:
-        """Take the outcome of a command; return whether it is over, and not to be tried again."""
+        """Record the outcome of a command; return whether it is over, False if it will be tried again."""
         failure = self._reason(command)
         if not failure:
             self.ids[command.name] = self._id
         elif not command.required:
             self.tolerated_failures[command.target] = failure
         elif self.refusals and (self.latched or now_ns - self._begun_ns < self._retry_ns):
-            # the first fresh command of a device may still be on the way, and a person takes as long as it takes
+            # The first fresh command for a device may still be under way; for a release by a person there is no limit.
             if now_ns - self._issued_ns >= (_RELEASE_PERIOD_NS if self.latched else _RETRY_PERIOD_NS):
                 if self.latched:
                     self._begun_ns = now_ns
@@ -371,7 +374,7 @@ class CommandClient:
         return True
 
     def _reason(self, command: Command) -> str:
-        """Return why a command failed, as a sentence; empty when it did not."""
+        """Return the reasons why a command failed, as a sentence; empty if it succeeded."""
         quoted = {node: event for node, event in self._quoted.items() if node not in self.answers}
         missing = sorted(set(command.expected) - {*self.answers, *quoted})
         refusals = [*self.refusals, *quoted.values()]
@@ -396,10 +399,10 @@ class _Answer(NamedTuple):
 
 
 class CommandHandler:
-    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again.
+    """Executes session/control for a node, once per id; a command that is sent again gets the same answer again.
 
-    An emergency stop is executed each time that it comes, and ends every command before it that begins a motion: one
-    that was not executed yet is refused, and one that was is not said to be in force any more.
+    An emergency stop is executed each time that it comes, and voids every earlier command that begins a motion: one
+    that was not executed yet is refused, and the stored answer to an executed one is dropped.
     """
 
     def __init__(
@@ -421,11 +424,11 @@ class CommandHandler:
             known: The commands that the node answers when a pattern matches it.
             execute: Returns a sentence for the answer, or raises RefusedError.
             event: Publishes a session/event.
-            is_latched: Whether the node is in emergency stop.
-            kept: The file in which the newest emergency stop is kept until the node is armed.
-            obstacle: Returns why an emergency stop might not reach the node now, empty where it does. Nothing may then
-                begin a motion.
-            token: Returns a number of so many bytes that no other run of a node draws.
+            is_latched: Returns whether the node is in emergency stop.
+            kept: The file that keeps the newest emergency stop until the node is armed.
+            obstacle: Returns the reason why an emergency stop might not reach the node now, else "". While there is
+                one, no command may begin a motion.
+            token: Returns a random number of this many bytes, as hexadecimal text, unique to this run of a node.
         """
         self.latch = EstopLatch(kept, token)
         self._token = token
@@ -440,15 +443,15 @@ class CommandHandler:
         self._distrust_until_ns = 0
 
     def note_stall(self, now_ns: int, duration_ns: int) -> None:
-        """Record that the node did nothing for `duration_ns` until now, both on the clock of `handle` [ns].
+        """Record that the node did nothing for `duration_ns` until `now_ns`, both on the clock of `handle` [ns].
 
-        What waited for it meanwhile comes within the next second, and may carry the time of a clock that is ahead.
+        Messages that waited meanwhile are read within the next second, and may be stamped by a clock that is ahead.
         """
         self._stalled_s = duration_ns * 1e-9
         self._distrust_until_ns = now_ns + STALL_NS
 
     def note_own_stop(self, now_ns: int) -> None:
-        """Record that the device has stopped by a switch of its own, at `now_ns` on the clock of `handle` [ns]."""
+        """Record that a switch of the device has stopped it, at `now_ns` on the clock of `handle` [ns]."""
         self._note_stop(stop_of(self._node, now_ns, self._token), now_ns)
 
     def handle(self, control: SessionControl, now_ns: int) -> bool:
@@ -459,14 +462,14 @@ class CommandHandler:
             now_ns: The time on the clock that stamps the node's messages [ns].
 
         Returns:
-            Whether the node executed the command now; false if it repeated its answer or refused the command unheard.
+            Whether the node executed the command now; False if it repeated an answer, refused or ignored the command.
         """
         if not is_meant(self._node, control.target):
             return False
         if is_pattern(control.target) and control.command not in self._known:
             return False
         if is_estop(control.src) and control.command != "estop":
-            # A client that could connect to the node may stop it, and no more.
+            # Clients at the inlet for emergency stops may only stop the node.
             return False
         is_new = control.id not in self._answers or control.command == "estop"
         if is_new:
@@ -495,14 +498,14 @@ class CommandHandler:
             self._event("fault", "warning", fault)
 
     def _refusal(self, control: SessionControl, now_ns: int) -> tuple[str, dict[str, Scalar]] | None:
-        """Return why a command is not executed whatever it says, and the facts to quote; None where it may be."""
+        """Return the reason why a command is refused before it reaches the node, and its data; None if it may run."""
         facts: dict[str, Scalar] = {}
         if begins_motion(control.command, control.parameters):
             facts = {**self.latch.facts(now_ns), "latched": self._is_latched()}
             if obstacle := self._obstacle():
                 return f"{control.command} is refused: an emergency stop might not reach this node: {obstacle}", facts
-            # This comes before the age, because an older client sends an expired command once more, and gives up at any
-            # other refusal.
+            # The latch is checked before the age: a client of an older version sends an expired command again, but
+            # gives up at any other refusal.
             if reason := self.latch.reason_against((control.node_latch or {}).get(self._node), now_ns):
                 return f"{control.command} is refused: {reason}", facts
         if expiry := self._expiry(control, now_ns):
@@ -510,7 +513,7 @@ class CommandHandler:
         return None
 
     def _expiry(self, control: SessionControl, now_ns: int) -> str:
-        """Return why a command is too old to be executed, or cannot be shown not to be; empty when it is fresh."""
+        """Return the reason why a command is too old, or may be too old, to be executed; empty if it is fresh."""
         if control.command in _OBEYED_AT_ANY_AGE:
             return ""
         valid_s = DEFAULT_VALIDITY_S if control.validity_s is None else min(control.validity_s, _LONGEST_VALIDITY_S)
@@ -540,6 +543,6 @@ def _giver(control: SessionControl) -> dict[str, Scalar]:
 
 
 def stop_of(node: str, now_ns: int, token: Callable[[int], str] = OWN_MACHINE.token) -> SessionControl:
-    """Return an emergency stop for a node (node@site) that no sender has sent, of `now_ns` [ns]."""
+    """Return an emergency stop for a node (node@site) that no sender has sent, stamped `now_ns` [ns]."""
     src, number = f"estop@{site_of(node)}", token(12)
     return SessionControl(seq=0, t_ns=now_ns, src=src, v=1, id=number, command="estop", target=node, parameters={})

@@ -1,4 +1,4 @@
-"""Absolute periodic deadlines, and statistics of how late they were met."""
+"""Absolute periodic deadlines, and statistics of the lateness with which they were met."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,7 +7,7 @@ _WINDOW = 8192
 
 
 class LatenessWindow:
-    """Lateness of the last steps [s], of which a report gives quantiles; recording one costs an array store."""
+    """Lateness of the last 8192 steps at most [s], for the quantiles of a report; recording is one array store."""
 
     def __init__(self) -> None:
         self._samples: npt.NDArray[np.float64] = np.zeros(_WINDOW)
@@ -18,7 +18,7 @@ class LatenessWindow:
         self._count += 1
 
     def take(self) -> tuple[float, float, float]:
-        """Return p50, p99 and the greatest lateness [s] since the last call, and reset; zeros if there was none."""
+        """Return p50, p99 and maximum of the lateness [s] since the last call, and reset; zeros without samples."""
         used = np.sort(self._samples[: min(self._count, _WINDOW)])
         self._count = 0
         if used.size == 0:
@@ -27,7 +27,7 @@ class LatenessWindow:
 
 
 def _quantile(ordered: npt.NDArray[np.float64], share: float) -> float:
-    # np.percentile takes a quarter of a millisecond for it, in which a command may come
+    # np.percentile would take a quarter of a millisecond, in which a command may arrive.
     place = share * (ordered.size - 1)
     i = int(place)
     low, high = float(ordered[i]), float(ordered[min(i + 1, ordered.size - 1)])
@@ -35,7 +35,7 @@ def _quantile(ordered: npt.NDArray[np.float64], share: float) -> float:
 
 
 def deadline_after(deadline_ns: int, now_ns: int, period_ns: int) -> int:
-    """Return the next deadline of a grid [ns] after one that is due, without those missed by a period or more."""
+    """Return the next deadline of a grid after one that is due, skipping those missed by a period or more [ns]."""
     return deadline_ns + (max(0, now_ns - deadline_ns) // period_ns + 1) * period_ns
 
 
@@ -53,7 +53,7 @@ class PeriodicDeadline:
         """Advance past the deadline that is due, and past those missed by a period or more.
 
         Returns:
-            The periods since the last step, 1 unless deadlines were missed.
+            The number of periods since the last step, 1 unless deadlines were missed.
         """
         before_ns, self.deadline_ns = self.deadline_ns, deadline_after(self.deadline_ns, now_ns, self.period_ns)
         periods = (self.deadline_ns - before_ns) // self.period_ns

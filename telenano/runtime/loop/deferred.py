@@ -1,4 +1,4 @@
-"""Deferred tasks: what a node has to do and need not do at once, run in the idle gaps of its loop."""
+"""Deferred tasks: work of a node that need not be done at once, run in the idle gaps of its loop."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -6,19 +6,19 @@ from typing import NamedTuple
 from telenano.timing.clock import NEVER_NS, Clock
 
 Task = Callable[[], object]
-# A task that has waited for this time is run anyway.
+# A task that has waited for this time is run even without a gap.
 PATIENCE_NS = 20_000_000
-# After this time without an event nothing is known of the next one, and every task is due at once.
+# After this time without an event, the next one cannot be predicted, and every new task is due at once.
 _IDLE_NS = 5_000_000
-# A mean follows its measurements by this share.
+# A running mean moves by one part in this number of the difference from a new measurement.
 _MEAN_SHARE = 8
 
 
 class Deferred(NamedTuple):
-    """A task that waits.
+    """A waiting task.
 
-    `is_turn`: the outputs of the node depend on it, so that its run is a turn in the journal. `latest_ns`: when it is
-    run anyway, on the monotonic clock; NEVER_NS of a task that is not needed, only better done in a gap.
+    `is_turn`: the outputs of the node depend on the task, so its run is a turn in the journal. `latest_ns`: the time at
+    which it is run even without a gap, on the monotonic clock; NEVER_NS for an optional task, run only in a gap.
     """
 
     run: Task
@@ -27,10 +27,11 @@ class Deferred(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """The time from an event of a process to the next one, while the tick is with others.
+    """The time from one event of a process to the next, while other processes work on the tick.
 
-    `begin_ns`: when the event was dealt with; `length_ns`: how long a gap lasts in the mean, 0 where that is not known
-    or the event began none; `free_ns`: from when on the processor is free for a task, NEVER_NS if it is not any more.
+    All times on the monotonic clock [ns]. `begin_ns`: end of the handling of the event; `length_ns`: mean length of a
+    gap, 0 if unknown or if no gap begins with this event; `free_ns`: time from which the processor is free for a task,
+    NEVER_NS if it is no longer.
     """
 
     begin_ns: int
@@ -38,15 +39,15 @@ class Gap(NamedTuple):
     free_ns: int
 
     def fits_from(self, takes_ns: int, now_ns: int, next_ns: int) -> int:
-        """Return from when on a task can be run in this gap [ns], NEVER_NS if it does not fit in any more.
+        """Return the time from which a task can be run in this gap, NEVER_NS if it does not fit any more [ns].
 
-        It fits where it ends in the third quarter. One that is too long for that begins in the second, because it would
-        delay a tick anywhere else as well.
+        A task fits if it ends before the last quarter. A longer task may begin in the first half, because it would
+        delay a tick at any other time as well.
 
         Args:
-            takes_ns: How long the task takes.
-            now_ns: The present, on the monotonic clock.
-            next_ns: When the next deadline of the node comes, before which the task has to be over.
+            takes_ns: Duration of the task [ns].
+            now_ns: The present time on the monotonic clock [ns].
+            next_ns: The next deadline of the node, before which the task has to end [ns].
         """
         begin_ns = max(self.free_ns, now_ns)
         end_ns = begin_ns + takes_ns
@@ -56,9 +57,9 @@ class Gap(NamedTuple):
 
 
 def gap_after(end_ns: int, length_ns: int) -> Gap:
-    """Return the gap after an event that was dealt with at end_ns [ns].
+    """Return the gap after an event whose handling ended at `end_ns`, with its mean length [ns].
 
-    Its first quarter belongs to processes that what was just sent has woken up, on the same processor perhaps.
+    The first quarter is left to processes that the messages just sent have woken up, perhaps on the same processor.
     """
     return Gap(end_ns, length_ns, end_ns + length_ns // 4 if length_ns else NEVER_NS)
 
@@ -66,38 +67,38 @@ def gap_after(end_ns: int, length_ns: int) -> Gap:
 class DeferredTasks:
     """The tasks of one loop, in the order in which they were added.
 
-    A report takes as long as a third of a tick and becomes due at any time. In front of a tick it makes that tick late,
-    and a tick that is late by a period meets the next one. So a task waits for an idle gap, in which the tick is with
-    others, from one event of this process to the next. How long the gap is and how long each task takes are means of
-    what the loop has measured. Each gap takes one task, besides those that are not needed, in its middle half
-    (`Gap.fits_from`): its last quarter belongs to a tick that comes early.
+    A report takes a third of a tick and becomes due at any time. Run just before a tick, it would make that tick late,
+    and a tick that is late by a period collides with the next one. So a task waits for an idle gap between two events
+    of this process, in which other processes work on the tick. The length of the gap and the duration of each task are
+    running means of measurements. Each gap has room for one task, besides optional ones, in its middle half
+    (`Gap.fits_from`); the last quarter is left free for a tick that comes early.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._now_ns = clock.monotonic_ns
         self._waiting: list[Deferred] = []
-        # when there is something to do, on the monotonic clock [ns]
+        # The time at which a task is due, on the monotonic clock [ns].
         self.due_ns = NEVER_NS
-        # mean time that each task takes, and mean length of a gap [ns]
+        # Mean duration of each task, and mean length of a gap [ns].
         self._takes_ns: dict[Task, int] = {}
         self._gap_ns: int | None = None
         self._begin(Gap(-NEVER_NS, 0, NEVER_NS), in_gap=False)
 
     def _begin(self, gap: Gap, *, in_gap: bool) -> None:
-        """Begin the time after an event; `in_gap`: a gap, whose length is measured."""
+        """Begin the time after an event; `in_gap`: it is an idle gap, whose length is measured."""
         self._gap, self._in_gap = gap, in_gap
-        # When the next event came, if a task did not let it in, and when the next deadline comes.
+        # Begin of the task during which the next event came, if any, and the next deadline.
         self._met_ns = self._next_ns = NEVER_NS
-        # whether the gap has taken its task
+        # Whether a task has been run in the gap.
         self._is_used = False
 
     def add(self, task: Task, *, is_turn: bool = False, within_ns: int = PATIENCE_NS) -> None:
-        """Add a task, the same callable each time; one that waits keeps its place.
+        """Add a task; a task that already waits keeps its place.
 
         Args:
-            task: What to run.
-            is_turn: Whether the outputs of the node depend on it.
-            within_ns: After this time it is run even if there was no idle gap; NEVER_NS: only in one.
+            task: The callable, equal each time, because it identifies the task.
+            is_turn: Whether the outputs of the node depend on the task.
+            within_ns: Time after which the task is run even without an idle gap [ns]; NEVER_NS: only in a gap.
         """
         if any(task == waiting.run for waiting in self._waiting):
             return
@@ -110,9 +111,9 @@ class DeferredTasks:
         """Measure the gap before an event, and begin the one after it.
 
         Args:
-            begin_ns: When a message or deadline came, on the monotonic clock.
-            end_ns: When it was dealt with.
-            is_last: Whether the tick is then with others for the longest time.
+            begin_ns: Time at which a message or deadline came, on the monotonic clock [ns].
+            end_ns: Time at which its handling ended [ns].
+            is_last: Whether the longest time in which other processes work on the tick begins now.
         """
         gap_ns = min(begin_ns, self._met_ns) - self._gap.begin_ns
         if self._in_gap and gap_ns < _IDLE_NS:
@@ -122,13 +123,14 @@ class DeferredTasks:
             self._schedule(end_ns)
 
     def take(self, now_ns: int, next_ns: int = NEVER_NS) -> Deferred | None:
-        """Return what is to be run now: the first task if one has waited for too long, or if it fits into the gap.
+        """Remove and return the task to run now, or None.
 
-        The others still wait while it runs, because the task that ends a batch of the journal asks which ones do.
+        It is the first task if any task has waited too long, else the next task if it fits into the gap. The others
+        stay in the queue while it runs, because the task that ends a batch of the journal checks it.
 
         Args:
-            now_ns: The time on the monotonic clock.
-            next_ns: When the next deadline of the node comes, before which the task has to be over.
+            now_ns: The present time on the monotonic clock [ns].
+            next_ns: The next deadline of the node, before which the task has to end [ns].
         """
         self._next_ns = next_ns
         is_overdue = any(task.latest_ns <= now_ns for task in self._waiting)
@@ -140,7 +142,7 @@ class DeferredTasks:
         return task
 
     def take_turn(self) -> Task | None:
-        """Return the first task that is a turn of the node, whatever the time is; None if there is none."""
+        """Remove and return the first task that is a turn of the node, at any time; None if there is none."""
         turn = next((task for task in self._waiting if task.is_turn), None)
         if turn is None:
             return None
@@ -150,21 +152,21 @@ class DeferredTasks:
 
     @property
     def has_turns(self) -> bool:
-        """Whether a task waits that is a turn of the node, and needed."""
+        """Whether a task waits that is a turn of the node and not optional."""
         return any(task.is_turn and task.latest_ns < NEVER_NS for task in self._waiting)
 
     def forget_unneeded(self) -> None:
-        """Forget the tasks that are not needed."""
+        """Remove the optional tasks."""
         self._waiting = [task for task in self._waiting if task.latest_ns < NEVER_NS]
 
     def note_run(self, task: Task, begin_ns: int, end_ns: int, *, met: bool) -> None:
-        """Note how long a task took; the next one leaves the processor to others for half as long.
+        """Record the duration of a task; before the next one, the processor is left to others for half of it.
 
         Args:
             task: The task that was run.
-            begin_ns: When it began, on the monotonic clock.
-            end_ns: When it ended.
-            met: A message has come meanwhile, so the gap was over before.
+            begin_ns: Begin of the run, on the monotonic clock [ns].
+            end_ns: End of the run [ns].
+            met: Whether a message has arrived meanwhile, so that the gap had ended before.
         """
         taken_ns = end_ns - begin_ns
         self._takes_ns[task] = _mean(self._takes_ns.get(task), taken_ns)
@@ -175,12 +177,12 @@ class DeferredTasks:
         self._schedule(end_ns)
 
     def _next(self) -> Deferred | None:
-        """Return the first task that this gap may take."""
+        """Return the first task that may be run in this gap: only an optional one if another has been run."""
         waiting = (task for task in self._waiting if not self._is_used or task.latest_ns == NEVER_NS)
         return next(waiting, None)
 
     def _fits_at(self, now_ns: int) -> int:
-        """Return from when on the next task can be run in this gap [ns], NEVER_NS if none fits in any more."""
+        """Return the time from which the next task can be run in this gap, NEVER_NS if none fits any more [ns]."""
         task = self._next()
         return NEVER_NS if task is None else self._gap.fits_from(self._takes_ns.get(task.run, 0), now_ns, self._next_ns)
 
@@ -190,5 +192,5 @@ class DeferredTasks:
 
 
 def _mean(known_ns: int | None, measured_ns: int) -> int:
-    """Return the mean that continues from the one known so far, None at first [ns]."""
+    """Return the running mean, updated from the known one (None at first) by a measurement [ns]."""
     return measured_ns if known_ns is None else known_ns + (measured_ns - known_ns) // _MEAN_SHARE

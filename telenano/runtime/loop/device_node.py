@@ -1,7 +1,7 @@
-"""What a node with a device does whatever the device is: it keeps out recordings, and processes the device's reports.
+"""The base of nodes with any device: it rejects messages from recordings, and processes the device's reports.
 
-What a device or its settings may have or lack is a part of the node's step. The parts are put together once, when the
-node is built, so that no step asks what there is (ADR 0067).
+Optional features of a device or its settings are parts of the node's step. The parts are assembled once, when the node
+is built, so that no step has to check which features exist (ADR 0067).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,20 +16,20 @@ M = TypeVar("M")
 
 
 class StepPart(Generic[S, M]):
-    """A part around guard and device of a step `S` with memory `M`; it implements the calls that it needs."""
+    """An optional part of a step `S` with memory `M`, around guard and device; it implements the methods it needs."""
 
     def prepare(self, step: S, memory: M) -> None:
-        """Act on what the guard allows, before the device does."""
+        """Act on the output of the guard, before the device does."""
 
     def measure(self, step: S, memory: M) -> None:
-        """Take up what was measured: for the state that is published, and for the guard at the next step."""
+        """Process the measurements, for the published state and for the guard at the next step."""
 
     def report(self, step: S, memory: M) -> None:
-        """Publish what there is besides the state, after it."""
+        """Publish further messages after the state."""
 
 
 class Parts(Generic[S, M]):
-    """The parts of a step as one, in the order in which they act."""
+    """The parts of a step as one, called in their order; methods that a part does not implement cost nothing."""
 
     def __init__(self, parts: Sequence[StepPart[S, M]]) -> None:
         self.prepare, self.measure, self.report = (_all(parts, name) for name in ("prepare", "measure", "report"))
@@ -46,17 +46,17 @@ def _all(parts: Sequence[StepPart[S, M]], name: str) -> Callable[[S, M], None]:
 
 
 class DeviceNode(Node):
-    """A node with a device, which is simulated until `process_report` receives a report of a real one.
+    """A node with a device, which counts as simulated until `process_report` receives a report of a real one.
 
-    It rejects messages of publishers whose `node/health` is marked `replay`, unless that was allowed. A player
-    publishes that mark before its first message. An emergency stop is obeyed no matter who sends it.
+    The node rejects messages of publishers whose `node/health` is marked `replay`, unless `allow_replay`. A player
+    publishes that mark before its first message. An emergency stop is obeyed from every sender.
     """
 
     def __init__(self, context: NodeContext, *, allow_replay: bool) -> None:
         super().__init__(context)
         self.period_s = context.period_s
         self.freshness.allow_replay = allow_replay
-        # publishers of a recording, and whether the first rejection of one was reported
+        # Publishers of a recording, and whether the first rejection of each was reported.
         self._replayed: dict[str, bool] = {}
         self.is_lost, self._device_text = False, ""
         self._device_health: dict[str, float | str] = {}
@@ -66,7 +66,7 @@ class DeviceNode(Node):
         message = received.message
         if type(message) is NodeHealth:
             if not message.replay:
-                # the live node is back
+                # The live node publishes again.
                 self._replayed.pop(message.src, None)
             elif not self.freshness.allow_replay:
                 self._replayed.setdefault(message.src, False)
@@ -81,7 +81,7 @@ class DeviceNode(Node):
         return False
 
     def has_device(self, latency_s: float, calibration: str) -> None:
-        """Let node/health have the delay that a real device declares [s], and the identity of its calibration."""
+        """Report the delay that a real device declares [s] and the identity of its calibration in node/health."""
         self._device_health = {"device_latency_s": latency_s, "calibration": calibration}
 
     def device_health(self) -> Mapping[str, float | str]:
@@ -89,9 +89,11 @@ class DeviceNode(Node):
         return {**self._device_health, **({"device_age_s": sum(ages_s) / len(ages_s)} if ages_s else {})}
 
     def process_report(self, report: Any, *, is_late: bool = False) -> None:
-        """Take up status, age_s and text of a real device; the text is an event, once.
+        """Record status and age_s of a report of a real device; publish its text as an event when it changes.
 
-        is_late: the sample is too old for what the device says to be no fault.
+        Args:
+            report: The report, with status, age_s and text.
+            is_late: Whether the sample is too old, so that any text of the device is a fault.
         """
         self.is_lost = report.status == "lost"
         if not self.is_lost:

@@ -1,4 +1,4 @@
-"""What one run of a node knows of its emergency stops, and what a command has to quote to begin a motion after one."""
+"""The emergency stops of one run of a node, and the quotation by which a later command may begin a motion."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from telenano.wire.messages import Scalar
 
 
 def begins_motion(command: str, parameters: Mapping[str, Scalar]) -> bool:
-    """Return whether a command lets a device move: `arm`, and `set` where it begins or continues a program."""
+    """Return whether a command lets a device move: `arm`, or a `set` that begins or continues a program."""
     return command == "arm" or (
         command == "set" and "program" in parameters and parameters["program"] not in ("abort", "pause")
     )
@@ -18,20 +18,20 @@ def begins_motion(command: str, parameters: Mapping[str, Scalar]) -> bool:
 class EstopLatch:
     """Counts the emergency stops of one run of a node, and keeps the newest in a file until the node is armed.
 
-    A command that begins a motion quotes `quotation`, the run and the count, once there was a stop (ADR 0059). The
-    count alone would not do, because it begins again with each run.
+    After a stop, a command that begins a motion has to quote `quotation`: the run and the count of stops (ADR 0059).
+    The count alone would not suffice, because it begins again with each run.
     """
 
     def __init__(self, path: Path | None = None, token: Callable[[int], str] = OWN_MACHINE.token) -> None:
         """Begin a run without a stop.
 
         Args:
-            path: Where the newest stop is kept; None where it is not.
-            token: Returns a number of so many bytes that no other run draws.
+            path: The file that keeps the newest stop; None to keep none.
+            token: Returns a random number of this many bytes, as hexadecimal text, unique to this run.
         """
         self.path = path
         self.count = 0
-        # The id of the newest stop that was recorded; the copies of one stop share it.
+        # The id of the newest recorded stop; repeated copies of one stop have the same id.
         self.newest_id = ""
         self._run = token(6)
         self._newest_ns = 0
@@ -41,12 +41,12 @@ class EstopLatch:
         return f"{self._run}-{self.count}"
 
     def record(self, identifier: str, payload: bytes, now_ns: int) -> str:
-        """Record a stop that the node has carried out; return why it cannot be kept, empty where it is.
+        """Record a stop that the node has executed; return the reason if the file cannot be written, else "".
 
         Args:
             identifier: The id of the stop.
-            payload: The message as it was sent.
-            now_ns: When the node carried it out [ns].
+            payload: The encoded message.
+            now_ns: The time at which the node executed it [ns].
         """
         self.count += 1
         self._newest_ns = now_ns
@@ -57,17 +57,22 @@ class EstopLatch:
         return fault
 
     def release(self) -> None:
-        """Keep no stop any longer: the node was armed."""
+        """Remove the kept stop, because the node was armed."""
         self.newest_id = ""
         if self.path is not None:
             kept_stop.forget(self.path)
 
     def kept(self) -> bytes | None:
-        """Return the stop that is kept, None where there is none; errors as those of `kept_stop.kept`."""
+        """Return the kept stop, None if there is none; raise the errors of `kept_stop.kept`."""
         return None if self.path is None else kept_stop.kept(self.path)
 
     def reason_against(self, quoted: str | None, now_ns: int) -> str:
-        """Return why a command that quotes `quoted`, or nothing, may not begin a motion now; empty where it may."""
+        """Return the reason why a command may not begin a motion now, empty if it may.
+
+        Args:
+            quoted: The quotation in the command; None without one.
+            now_ns: The present time [ns].
+        """
         if quoted == self.quotation or (quoted is None and not self.count):
             return ""
         if quoted is not None and not quoted.startswith(f"{self._run}-"):
@@ -76,6 +81,6 @@ class EstopLatch:
         return f"it does not refer to the newest emergency stop, which came {age_s:.1f} s ago"
 
     def facts(self, now_ns: int) -> dict[str, Scalar]:
-        """Return what a refusal says of the latch for the sender to quote, and how old the newest stop is [s]."""
+        """Return the data of a refusal: the quotation for the sender, and the age of the newest stop [s]."""
         age = {"estop_age_s": (now_ns - self._newest_ns) * 1e-9} if self.count else {}
         return {"latch": self.quotation, **age}

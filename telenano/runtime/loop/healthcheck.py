@@ -1,7 +1,7 @@
-"""The health check of a container: reads the node/health of a node on this machine.
+"""The health check of a container: it reads the node/health of a node on this machine.
 
-It runs every few seconds beside a 1 kHz loop, so it imports next to nothing: without --site-file it takes ZeroMQ and
-msgpack only, and with Python itself 0.05 s of processor time.
+It runs every few seconds beside a 1 kHz loop, so it imports very little: without --site-file only ZeroMQ and msgpack,
+which take, with the start of Python, 0.05 s of processor time.
 """
 
 import argparse
@@ -20,13 +20,13 @@ from telenano.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE
 NODE_VARIABLE = "TELENANO_NODE"
 TOPIC = b"node/health"
 UNHEALTHY_STATES = ("starting", "stopping")
-# node/health comes twice a second
+# Default time to wait for node/health, which is sent twice a second [s].
 DEFAULT_WITHIN_S = 3.0
 _LARGEST_FRAME = 1 << 20
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the state of a node; return 0 when it is healthy, 1 when it is not, 2 when it cannot be checked."""
+    """Print the state of a node; return 0 if it is healthy, 1 if it is not, 2 if it cannot be checked."""
     options = _parser().parse_args(arguments)
     if not options.node:
         return _report(2, f"no node was named: give node@site, or set {NODE_VARIABLE}")
@@ -46,15 +46,15 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
 
     Args:
         node: The node as node@site.
-        site_file: The site file; None where every node has a socket of its name in one folder, as in the files of the
-            project.
+        site_file: The site file; None if every node has a socket of its name in the folder TELENANO_RUNTIME_DIR, as in
+            the site files of the project.
 
     Raises:
-        LookupError: The file is wrong, or no folder is given.
+        LookupError: The file is invalid, or no folder is set.
         KeyError: The node is not in the file.
     """
     if site_file is not None:
-        # models of every message come with these: a third of a second of processor time
+        # These imports load the models of all messages, which takes a third of a second of processor time.
         from telenano.runtime.bus.address_book import AddressBook
         from telenano.wire.errors import TelenanoError
 
@@ -69,7 +69,7 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
 
 
 def receive_health(endpoint: str, node: str, within_s: float) -> Mapping[str, Any] | None:
-    """Wait for one node/health of a node; None when none arrived in time."""
+    """Wait for one node/health of a node, at most `within_s` [s]; return None if none arrives in time."""
     end_s = time.monotonic() + within_s
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.set(zmq.LINGER, 0)
@@ -85,7 +85,7 @@ def receive_health(endpoint: str, node: str, within_s: float) -> Mapping[str, An
 
 
 def parse_health(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None:
-    """Return the node/health of a node; None for other frames and for that of nodes that the link carries."""
+    """Return the node/health in the frames; None for invalid frames, and for nodes whose health the link forwards."""
     if len(frames) != 2 or frames[0] != TOPIC:
         return None
     try:

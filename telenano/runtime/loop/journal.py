@@ -1,4 +1,4 @@
-"""The input journal of a node: in which order it took its messages and deadlines, published in batches."""
+"""The input journal of a node: the order in which it handled messages and deadlines, published in batches."""
 
 from array import array
 from collections import deque
@@ -18,16 +18,19 @@ DEADLINE = 0
 MESSAGE = 1
 COMMAND = 2
 DEFERRED = 3
-# A message holds this number of turns: some 80 kB, and below the limit however many sources there are.
+# Number of turns in a message: some 80 kB, and below the limit for any number of sources.
 _BATCH = 4096
-# A message carries this number of bytes of a state: half of what one may hold.
+# Most bytes of a state in a message: half of the limit of a message.
 _STATE_PIECE = 1 << 19
-# States are published at this mean rate at most.
+# Greatest mean rate at which states are published [bytes/s].
 _STATE_BYTES_PER_S = 1 << 20
 
 
 class _Batch(NamedTuple):
-    """A complete batch; `state` and `outputs` are those before its first turn. The rest of a state has no turns."""
+    """A complete batch; `state` and `outputs` are those before its first turn.
+
+    The further pieces of a large state are batches without turns.
+    """
 
     first_turn: int
     sources: Iterable[tuple[str, str]]
@@ -40,15 +43,20 @@ class _Batch(NamedTuple):
 
 
 class InputJournal:
-    """Keeps the turns of a node and gives it `clock`, which shows one time during a turn.
+    """Records the turns of a node, and gives it `clock`, which stands still during a turn.
 
     Each batch begins with the state of the node and the numbers of its next outputs, so that a re-run can begin at any
-    of them: the recorder may come late, and a recording may be cut. A state that is larger than a message continues in
+    batch: the recorder may connect late, and a recording may be cut. A state too large for one message continues in
     messages without turns, and is captured less often.
     """
 
     def __init__(self, node: Any, sequence_numbers: Callable[[], dict[str, int]]) -> None:
-        """Begin with the state that the node was built in, and take over its clock."""
+        """Begin with the initial state of the node, and replace its clock.
+
+        Args:
+            node: The node.
+            sequence_numbers: Returns the seq of the next message on each topic of the node's bus.
+        """
         clock = node.context.clock
         self.clock = TurnClock(clock.now_ns(), clock.epoch_offset_ns)
         self._node = node
@@ -62,18 +70,18 @@ class InputJournal:
 
     @property
     def full(self) -> bool:
-        """A batch is complete."""
+        """Whether a batch has all its turns."""
         return len(self._kind) >= _BATCH
 
     def record_turn(self, kind: int) -> None:
-        """Record a deadline or a deferred task that was acted on at the time that the clock shows."""
+        """Record a deadline or a deferred task (`kind`) that was handled at the time of the clock."""
         self._kind.append(kind)
         self._time_ns.append(self.clock.time_ns)
         self._input.append(-1)
         self._number.append(-1)
 
     def record_message(self, received: Received, *, executed: bool) -> None:
-        """Record a message that was acted on when it was received; `executed`: the node carried out its command."""
+        """Record a message that was handled at its time of reception; `executed`: the node executed its command."""
         message = received.message
         source = (received.topic, message.src)
         place = self._sources.get(source)
@@ -85,7 +93,7 @@ class InputJournal:
         self._number.append(message.seq)
 
     def complete(self) -> None:
-        """End the batch, if there were turns since the last one, and begin a new one."""
+        """End the batch if it has turns, and begin a new one."""
         if self._kind:
             arrays = (self._kind, self._time_ns, self._input, self._number)
             first = self._first_turn
@@ -97,13 +105,13 @@ class InputJournal:
             self._begin()
 
     def end(self) -> None:
-        """End the batch, and send all that is complete."""
+        """End the batch, and send all complete batches."""
         self.complete()
         while self.publish():
             pass
 
     def publish(self) -> bool:
-        """Send the next of what is complete; return whether there is more."""
+        """Send the next complete batch; return whether there are more."""
         if self._complete:
             batch = self._complete.popleft()
             arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
@@ -130,7 +138,7 @@ class InputJournal:
         self._state = self._captured()
 
     def _captured(self) -> bytes:
-        """Return the state of the node; empty where it has none, or where the last one was large and not long ago."""
+        """Return the encoded state of the node; empty if it has none, or too soon after a large one."""
         if self.clock.time_ns < self._next_state_ns:
             return b""
         try:

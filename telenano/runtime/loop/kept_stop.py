@@ -1,9 +1,9 @@
-"""An emergency stop in a file beside a device's inlet, until the device is armed (ADR 0059).
+"""An emergency stop kept in a file beside a device's inlet until the device is armed (ADR 0059).
 
-The file is the message itself, so that a device which finds it takes it as any other: it is in the journal of the
-device and in the recording. The sender of a stop writes it before it sends, and the device when it latches. So a device
-that was stopped for longer than anybody repeats a message, or that was killed, comes back latched, no matter what
-started it. It imports no model: an emergency stop has no time for them.
+The file contains the message itself, so that a device that finds it handles it like any other message: the stop is in
+the device's journal and in the recording. The sender writes the file before it sends the stop, and the device when it
+latches. So a device that was suspended for longer than senders repeat a message, or that was killed, starts again
+latched, whichever program starts it. The module imports no models: an emergency stop has no time for them.
 """
 
 import contextlib
@@ -17,9 +17,9 @@ _LARGEST = 4096
 
 
 def keep(path: Path, payload: bytes) -> str:
-    """Keep a stop in the place of any before; return why that was not possible, empty where it was.
+    """Write a stop to the file, replacing an earlier one; return the reason if that is impossible, else "".
 
-    A reader sees the whole file or none, and nothing is written through a link that somebody put there.
+    The write is atomic, and does not follow a link at the path.
     """
     try:
         write_whole(path, payload, is_forced=False)
@@ -29,11 +29,11 @@ def keep(path: Path, payload: bytes) -> str:
 
 
 def kept(path: Path) -> bytes | None:
-    """Return the stop that is kept, None where there is none; a file that cannot be read counts as an empty one.
+    """Return the kept stop, None if there is none, b"" if the file cannot be read.
 
     Raises:
-        NotRegularError: A pipe, a socket, a device or a link stands there, which no stop was written to: whoever keeps
-            one replaces it. IsADirectoryError means the same of a folder, in whose place none can be kept.
+        NotRegularError: The path is a pipe, a socket, a device or a link, so it is no kept stop; `keep` replaces it.
+        IsADirectoryError: The path is a folder, which `keep` cannot replace.
     """
     try:
         return read_regular(path, _LARGEST, follows_links=False)
@@ -46,6 +46,6 @@ def kept(path: Path) -> bytes | None:
 
 
 def forget(path: Path) -> None:
-    """Keep no stop any longer: the device was armed, or its rig has ended."""
+    """Remove the kept stop, because the device was armed or its rig has ended."""
     with contextlib.suppress(OSError):
         path.unlink()

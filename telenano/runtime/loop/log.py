@@ -9,9 +9,9 @@ from typing import Any
 from telenano.timing.clock import Clock
 from telenano.wire.printable import printable
 
-# A library may log this number of records at once.
+# Number of records that a library may log at once.
 _LIBRARY_BURST = 20.0
-# After that it may log this number of records a second.
+# Number of records per second that it may log after that.
 _LIBRARY_PER_S = 1.0
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
@@ -38,7 +38,7 @@ class StructuredLog:
 
 
 class RateLimitedLog:
-    """Logs each kind of message at most once an interval, with the number of those suppressed."""
+    """Logs each kind of message at most once per interval [s], with the number of suppressed ones."""
 
     def __init__(self, log: StructuredLog, clock: Clock, interval_s: float = 1.0) -> None:
         self._log = log
@@ -48,7 +48,7 @@ class RateLimitedLog:
         self._held_back: dict[str, int] = {}
 
     def warning(self, kind: str, text: str, **facts: Any) -> None:
-        """Log a warning, or count it when one of its kind was logged less than an interval ago."""
+        """Log a warning, or only count it if one of its kind was logged less than an interval ago."""
         now = self._clock.monotonic_ns()
         if now < self._next_ns.get(kind, now):
             self._held_back[kind] = self._held_back.get(kind, 0) + 1
@@ -82,9 +82,9 @@ class _PersonFormatter(logging.Formatter):
 
 
 class _LibraryLimiter(logging.Filter):
-    """Passes a burst of each library's records and then one a second: what arrives must not fill a disk with its log.
+    """Passes a burst of each library's records and then one per second, so that a peer cannot fill the disk with logs.
 
-    The records of the nodes have limits of their own.
+    Records of nodes pass always; nodes limit them themselves.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class _LibraryLimiter(logging.Filter):
 
 
 def configure_logging(*, as_json: bool | None = None) -> None:
-    """Send the logs of this process to standard error; JSON unless that is a terminal."""
+    """Send the logs of this process to standard error, by default as JSON unless that is a terminal."""
     handler = logging.StreamHandler(sys.stderr)
     as_json = not sys.stderr.isatty() if as_json is None else as_json
     handler.addFilter(_LibraryLimiter())

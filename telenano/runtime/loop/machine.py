@@ -1,6 +1,6 @@
-"""What a node takes from the machine that it runs on, as its context gives it.
+"""The machine of a node, as an argument of its context: random numbers, processor time, memory, disk.
 
-A session in virtual time passes another machine, so that its messages depend on no process id, no load and no memory.
+A session in virtual time passes another machine, so that its messages depend on no process id, load or memory.
 """
 
 import os
@@ -15,34 +15,34 @@ _STATM = Path("/proc/self/statm")
 
 
 class Machine(Protocol):
-    """A machine, as a node sees it.
+    """The interface of a machine for a node.
 
     Attributes:
-        disk: The disk that the node writes recordings to.
+        disk: The disk to which the node writes recordings.
     """
 
     disk: Disk
 
     def token(self, size_bytes: int) -> str:
-        """Return a number that no other process draws, in hexadecimal digits, two for each byte."""
+        """Return a random number of `size_bytes` bytes in hexadecimal digits, unique to this process."""
 
     def processor_time_s(self) -> float:
-        """Return the processor time that this process has taken [s]."""
+        """Return the processor time that this process has used [s]."""
 
     def health(self, processor_s: float, elapsed_s: float) -> Mapping[str, Any]:
-        """Return the fields of node/health that tell of the machine and of this process.
+        """Return the fields of node/health on the machine and this process.
 
-        A field of health that differs between machines or runs belongs here, and to no other place: the machine of a
-        session in virtual time leaves it out, unless the message requires it.
+        All fields of health that differ between machines or runs belong here: the machine of a session in virtual time
+        omits them, unless the message requires them.
 
         Args:
-            processor_s: The processor time that was taken since the last report [s].
+            processor_s: The processor time used since the last report [s].
             elapsed_s: The time since the last report [s].
         """
 
 
 class OwnMachine:
-    """The machine that this process runs on."""
+    """The machine on which this process runs."""
 
     def __init__(self, disk: Disk = OWN_DISK) -> None:
         self.disk = disk
@@ -62,10 +62,10 @@ class OwnMachine:
 
 
 class SharedMachine(OwnMachine):
-    """The machine as one of several nodes of a process sees it: what that process takes is what all of them tell.
+    """The machine for one of several nodes of a process; each of them reports the use of the whole process.
 
     Args:
-        others: The other nodes of the process.
+        others: The other nodes of the process, which the report names.
     """
 
     def __init__(self, others: Sequence[str]) -> None:
@@ -77,7 +77,7 @@ class SharedMachine(OwnMachine):
 
 
 def resident_bytes() -> int:
-    """Return the resident memory of this process [bytes], 0 where it has no descriptor left to look."""
+    """Return the resident memory of this process [bytes], 0 if it cannot be read, as without a free descriptor."""
     try:
         return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:

@@ -1,4 +1,4 @@
-"""The one loop that all nodes run in."""
+"""The loop that all nodes run in."""
 
 import signal
 import socket
@@ -25,17 +25,17 @@ from telenano.wire.nodes import DEVICES
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
-# At first a node reports at this interval, because a rig waits until every node has reported that it receives its
-# inputs.
+# Interval of the reports of a starting node: short, because a rig waits until every node has reported that it receives
+# its inputs.
 STARTING_PERIOD_NS = 100_000_000
-# It does so for this time.
+# Longest time for which a node reports at this interval.
 _STARTING_NS = 3_000_000_000
-# a member of an enumeration takes longer to look up, and there is one for every message
+# Bound to a name, because it is used for every message and the lookup of an enumeration member takes longer.
 _AFTER_GAP = Arrival.AFTER_GAP
 
 
 class NodeLoop:
-    """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
+    """The loop of a node: it handles messages and deadlines as they come, and reports health twice a second."""
 
     def __init__(
         self,
@@ -46,7 +46,15 @@ class NodeLoop:
         starting_period_ns: int = HEALTH_PERIOD_NS,
         note_alive: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make a loop; `note_alive` is called with each report of health."""
+        """Make a loop.
+
+        Args:
+            node: The node.
+            bus: The bus of the node.
+            realtime: The scheduling that the process was granted, for the reports.
+            starting_period_ns: Interval of the reports while the node starts [ns].
+            note_alive: Called with each report of health.
+        """
         self.node = node
         self._note_alive = note_alive
         self._starting_period_ns = starting_period_ns
@@ -66,8 +74,8 @@ class NodeLoop:
         self._places = node.context.places
         self._hearing = node.context.hearing
         self._stop_signalled = self._stopped_for_place = False
-        # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
-        # may have been ended before it could send.
+        # The file of a kept stop is checked at the start, after each stall of the process, and twice a second: its
+        # sender may have ended before it could send the stop.
         self._may_be_kept = True
         self._told_of_file = False
         self._lateness = LatenessWindow()
@@ -81,12 +89,12 @@ class NodeLoop:
         self._last_steps = self._rejected_seen = self._own_stops = 0
 
     def run(self) -> None:
-        """Run until a stop is requested, then leave the node safe whatever happened."""
+        """Run until a stop is requested; then make the node safe, also after an error."""
         context = self.node.context
         try:
             while not context.stop_requested:
                 self.turn()
-        # code of a package may end the program
+        # Code of a package may raise SystemExit.
         except (Exception, SystemExit) as error:
             self.report_failure(error)
             raise
@@ -94,37 +102,37 @@ class NodeLoop:
             self.end()
 
     def report_failure(self, error: BaseException) -> None:
-        """Publish that a turn has failed, and with what."""
+        """Publish the error with which a turn has failed."""
         text = fault_of_package(error) or f"this node failed: {described(error)}"
         self.node.event("fault", "error", " ".join(text.split()))
 
     def end(self) -> None:
-        """Leave the node safe, and publish its last report and its last message."""
-        # Making the device safe may take its time, and is no turn of the loop.
+        """Make the node safe, and publish its last report and its last message."""
+        # Making the device safe is no turn, so the node uses the running clock and not that of the journal.
         self.node.clock = self._clock
         try:
             self.node.make_safe()
         finally:
-            # The device of a package may fail here as well.
+            # The reports are sent even if the device fails to become safe.
             self.node.state = "stopping"
             self.publish_health()
             self.node.publish_end(self._bus)
 
     @property
     def health_due_ns(self) -> int:
-        """Monotonic time [ns] of the next report, or of the next deferred task that this loop runs itself."""
+        """Monotonic time of the next report, or of the next deferred task that this loop runs itself [ns]."""
         return min(self._health_ns, self._deferred.due_ns)
 
     #  wait               until a message, the deadline of the node, a report or a deferred task is due
     #   |
-    #  _take_kept_stop    an emergency stop that was kept in a file comes before all that waited
+    #  _take_kept_stop    an emergency stop kept in a file comes before all waiting messages
     #  _take              each message: admits -> on_message -> CommandHandler -> journal
-    #  process_events     connections to other machines that came, went or were refused
-    #  _act_on_deadline   where the deadline has come: on_deadline -> journal
-    #  note_event         the deferred tasks learn whether the tick is with other processes now
+    #  process_events     connections to other machines that were made, lost or refused
+    #  _act_on_deadline   if the deadline has come: on_deadline -> journal
+    #  note_event         tells the deferred tasks whether other processes work on the tick now
     #  _defer_report      twice a second: node/health and the batch of the journal become deferred tasks
-    #  _run_deferred      the tasks that fit in until the next message
-    #  _end_batch         where the journal is full
+    #  _run_deferred      the tasks that fit before the next message
+    #  _end_batch         if the journal is full
     #   |
     #  the next turn
     def turn(self) -> None:
@@ -136,7 +144,7 @@ class NodeLoop:
         taken = self._take(woken)
         if notices := self._bus.process_events():
             self._report_connections(notices)
-        # a message may have moved the deadline
+        # A message may have moved the deadline.
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
         event = taken[-1].topic if taken else None
@@ -154,7 +162,7 @@ class NodeLoop:
             self._end_batch()
 
     def _take(self, woken_ns: int) -> list[Received]:
-        """Act on what has arrived."""
+        """Act on the messages that have arrived, and return them."""
         taken = list(self._bus.receive())
         if taken and self._journal is not None:
             taken = self._retimed(taken, woken_ns)
@@ -163,11 +171,11 @@ class NodeLoop:
         return taken
 
     def note_stop_signal(self) -> None:
-        """Have the next turn obey an emergency stop, within the handler of the signal that stands for one."""
+        """Make the next turn obey an emergency stop; called within the handler of STOP_SIGNAL."""
         self._stop_signalled = self._may_be_kept = True
 
     def _take_kept_stop(self) -> None:
-        """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
+        """Obey an emergency stop that came by the signal or is kept in the file and new, before waiting messages."""
         self._may_be_kept = False
         if self._stop_signalled:
             self._stop_signalled = False
@@ -189,7 +197,7 @@ class NodeLoop:
         except WireError:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
-            # A file that cannot be read is still there because a person stopped the node.
+            # An unreadable file also means that a person has stopped the node.
             control = stop_of(self.node.kept_stop_for, now_ns, self._machine.token)
             payload = encode(control)
         if control.id != latch.newest_id and not self.node.has_taken_over(control.id):
@@ -198,19 +206,19 @@ class NodeLoop:
             self.node.event("mode", "warning", f"an emergency stop that was kept for {device} is in force")
 
     def _stop_now(self, text: str) -> None:
-        """Obey an emergency stop that nobody has sent as a message; `text` says where it came from."""
+        """Obey an emergency stop that was not sent as a message; `text` reports its cause."""
         now_ns = self._clock.now_ns()
         control = stop_of(self.node.context.key, now_ns, self._machine.token)
         self._dispatch(Received("session/control", control, encode(control), now_ns, Arrival.NEXT))
         self.node.event("mode", "warning", text)
 
     def _look_after_hearing(self) -> None:
-        """Connect anew to publishers that send and are not heard."""
+        """Reconnect to publishers that send but are not heard."""
         if self._hearing is not None:
             self._report_connections(self._hearing.look())
 
     def _look_after_places(self) -> None:
-        """Make again what others have removed of the paths of this process; stop a device that nobody could stop."""
+        """Make removed paths of this process again; stop a device that no stop could reach, because that failed."""
         if self._places is None:
             return
         for notice in self._places.look():
@@ -226,7 +234,7 @@ class NodeLoop:
             self._commands.note_own_stop(self.node.clock.now_ns())
 
     def _take_turn(self, now_ns: int, act: Task, kind: int) -> None:
-        """Take a turn that no message brings."""
+        """Take a turn without a message, at a monotonic time [ns], and record it as `kind` in the journal."""
         journal = self._journal
         if journal is not None:
             journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
@@ -235,8 +243,8 @@ class NodeLoop:
             journal.record_turn(kind)
 
     def _defer_report(self, now_ns: int) -> None:
-        """Add the tasks of a report: what node/health says, the message, and the batch of the journal."""
-        # a node that runs and receives its inputs is in a session, whose loop pays for each report
+        """Defer the tasks of a report: measurement and sending of node/health, and the batch of the journal."""
+        # A running node that receives its inputs is in a session, where each report costs time of the loop.
         is_waited_for = self.node.state != "running" or not self._receives_all
         starting = is_waited_for and now_ns - self._started_ns < _STARTING_NS
         self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
@@ -251,13 +259,13 @@ class NodeLoop:
             self._deferred.add(self._complete_batch)
 
     def _run_deferred(self) -> None:
-        """Run the tasks that are due."""
+        """Run the deferred tasks that are due."""
         while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
             if (task := self._deferred.take(now_ns, self.node.deadline_ns())) is not None:
                 self.run_task(task)
 
     def run_task(self, task: Deferred) -> None:
-        """Run a deferred task of this node, as a turn of its own where it is one."""
+        """Run a deferred task of this node, recorded as a turn if it is one."""
         begin_ns = self._clock.monotonic_ns()
         if task.is_turn:
             self._take_turn(begin_ns, task.run, DEFERRED)
@@ -268,7 +276,7 @@ class NodeLoop:
             self._deferred.note_run(task.run, begin_ns, end_ns, met=self._bus.has_arrived())
 
     def _complete_batch(self) -> None:
-        """End the batch of the journal where no task of the node waits: a re-run that begins there knows of none."""
+        """End the batch of the journal once no turn of the node waits: a re-run begins without waiting tasks."""
         if self._journal is None:
             return
         if self._deferred.has_turns:
@@ -279,12 +287,12 @@ class NodeLoop:
             self._deferred.add(self._publish_journal)
 
     def _publish_journal(self) -> None:
-        """Send a message of the journal; a large state has more, for idle gaps of their own."""
+        """Send one message of the journal; the further ones of a large state are deferred to later idle gaps."""
         if self._journal is not None and self._journal.publish():
             self._deferred.add(self._publish_journal)
 
     def _end_batch(self) -> None:
-        """End the batch of the journal now, and send it."""
+        """Run all waiting turns, then end the batch of the journal and send it at once."""
         if self._journal is None:
             return
         self._deferred.forget_unneeded()
@@ -293,14 +301,14 @@ class NodeLoop:
         self._journal.end()
 
     def publish_health(self) -> None:
-        """Send node/health and what the journal holds, and start a new interval."""
+        """Send node/health and the journal, and start a new interval."""
         self._measure_health()
         self._send_health()
         if self._journal is not None:
             self._journal.end()
 
     def _measure_health(self) -> None:
-        """Take the figures that node/health gives, and begin a new interval."""
+        """Measure the fields of node/health, and begin a new interval."""
         now_ns = self._clock.monotonic_ns()
         self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
@@ -337,7 +345,7 @@ class NodeLoop:
         self.node.publish("node/health", **self._health)
 
     def _note_awake(self) -> int:
-        """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
+        """Return the monotonic time [ns]; record a stall if the last call is longer ago than a command is valid."""
         now = self._clock.monotonic_ns()
         if now - self._awake_ns > STALL_NS:
             self._commands.note_stall(self._clock.now_ns(), now - self._awake_ns)
@@ -355,17 +363,18 @@ class NodeLoop:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
         executed = False
-        # `isinstance` is avoided because the classes of messages answer it in Python.
+        # `isinstance` is avoided, because the message classes implement it in slow Python code.
         kind = type(received.message)
         if kind is SessionControl:
             self._note_awake()
             executed = self._commands.handle(cast(SessionControl, received.message), self.node.clock.now_ns())
-        # As a rule only `admits` uses the health of others, and its result is in the journal.
+        # Usually only `admits` uses the health of others, and the journal has the admitted messages, so node/health is
+        # left out.
         if journal is not None and (kind is not NodeHealth or self.node.acts_on_health):
             journal.record_message(received, executed=executed)
 
     def _retimed(self, taken: list[Received], woken_ns: int) -> list[Received]:
-        """Return messages as received now where the process stood still since it woke up: their ages need that time."""
+        """Return the messages, stamped as received now if the process stalled since it woke up, for true ages."""
         now_ns = self._clock.monotonic_ns()
         if now_ns - woken_ns <= LOOP_DEADLINE_NS:
             return taken
@@ -389,7 +398,7 @@ class NodeLoop:
 
 
 def install_stop_signals(stop: Callable[[], None]) -> int:
-    """Call `stop` on SIGTERM and SIGINT; gives a descriptor that becomes readable at a signal, to end a wait."""
+    """Call `stop` on SIGTERM and SIGINT; return a descriptor that becomes readable at a signal, to end a wait."""
     reader, writer = socket.socketpair()
     for end in (reader, writer):
         end.setblocking(False)

@@ -19,26 +19,26 @@ from telenano.wire.nodes import name_of
 # Windows has no such module.
 resource = optional_module("resource")
 _PR_SET_TIMERSLACK = 29
-# pages are locked as they are first touched: locking every reserved page would take 400 MB a process
+# Pages are locked when they are first touched: locking every reserved page would take 400 MB per process.
 _MCL_CURRENT_FUTURE_ONFAULT = 7
-# The limit is far above what a rig needs; libzmq scans nothing by number, so the size costs nothing.
+# Limit of open files, far above the need of a rig; libzmq scans no table of descriptors, so the size costs nothing.
 _MOST_FILES = 65_536
-# These are ahead of ordinary processes; the nodes of the loop stay ahead of everything.
+# Niceness of processes that run ahead of ordinary ones; the nodes of the loop are ahead of both by SCHED_FIFO.
 _BESIDE_THE_LOOP_NICENESS = -5
-# A display may be late, touch may not.
+# Niceness of observers: a display may be late, haptics may not.
 _OBSERVER_NICENESS = 5
 _MAPS = Path("/proc/self/maps")
 _HUGE_PAGE = 2 << 20
 _MADV_COLLAPSE = 25
 _TASKS = Path("/proc/self/task")
-# the processors that this process could use before `auto` put it on one of them
+# The processors that this process could use before `auto` pinned it to one of them.
 _permitted_before: set[int] = set()
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
-# This variable of the environment has the processors that the launcher of a rig holds for it.
+# Environment variable with the processors that the launcher of a rig holds for it, as numbers with commas.
 PROCESSORS_VARIABLE = "TELENANO_PROCESSORS"
-# The variable says that none was left: then the rig comes behind the others.
+# Value of the variable if no processor was left: the rig then runs at a lower priority than the other rigs.
 NO_PROCESSORS = "none"
-# One less is what `lower_thread` gives.
+# Difference of that priority; a difference of one is that of `lower_thread`.
 _BEHIND_RIGS = 2
 
 
@@ -50,17 +50,20 @@ class RealtimeStatus(BaseModel):
 
 
 def is_linux() -> bool:
-    """Return whether this system has the scheduling and memory calls of Linux."""
+    """Return whether this system is Linux, with its calls for scheduling and memory."""
     return sys.platform == "linux"
 
 
 def apply_realtime(config: RealtimeConfig | None, log: StructuredLog, node: str) -> RealtimeStatus:
-    """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
+    """Request scheduling, memory lock and fine timers; to call before making a ZeroMQ context, which inherits them.
 
-    Without a configuration it requests what a rig does by default.
+    Args:
+        config: The requested settings; None for the defaults of a rig.
+        log: Gets a warning for each setting that is not permitted.
+        node: The node as node@site, which selects the processor.
 
     Raises:
-        ConfigError: `fifo` or `on` is configured and not permitted, or the processor does not exist.
+        ConfigError: `fifo` or `on` is configured but not permitted, or the processor cannot be used.
     """
     config = config or RealtimeConfig()
     if not is_linux():
@@ -78,7 +81,7 @@ def apply_realtime(config: RealtimeConfig | None, log: StructuredLog, node: str)
     cpu = None if behind else processor_of(node, config, sorted(usable))
     if len(usable) == 1 < len(permitted) and config.cpus == "auto":
         cpu = next(iter(usable))
-    # Without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there.
+    # Without SCHED_FIFO a process must be able to leave a busy processor, unless the scenario pins it there.
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
         if not isinstance(config.cpus, dict):
@@ -88,11 +91,11 @@ def apply_realtime(config: RealtimeConfig | None, log: StructuredLog, node: str)
 
 
 def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) -> int | None:
-    """Return the processor that `node@site` is pinned to, None for any.
+    """Return the processor to which a node (node@site) is pinned, None for any of the permitted ones.
 
-    Left to itself the scheduler moves real-time threads between processors at almost every message; in a pinned loop
-    messages were measured a quarter younger. The two sides meet at the link, so only two of the eight hops change
-    processor, on whichever side it is.
+    Without pinning, the scheduler moves real-time threads between processors at almost every message; with it, the
+    measured age of messages was a quarter less. The two sides meet at the link, so only two of the eight hops change
+    the processor, whichever side the link is on.
     """
     if isinstance(config.cpus, dict):
         return config.cpus.get(node, config.cpus.get(name_of(node)))
@@ -105,10 +108,10 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
 
 
 def on_one_processor(config: RealtimeConfig, nodes: Sequence[str], first: str) -> RealtimeConfig:
-    """Return what a process of several nodes asks for in the place of one of them, `first`.
+    """Return the settings for a process of several nodes, with the processor of any of them given to `first`.
 
     Raises:
-        ConfigError: Two of the nodes are to stay on different processors.
+        ConfigError: The scenario pins two of the nodes to different processors.
     """
     if not isinstance(config.cpus, dict):
         return config
@@ -125,7 +128,7 @@ def has_fifo() -> bool:
 
 
 def may_use_fifo(priority: int) -> bool:
-    """Return whether this process, and so those that it starts, may have SCHED_FIFO at a priority."""
+    """Return whether this process, and thus its children, may use SCHED_FIFO at a priority; tries it for a moment."""
     if not is_linux():
         return False
     policy, granted = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -139,10 +142,10 @@ def may_use_fifo(priority: int) -> bool:
 
 @contextlib.contextmanager
 def on_time() -> Iterator[None]:
-    """Have this thread, and those that it begins meanwhile, wake up when they ask to while the block runs.
+    """Make waits of this thread, and of threads that it starts meanwhile, end on time while the block runs.
 
-    The waits of an ordinary thread end up to 50 us late, by its timer slack. SCHED_FIFO keeps other processes from its
-    processor, where it is permitted.
+    Waits of an ordinary thread end up to 50 us late because of its timer slack. SCHED_FIFO, if permitted, keeps other
+    processes off its processor.
     """
     if not is_linux():
         yield
@@ -156,20 +159,20 @@ def on_time() -> Iterator[None]:
         yield
     finally:
         os.sched_setscheduler(0, policy, granted)
-        # 0 represents the slack that it began with
+        # 0 restores the initial slack.
         libc.prctl(_PR_SET_TIMERSLACK, 0, 0, 0, 0)
 
 
 def _numbers(text: str) -> set[int]:
-    """Return the numbers in a list with commas; what is no number is none."""
+    """Return the numbers in a list with commas; other entries are ignored."""
     return {int(part) for part in text.split(",") if part.isdigit()}
 
 
 @contextlib.contextmanager
 def ordinary_scheduling() -> Iterator[None]:
-    """Leave SCHED_FIFO while the block runs: for work at the start that others on this processor must not wait for.
+    """Leave SCHED_FIFO while the block runs, for long work at the start that must not block others on this processor.
 
-    Of this thread alone, and of those that it begins meanwhile.
+    It changes only this thread, and threads that it starts meanwhile.
     """
     if not has_fifo():
         yield
@@ -183,22 +186,22 @@ def ordinary_scheduling() -> Iterator[None]:
 
 
 def ahead_of_others() -> None:
-    """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
+    """Raise the priority above ordinary processes if permitted, for a process that has to keep up with the loop."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
 
 
 def behind_others() -> None:
-    """Lower the priority below ordinary processes, for one that shows what the others do."""
+    """Lower the priority below ordinary processes, for a process that only displays."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _OBSERVER_NICENESS)
 
 
 def lower_thread(name: str) -> None:
-    """Put a thread of this process one priority below the others under SCHED_FIFO, on any processor.
+    """Put a thread of this process one SCHED_FIFO priority below the others, and let it use any processor.
 
-    Threads of one priority and processor take turns only when they wait: one that always has something to do would stop
-    the others. On any processor it need not wait for them, unless the processor was configured.
+    SCHED_FIFO threads of the same priority and processor change only when one waits: a thread that always has work
+    would block the others. On another processor it need not wait for them; a configured processor is kept.
 
     Args:
         name: The name of the thread, as in /proc.
@@ -207,7 +210,7 @@ def lower_thread(name: str) -> None:
         return
     lower = os.sched_param(max(1, os.sched_getparam(0).sched_priority - 1))
     for task in _TASKS.iterdir():
-        # a thread may have ended meanwhile
+        # The thread may have ended meanwhile.
         with contextlib.suppress(OSError):
             if (task / "comm").read_text().strip() == name:
                 os.sched_setscheduler(int(task.name), os.SCHED_FIFO, lower)
@@ -216,7 +219,7 @@ def lower_thread(name: str) -> None:
 
 
 def freeze_garbage(*, disable: bool = True) -> None:
-    """Freeze the existing objects, and disable the garbage collector: a full collection takes 10 to 200 ms."""
+    """Collect garbage, freeze all objects, and disable the collector, because a full collection takes 10 to 200 ms."""
     gc.collect()
     gc.freeze()
     if disable:
@@ -224,10 +227,10 @@ def freeze_garbage(*, disable: bool = True) -> None:
 
 
 def use_huge_pages() -> int:
-    """Put the heap of this process on huge pages, where the kernel can, and return how many there are.
+    """Move the heap of this process to huge pages if the kernel can, and return their number.
 
     A node wakes up a thousand times a second, after others have used its processor, and touches its whole working set:
-    with pages of 4 kB the processor looks up thousands of places again, in a virtual machine in two tables for each.
+    with pages of 4 kB the processor repeats thousands of address translations, each by two tables in a virtual machine.
     """
     if not is_linux():
         return 0
@@ -242,14 +245,14 @@ def use_huge_pages() -> int:
             continue
         first, last = (int(end, 16) for end in place.split("-"))
         for start in range(-(-first // _HUGE_PAGE) * _HUGE_PAGE, last - _HUGE_PAGE + 1, _HUGE_PAGE):
-            # A huge page is used only where most of it is in use: elsewhere it would waste memory.
+            # A huge page is made only of a range that is mostly in use, because it would waste memory elsewhere.
             if libc.mincore(start, _HUGE_PAGE, present) == 0 and bytes(present).count(1) > len(present) // 2:
                 count += libc.madvise(start, _HUGE_PAGE, _MADV_COLLAPSE) == 0
     return count
 
 
 def raise_file_limit() -> None:
-    """Raise the limit of open files as far as permitted: clients that only connect must not use them up."""
+    """Raise the limit of open files as far as permitted, so that clients that only connect cannot use them up."""
     if resource is None:
         return
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)

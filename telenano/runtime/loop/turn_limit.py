@@ -1,13 +1,13 @@
-"""A process of several nodes whose turn does not end is ended, before what it holds up becomes dangerous.
+"""Time limit of a turn in a process of several nodes: the process is ended before a blocked device becomes dangerous.
 
-A node of its own that hangs leaves the node of the device alone, which holds and withdraws by itself. In a process that
-they share (`telenano/runtime/site`) it cannot, so a turn has a limit there, by two timers of the kernel:
+A node that hangs in a separate process does not block the node of the device, which holds and withdraws by itself. In a
+shared process (`telenano/runtime/site`) it does, so a turn has a limit there, by two timers of the kernel:
 
-- processor time: the action of its signal is the system's own, so that compiled code which never returns is ended too;
-- time in which the process could run, for a turn that waits for something: it is counted in ticks, which the kernel
-  sends one by one as they are taken, so that a process that was stopped, or was not let run, is not ended for that.
+- processor time: its signal keeps the default action, so that compiled code that never returns is ended too;
+- time in which the process could run, for a turn that waits: it is counted in ticks, which the kernel sends one by one
+  as they are handled, so that a process is not ended because it was stopped or did not get the processor.
 
-A turn that waits in a call which no signal interrupts is not seen by the second one.
+The second timer does not detect a turn that waits in a call that no signal interrupts.
 """
 
 import os
@@ -17,12 +17,11 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
-# A turn may take so long. The kernel counts processor time in ticks of its own, of 10 ms at most, so a process is ended
-# within 60 ms.
+# Longest turn [s]. The kernel counts processor time in ticks of 10 ms at most, so a process is ended within 60 ms.
 LIMIT_S = 0.05
-# The time in which the process could run is looked at at this interval.
+# Interval at which the time in which the process could run is measured [s].
 TICK_S = 0.01
-# A process that is ended for a turn is ended by this signal; Windows has no such signal.
+# The signal that ends a process because of a turn; Windows has no such signal.
 SIGNAL = getattr(signal, "SIGVTALRM", None)
 _SCHEDSTAT = Path("/proc/self/schedstat")
 
@@ -31,7 +30,7 @@ class TurnLimit:
     """The limit of the turns of a process: `begin` before each, and `end` after it.
 
     Args:
-        whose: Returns what the turn in hand is of, for the log of a process that is ended.
+        whose: Returns the node of the current turn, for the log of a process that is ended.
         tell: Writes a line to the log.
     """
 
@@ -43,14 +42,14 @@ class TurnLimit:
             signal.signal(signal.SIGALRM, self._tick)
 
     def begin(self) -> None:
-        """Begin a turn."""
+        """Begin a turn, and start both timers."""
         if SIGNAL is not None:
             self._could_run_s = 0.0
             signal.setitimer(signal.ITIMER_VIRTUAL, LIMIT_S)
             signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)
 
     def end(self) -> None:
-        """End the turn: what comes until the next one takes any time."""
+        """End the turn, and stop both timers: the time until the next turn is not limited."""
         if SIGNAL is not None:
             signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -60,7 +59,7 @@ class TurnLimit:
         if self._could_run_s == 0.0:
             self._could_run_s = TICK_S
         else:
-            # Of a time in which the process was stopped there is one tick, however long it was.
+            # A time in which the process was stopped counts as one tick, however long it was.
             ran_s = now_s - self._at_s - (waited_s - self._waited_s)
             self._could_run_s += min(max(ran_s, 0.0), TICK_S)
         self._at_s, self._waited_s = now_s, waited_s
@@ -71,7 +70,7 @@ class TurnLimit:
 
 
 def waited_for_processor_s() -> float:
-    """Return how long the main thread of this process was ready to run and not let run [s]; 0 where nobody counts."""
+    """Return the time for which the main thread of this process has waited for a processor [s]; 0 if not counted."""
     try:
         return int(_SCHEDSTAT.read_bytes().split()[1]) * 1e-9
     except (OSError, IndexError, ValueError):

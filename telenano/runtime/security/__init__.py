@@ -1,1 +1,1 @@
-"""Authentication and access control: key pairs, the list of allowed keys, and the state of every connection."""
+"""Authentication and access control between machines: key pairs, allowed keys, and the state of every connection."""

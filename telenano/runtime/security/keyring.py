@@ -1,7 +1,7 @@
 """The keyring of a machine: its own CURVE key pairs, and the list of allowed keys with the roles of each.
 
-A machine has one key pair for all its nodes, named after the machine in the site file. Keys and list are in one folder
-that only its owner can read.
+A machine has one key pair for all its nodes, named after the machine in the site file. Keys and list are in one folder,
+which only its owner can read.
 """
 
 import os
@@ -31,14 +31,14 @@ ALLOWED_NAME = "allowed.yaml"
 _PUBLIC_SUFFIX = ".key"
 _SECRET_SUFFIX = ".key_secret"
 _OTHERS = 0o077
-# a certificate as ZeroMQ's tools write and read it (ZPL)
+# A certificate in the format of ZeroMQ's tools (ZPL).
 _CERTIFICATE = "# ZeroMQ CURVE {kind} certificate of the machine {name}\nmetadata\ncurve\n"
 _NAMED = re.compile(rb"certificate of the machine ([^\s]+)")
-# A key that expires within this number of days is warned of before a rig is started.
+# A key that expires within this number of days causes a warning before a rig is started.
 EXPIRES_SOON_DAYS = 14
 
 Role = Literal["data", "control", "observe", "relay"]
-# What a machine may do at itself; the role relay is about what is carried for others.
+# The roles of a machine at itself; the role relay is for carrying messages of others.
 ROLES: tuple[Role, ...] = ("data", "control", "observe")
 _KEY_LENGTH = 40
 
@@ -46,7 +46,7 @@ _KEY_LENGTH = 40
 def _check_key(text: str) -> str:
     try:
         valid = len(text) == _KEY_LENGTH and bool(z85.decode(text))
-    # The decoder raises these for letters, and for numbers, that Z85 does not have.
+    # The decoder raises these for characters, and for values, that do not exist in Z85.
     except (KeyError, ValueError, struct.error):
         valid = False
     if not valid:
@@ -115,7 +115,7 @@ class AllowList(Settings):
 
 
 def utc_today() -> date:
-    """Return the day on which keys are judged: that of the machine's clock, in UTC."""
+    """Return the current day in UTC, by the machine's clock, for checking the expiry of keys."""
     return datetime.now(UTC).date()
 
 
@@ -129,7 +129,10 @@ def keys_directory() -> Path:
 
 
 class Keyring:
-    """The folder of keys of one machine; ConfigError names the file at fault and the command that helps."""
+    """The folder of keys of one machine.
+
+    Its methods raise ConfigError, which names the file at fault and the command that helps.
+    """
 
     def __init__(self, folder: Path | None = None, today: Callable[[], date] = utc_today) -> None:
         self.folder = folder or keys_directory()
@@ -143,7 +146,7 @@ class Keyring:
             raise ConfigError(f"{self.folder}: cannot be read: {error.strerror}") from error
 
     def own(self, name: str) -> KeyPair:
-        """Return the key pair of a machine; ConfigError also when other users can read its file."""
+        """Return the key pair of a machine; raise ConfigError also if other users can read its file."""
         path = self.secret_path(name)
         hint, again = (f"`telenano keys new {name}{option}` creates one" for option in ("", " --replace"))
         try:
@@ -158,11 +161,11 @@ class Keyring:
         return KeyPair(public, secret, expiry_in(data, path))
 
     def secret_path(self, name: str) -> Path:
-        """Return the file with both halves of the key pair of a machine."""
+        """Return the path of the file with both halves of a machine's key pair."""
         return self.folder / f"{name}{_SECRET_SUFFIX}"
 
     def own_in_force(self, name: str) -> KeyPair:
-        """Return the key pair of a machine as `own` does; ConfigError also when it has expired."""
+        """Return the key pair of a machine as `own` does; raise ConfigError also if it has expired."""
         pair = self.own(name)
         if pair.expires is not None and self.today() > pair.expires:
             raise ConfigError(
@@ -172,7 +175,7 @@ class Keyring:
         return pair
 
     def expiring(self) -> list[str]:
-        """Return a sentence for each key of this folder that has expired, or will within EXPIRES_SOON_DAYS."""
+        """Return a sentence for each key of this folder that has expired, or expires within EXPIRES_SOON_DAYS."""
         today = self.today()
         own = [(f"the key of this machine, {name},", self.own(name).expires) for name in self.names()]
         others = [(f"the key of {key.name}", key.expires) for key in self.allowed().keys if not key.revoked]
@@ -183,11 +186,11 @@ class Keyring:
         ]
 
     def create(self, name: str, *, replace: bool = False, expires: date | None = None) -> KeyPair:
-        """Create a key pair; ConfigError when there is one already, unless `replace`."""
+        """Create the key pair of a machine; raise ConfigError if there is one already, unless `replace`."""
         _check_name(name)
         path = self.secret_path(name)
         pair = KeyPair(*zmq.curve_keypair())
-        # on a command line, a key that begins with a dash would be taken for an option
+        # A key that begins with a dash would be parsed as an option on a command line.
         while pair.public.startswith(b"-"):
             pair = KeyPair(*zmq.curve_keypair())
         pair = pair._replace(expires=expires)
@@ -207,7 +210,7 @@ class Keyring:
         return _certificate("secret", name, pair) + f'    secret-key = "{pair.secret.decode()}"\n'.encode()
 
     def misplaced(self, name: str) -> str:
-        """Return why the secret of a machine and the name of its file do not belong together; empty where they may."""
+        """Return the reason why the secret in a machine's file does not fit its name; empty if none is found."""
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
         own = self.own(name).public
         named = _NAMED.search(read_secret(path))
@@ -226,7 +229,7 @@ class Keyring:
         return ""
 
     def allowed(self) -> AllowList:
-        """Return the list of allowed keys, empty without a file; ConfigError also when other users can change it."""
+        """Return the list of allowed keys, empty without a file; raise ConfigError also if others can change it."""
         try:
             data = read_trusted(self.allowed_path)
         except FileNotFoundError:
@@ -236,7 +239,7 @@ class Keyring:
         return self._parsed(data)
 
     def allow(self, name: str, public_key: str, roles: Sequence[Role], expires: date | None = None) -> AllowedKey:
-        """Add a key to the list, or change roles and expiry of one that is there; it replaces one that has expired."""
+        """Add a key, or change roles and expiry of a listed one; an expired key of the machine is replaced."""
         _check_name(name)
         fields = {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles)), "expires": expires}
         entry = validate(AllowedKey, fields, f"key of {name}")
@@ -258,7 +261,7 @@ class Keyring:
         return entry
 
     def revoke(self, name_or_key: str) -> AllowedKey:
-        """Revoke a key, given by its machine or by itself; running nodes apply it within a second."""
+        """Revoke the key of a machine, or a key itself; running nodes apply the change within a second."""
         revoked: list[AllowedKey] = []
 
         def without_entry(known: AllowList) -> list[AllowedKey]:
@@ -273,7 +276,7 @@ class Keyring:
         return revoked[0]
 
     def stamp(self) -> tuple[int, int] | None:
-        """Return a value that changes whenever the list does, None while there is no list."""
+        """Return a value that changes with the file of the list, None while there is no file."""
         try:
             status = self.allowed_path.stat()
         except FileNotFoundError:
@@ -283,12 +286,12 @@ class Keyring:
         return status.st_mtime_ns, status.st_ino
 
     def _change(self, step: Callable[[AllowList], Sequence[AllowedKey]]) -> None:
-        """Change the list, whose newest entries the step gets: another command may have added one meanwhile."""
+        """Change the list; `step` gets its newest entries, because another command may have changed it meanwhile."""
 
         def changed_bytes(before: bytes | None) -> bytes:
             return list_bytes(step(AllowList() if before is None else self._parsed(before)))
 
-        # The folder is whole at every moment, because a running node may read it.
+        # The file is replaced atomically, because a running node may read it at any moment.
         with self._folder_for_writing():
             changed(self.allowed_path, changed_bytes, read=read_trusted)
 
@@ -297,7 +300,7 @@ class Keyring:
 
     @contextmanager
     def _folder_for_writing(self) -> Iterator[None]:
-        """Make the folder, readable by this user alone, and report what the block cannot write to it."""
+        """Make the folder, readable by this user alone; raise ConfigError if it or a file in it cannot be written."""
         before = os.umask(_OTHERS)
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -310,16 +313,16 @@ class Keyring:
 
 
 def list_bytes(keys: Sequence[AllowedKey]) -> bytes:
-    """Return the content of a list of allowed keys."""
+    """Return the content of the file of a list of allowed keys."""
     ordered = sorted(keys, key=lambda key: key.name)
     document = {"keys": [key.model_dump(mode="json", exclude_none=True) for key in ordered]}
     return yaml.safe_dump(document, sort_keys=False, width=120).encode()
 
 
 def this_machine(keyring: Keyring) -> str:
-    """Return the machine that this process runs on, for programs that are no node of the site file.
+    """Return the machine on which this process runs, for programs that are no node of the site file.
 
-    It is that of TELENANO_MACHINE; without it, the machine whose key is here, `master` where there are several or none.
+    It is TELENANO_MACHINE, else the machine whose key is in the keyring, `master` if there are several keys or none.
     """
     named = os.environ.get(MACHINE_VARIABLE)
     if named:
@@ -331,14 +334,14 @@ def this_machine(keyring: Keyring) -> str:
 
 
 def keys_in(data: bytes) -> tuple[bytes, bytes]:
-    """Return the public and the secret key of a certificate, empty where it has none."""
+    """Return the public and the secret key of a certificate; a missing one is empty."""
     lines = (line.strip().partition(b"=") for line in data.splitlines())
     values = {name.strip(): value.strip(b" \t'\"") for name, sign, value in lines if sign}
     return values.get(b"public-key", b""), values.get(b"secret-key", b"")
 
 
 def expiry_in(data: bytes, path: Path) -> date | None:
-    """Return the last day of a certificate, None where it has none; ConfigError where it is no date."""
+    """Return the last day of a certificate, None if it has none; raise ConfigError if it is no date."""
     match = re.search(rb'^\s*expires\s*=\s*"([^"]*)"', data, re.M)
     if match is None:
         return None

@@ -1,4 +1,4 @@
-"""The connecting side: connections to the nodes of other machines, their state, and what may be sent over them."""
+"""The connecting side: connections to nodes of other machines, their state, and the messages permitted on them."""
 
 import errno
 from collections.abc import Mapping, Sequence
@@ -24,20 +24,20 @@ from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.nodes import is_visitor
 
-# libzmq does not reconnect after a rejected key or another protocol, and does not report that it has given up: the key
-# may have been allowed meanwhile, and the right program started
+# Time until a reconnection [ns]. libzmq does not reconnect after a rejected key or a wrong protocol, and does not
+# report that it has given up; but the key may have been allowed meanwhile, or the right program started.
 _RECONNECT_NS = 1_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
-# This number of failed handshakes in a row are reported; fewer may be an accident.
+# Number of failed handshakes in a row that is reported; fewer may be chance.
 _REPORTED_FAILURES = 3
 _EVENTS = CONNECTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED | KEY_REFUSED | DISCONNECTED
-# pairs of topic and source cached as permitted; a peer that makes up names must not fill the memory
+# Most cached pairs of topic and source that are permitted: a peer that invents names must not fill the memory.
 _MAX_PERMITTED = 4096
 
 
 class MessagePermissions:
-    """The messages that one machine may send: topics by its roles, sources by its nodes."""
+    """The messages that one machine may send: topics are limited by its roles, sources by its nodes."""
 
     def __init__(self, machine: str, nodes: Sequence[str], roles: Sequence[Role]) -> None:
         self.machine = machine
@@ -51,7 +51,7 @@ class MessagePermissions:
 
     def __call__(self, topic: str, src: str) -> None:
         """Raise WireError (`role`, `source`) for a message that this machine may not send."""
-        # This is called a thousand times a second for a few pairs.
+        # The cache serves a thousand calls per second for a few pairs.
         if (topic, src) in self._permitted:
             return
         needed: Role = "control" if topic == "session/control" else "data"
@@ -77,9 +77,9 @@ class PeerConnection:
     ever_up: bool = False
     failures: int = 0
     last_error: str = ""
-    # The peer is disconnected, but libzmq still has its endpoint.
+    # Whether the peer is disconnected while libzmq still tries its endpoint.
     lost: bool = False
-    # The time to connect again, if that is not left to libzmq.
+    # The time of the next reconnection by this module, if any.
     reconnect_ns: int | None = None
 
 
@@ -97,9 +97,16 @@ class PeerConnections:
         *,
         is_reported: bool = True,
     ) -> None:
-        """Connect a subscriber to the endpoint of each node, where the machine has a valid key.
+        """Connect a subscriber to the endpoint of each node, if the machine has a valid key.
 
-        What happens to the connections is an event where `is_reported`.
+        Args:
+            machine: The other machine.
+            endpoints: The endpoints by node.
+            subscriber: The subscriber; in a rig with keys it gets the permissions of the machine.
+            clock: The clock of the process.
+            access_control: The keys and roles.
+            rejections: Counts failed handshakes.
+            is_reported: Whether changes of the connections are reported as events.
         """
         self._is_reported = is_reported
         now = clock.monotonic_ns()
@@ -122,15 +129,15 @@ class PeerConnections:
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
-        """What becomes readable when there is a monitor event."""
+        """The sockets that become readable when there is a monitor event."""
         return [self.monitor.socket]
 
     def close(self) -> None:
-        """Close the monitor; the subscriber is closed by whom it was opened for."""
+        """Close the monitor; the owner of the subscriber closes that."""
         self.monitor.socket.close()
 
     def process_events(self) -> bool:
-        """Update the state of the connections from monitor events; True when more is left to do."""
+        """Update the state of the connections from monitor events; return True if more events are pending."""
         for event in self.monitor.events():
             peer = self._find(event.endpoint)
             if peer is not None:
@@ -142,7 +149,7 @@ class PeerConnections:
         return events
 
     def apply_permissions(self) -> None:
-        """Apply the current roles and key of the machine: connect, or close what is open."""
+        """Apply the current roles and key of the machine: connect, or close connections that are no longer allowed."""
         roles, server_key = self._access_control.roles(self.machine), self._access_control.server_key(self.machine)
         self.permissions.change(roles)
         if self._active and (not roles or server_key != self._server_key):
@@ -152,7 +159,7 @@ class PeerConnections:
 
     def maintain(self, now_ns: int) -> None:
         """Reconnect where libzmq does not, and report peers that have not been reached."""
-        # disconnecting drops what was not read yet, such as the last messages of a node
+        # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
         if self.subscriber.drained:
             self._reconnect_due(now_ns)
         for peer in self.connections:
@@ -162,8 +169,8 @@ class PeerConnections:
 
     def _reconnect_due(self, now_ns: int) -> None:
         due = [peer for peer in self.connections if peer.reconnect_ns is not None and now_ns >= peer.reconnect_ns]
-        # This comes before connecting, because libzmq identifies a connection that it gave up by an address in memory,
-        # which the next one may get.
+        # All lost endpoints are disconnected before any is connected, because libzmq identifies a connection that it
+        # has dropped by an address in memory, which the next connection may reuse.
         for peer in self.connections if due else ():
             if peer.lost:
                 peer.lost = False
@@ -178,7 +185,7 @@ class PeerConnections:
         peer.lost, peer.reconnect_ns = False, self._clock.monotonic_ns() + _RECONNECT_NS
 
     def _let_go(self, endpoint: str) -> None:
-        """Disconnect from an endpoint, which libzmq may have done itself after a broken protocol."""
+        """Disconnect from an endpoint, unless libzmq has already done so after a violation of the protocol."""
         try:
             self.subscriber.socket.disconnect(endpoint)
         except zmq.ZMQError as error:
@@ -205,9 +212,10 @@ class PeerConnections:
             self._record_down(peer, f"was closed: the key of {self.machine} that it used is no longer allowed")
 
     def _find(self, endpoint: str) -> PeerConnection | None:
-        """Return the connection of an endpoint as libzmq names it: a host name may have become an address.
+        """Return the connection of an endpoint as libzmq reports it, None if there is none.
 
-        A port is then enough: all these nodes are on one machine, which has one address.
+        libzmq may have resolved a host name to an address. The port then identifies the connection, because all these
+        nodes are on one machine with one address.
         """
         exact = [peer for peer in self.connections if peer.endpoint == endpoint]
         port = endpoint.rpartition(":")[2]
@@ -215,14 +223,14 @@ class PeerConnections:
         return next(iter(exact or same_port), None)
 
     def _record(self, peer: PeerConnection, event: int) -> None:
-        # an event of a connection that was closed here may come late
+        # An event of a connection that this module has closed may come late.
         if not self._active:
             return
         if event == CONNECTED:
             self._record_up(peer)
         elif event == DISCONNECTED and peer.up:
             self._record_down(peer, "was lost")
-            # Reconnecting is left to libzmq for a while, which does not report whether it succeeded.
+            # libzmq first tries to reconnect itself for a while, but does not report that it has given up.
             peer.lost, peer.reconnect_ns = True, self._clock.monotonic_ns() + _RECONNECT_NS
         elif event == DISCONNECTED:
             self._schedule_reconnect(peer)
@@ -230,7 +238,7 @@ class PeerConnections:
             self._record_failure(peer, event)
 
     def _record_up(self, peer: PeerConnection) -> None:
-        # Two come in a row: the first was a connection that was given up meanwhile.
+        # Two such events in a row: the first connection was dropped meanwhile.
         if peer.up:
             return
         gone_s = (self._clock.monotonic_ns() - peer.down_since_ns) * 1e-9

@@ -1,4 +1,4 @@
-"""Files and folders that other users must neither read nor change: keys, the allow list, the folder of sockets."""
+"""Reads and checks of files and folders that other users must not read or change: keys, allow list, socket folder."""
 
 import contextlib
 import os
@@ -19,17 +19,17 @@ from telenano.wire.printable import quoted
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022
-# Besides the user of this process, this one may own the files that it trusts.
+# Trusted files may belong to the user of this process, or to this one.
 _ROOT = 0
-# The list of a thousand machines has a tenth of this size.
+# Most bytes of a file; a list of a thousand machines has a tenth of this size.
 _LARGEST_BYTES = 1 << 20
 
 
 def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
-    """Read a regular file, and its status; ConfigError for a pipe or a device, which may never end.
+    """Return content and status of a regular file; others, such as pipes, are refused, because reading may never end.
 
     Raises:
-        ConfigError: It is a pipe or a device.
+        ConfigError: It is a folder, pipe, socket or device, or larger than 1 MiB.
         OSError: The file cannot be read.
     """
     try:
@@ -43,26 +43,26 @@ def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
 
 
 def read_secret(path: Path) -> bytes:
-    """Read a file with a secret; ConfigError when other users can read it, or change its folder."""
+    """Read a file with a secret; raise ConfigError if other users can read it, or change its folder."""
     return _read(path, _ANY_ACCESS, "read this secret key")
 
 
 def read_trusted(path: Path) -> bytes:
-    """Read a file that says who is trusted; ConfigError when other users can change it, or its folder."""
+    """Read a file that defines whom to trust; raise ConfigError if other users can change it, or its folder."""
     return _read(path, _CHANGE, "change it")
 
 
 def _read(path: Path, forbidden: int, what: str) -> bytes:
     data, status = read_regular(path)
     _check(path, status, forbidden, what, "600")
-    # Its folder may be gone with it where the process that started this one holds it.
+    # A file that the parent process holds for this one may no longer exist on disk, and neither may its folder.
     if not is_held(path):
         check_folder_of_files(path.parent)
     return data
 
 
 def check_folder_of_files(folder: Path) -> None:
-    """Raise ConfigError when other users can replace the files of a folder; OSError if it is absent."""
+    """Raise ConfigError if other users can replace the files of a folder, OSError if it is absent."""
     _check(folder, folder.stat(), _CHANGE, "change the files in it", "700")
 
 
@@ -77,18 +77,17 @@ def _check(path: Path, status: os.stat_result, forbidden: int, what: str, right:
 
 
 def check_private_folder(folder: Path, remedy: str) -> None:
-    """Raise ConfigError naming the remedy when a folder belongs to another user or is open to others; it may be absent.
+    """Raise ConfigError, with the remedy, if a folder belongs to another user or is open to others; it may be absent.
 
-    A link counts as the folder of the user who made it: where everybody can write, as in /tmp, another user can make
-    one.
+    A link counts as a folder of the user who made it, because any user can make links where all can write, as in /tmp.
     """
     user = os.geteuid()
     try:
         link = folder.lstat()
-        # The link of another user is refused by itself: its target may come once it has been judged.
+        # For a link of another user, the link itself is checked and refused: its target could change after the check.
         status = folder.stat() if link.st_uid in (user, _ROOT) else link
     except OSError:
-        # A path that cannot be reached cannot be used either, and its user reports that.
+        # A path that cannot be reached cannot be used either, and the code that uses it reports that.
         return
     owner = status.st_uid
     if owner != user:
@@ -99,9 +98,9 @@ def check_private_folder(folder: Path, remedy: str) -> None:
 
 
 def check_runtime_directory(*, make: bool = False) -> None:
-    """Raise ConfigError when the folder of ipc sockets belongs to another user or is open to others.
+    """Raise ConfigError if the folder of ipc sockets belongs to another user or is open to others.
 
-    Another user who can write to it can take the place of a node, or of all of them.
+    Another user who can write to it could impersonate any node.
 
     Args:
         make: Whether the folder is created first if it is absent.
@@ -111,7 +110,7 @@ def check_runtime_directory(*, make: bool = False) -> None:
     """
     if rig := os.environ.get(RIG_VARIABLE, ""):
         check_rig_name(rig)
-    # That of a rig beside the first one is in that of all.
+    # The folder of a rig other than the first is in the folder of all rigs, so both are checked.
     for folder in dict.fromkeys((base_directory(), runtime_directory())):
         if make:
             # If the folder cannot be made, that is reported when a socket in it cannot be bound.
@@ -121,7 +120,7 @@ def check_runtime_directory(*, make: bool = False) -> None:
 
 
 def check_rig_name(text: str) -> str:
-    """Return the name of a rig; ConfigError when a text is none: it is part of the path of each socket."""
+    """Return a text that is a valid name of a rig, else raise ConfigError: the name is part of each socket's path."""
     if not is_rig_name(text):
         raise ConfigError(
             f"--rig or {RIG_VARIABLE}: {text!r} cannot name a rig: a name has small letters, digits, - and _, "

@@ -14,12 +14,12 @@ FAILURES = {
     PROTOCOL_FAILED: "the peer used another protocol, no encryption, or another key",
     KEY_REFUSED: "the key was rejected",
 }
-# events taken in a turn of the node's loop
+# Most events read in a turn of the node's loop.
 _BATCH = 8
 
 
 class MonitorEvent(NamedTuple):
-    """What happened to a connection; the value is a file descriptor where libzmq reports it."""
+    """An event of a connection; the value is that of libzmq, for some kinds a file descriptor."""
 
     kind: int
     value: int
@@ -30,16 +30,16 @@ class Monitor:
     """The events of one socket that concern handshakes and lost connections."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
-        """Monitor a socket for the events that are added up in `wanted`."""
+        """Monitor a socket for the events in the bit mask `wanted`."""
         self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
-        # The import is here because it brings asyncio and ssl, and a rig on one machine monitors nothing.
+        # Imported here, because it loads asyncio and ssl, and a rig on one machine monitors no sockets.
         from zmq.utils.monitor import recv_monitor_message
 
         self._receive = recv_monitor_message
 
     def events(self) -> list[MonitorEvent]:
-        """Return what has happened, a bounded number; `has_pending` if there may be more."""
+        """Return a bounded number of pending events; set `has_pending` if there may be more."""
         taken: list[MonitorEvent] = []
         for _ in range(_BATCH):
             try:
@@ -54,7 +54,7 @@ class Monitor:
 
 
 class RejectionCounter:
-    """How often connections were rejected, by reason, and the newest rejection in words."""
+    """Counts rejected connections by reason, and keeps the newest rejection in words."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}

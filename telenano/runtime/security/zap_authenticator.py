@@ -26,11 +26,11 @@ _ACCEPTED = b"200"
 _DENIED = b"400"
 _ZAP_FRAMES = 9
 _MECHANISM = 7
-# libzmq says of a socket that is local: user, group and process of its peer. No address of a network has this form.
+# Address of a peer at a local socket, as libzmq reports it: user, group and process. No network address has this form.
 _LOCAL_PEER = re.compile(r"(?:localhost)?:([0-9]+):[0-9]+:[0-9]+")
-# requests answered in a turn of the node's loop, at 40 to 120 us each; libzmq's thread takes longer for each of them
+# Most requests answered in a turn of the node's loop, at 40 to 120 us each; libzmq's thread needs longer for each.
 _BATCH = 4
-# attempts to bind an endpoint again in consecutive turns, without delay
+# Number of attempts to bind an endpoint again in consecutive turns, without delay.
 _FAST_REBINDS = 1000
 _REASONS = {
     "unlisted": "is not in the list",
@@ -42,7 +42,7 @@ _REASONS = {
 
 @dataclass
 class BoundEndpoint:
-    """A publisher that other machines may connect to."""
+    """A publisher to which other machines may connect, with the public keys accepted at its endpoint."""
 
     publisher: ZmqPublisher
     monitor: Monitor
@@ -65,10 +65,10 @@ class ZapAuthenticator:
         access_control: AccessControl,
         rejections: RejectionCounter,
     ) -> None:
-        """Bind the ZAP endpoint; before any server socket binds.
+        """Bind the ZAP endpoint; this must happen before any server socket binds.
 
         Args:
-            context: The context of ZeroMQ whose servers are protected.
+            context: The ZeroMQ context whose server sockets are protected.
             access_control: Decides which keys are accepted.
             rejections: Counts the clients that are rejected.
         """
@@ -84,39 +84,40 @@ class ZapAuthenticator:
             self.socket.bind(_ZAP_ENDPOINT)
 
     def prepare(self, socket: "zmq.Socket[bytes]", node: str) -> None:
-        """Monitor a socket before it binds an endpoint for other machines, and have it require a key of them."""
+        """Monitor a socket before it binds an endpoint for other machines, and make it require a key from clients."""
         self._monitors[node] = Monitor(socket, CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED)
         if self._access_control.own is not None:
             socket.set(zmq.CURVE_SERVER, 1)
             socket.set(zmq.CURVE_SECRETKEY, self._access_control.own.secret)
-            # identifies the endpoint that a client connects to
+            # The domain tells the ZAP handler to which node a client connects.
             socket.set(zmq.ZAP_DOMAIN, node.encode())
-            # Without this option libzmq accepts every client while no ZAP handler is bound, as when a process ends.
+            # Without this option libzmq accepts every client while no ZAP handler is bound, such as at the end of a
+            # process.
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
     def add(self, publisher: ZmqPublisher) -> None:
-        """Attend to a prepared publisher whose last endpoint is one for other machines."""
+        """Protect a prepared publisher, whose endpoint bound last is the one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
         self.endpoints.append(BoundEndpoint(publisher, self._monitors.pop(publisher.node), bound))
 
     def abandon(self, node: str) -> None:
-        """Close what was prepared for a socket that could not bind."""
+        """Close the monitor that was prepared for a socket that could not bind."""
         monitor = self._monitors.pop(node, None)
         if monitor is not None:
             monitor.socket.close()
 
     def close(self) -> None:
-        """Close what libzmq does not close with the publishers."""
+        """Close the sockets of the ZAP handler and the monitors, which closing the publishers does not close."""
         for socket in self.sockets:
             socket.close()
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
-        """What becomes readable when there is a request or a monitor event."""
+        """The sockets that become readable when there is a request or a monitor event."""
         return [*([] if self.socket is None else [self.socket]), *(bound.monitor.socket for bound in self.endpoints)]
 
     def process_events(self) -> bool:
-        """Answer authentication requests, record failed handshakes; True when more is left to do."""
+        """Answer authentication requests and record failed handshakes; return True if more may be left to do."""
         left = self.socket is not None and self._answer(self.socket)
         for bound in self.endpoints:
             for event in bound.monitor.events():
@@ -131,7 +132,7 @@ class ZapAuthenticator:
         return events
 
     def apply_permissions(self) -> None:
-        """Close the endpoints that a client with a key no longer allowed came through; the others reconnect."""
+        """Close the endpoints used by a client whose key is no longer allowed; the other clients reconnect."""
         for bound in self.endpoints:
             gone = {key for key in bound.accepted if self._access_control.authorize(key)[1]}
             if gone:
@@ -151,11 +152,11 @@ class ZapAuthenticator:
         return True
 
     def _reply_to(self, frames: Sequence[bytes]) -> list[bytes]:
-        # The frames are: identity of the asking session, empty, version, request, domain, address, identity, mechanism,
-        # key.
+        # The frames are: identity of the requesting session, empty, version, request, domain, address, identity,
+        # mechanism, key.
         back, version, request = frames[0], frames[2], frames[3]
         if len(frames) > _MECHANISM and frames[_MECHANISM] == b"NULL" and _is_of_this_user(frames[5].decode()):
-            # It came by the ipc endpoint of a node that was bound again (`ipc_listener.py`), which has no keys.
+            # The client came by the ipc endpoint of a node, which was bound again (`ipc_listener.py`) and has no keys.
             return [back, b"", version, request, _ACCEPTED, b"", b"", b""]
         if len(frames) != _ZAP_FRAMES or frames[_MECHANISM] != b"CURVE":
             self._rejections.record("handshake", "a client connected without a key")
@@ -174,7 +175,7 @@ class ZapAuthenticator:
     def _close_connections(self, bound: BoundEndpoint, names: Iterable[str]) -> None:
         bound.accepted.clear()
         if not bound.unbound:
-            # libzmq cannot close one connection; unbinding closes all that came through this endpoint
+            # libzmq cannot close a single connection; unbinding closes all connections of this endpoint.
             bound.publisher.socket.unbind(bound.endpoint)
             bound.unbound, bound.attempts = True, 0
         text = f"the key of {', '.join(sorted(names))} is no longer allowed: all network connections at {bound.node} "
@@ -182,11 +183,11 @@ class ZapAuthenticator:
         self._bind_again(bound)
 
     def _bind_again(self, bound: BoundEndpoint) -> bool:
-        """Bind an endpoint that was unbound; True when the next turn is to try again."""
+        """Bind an endpoint that was unbound; return True if the next turn has to try again at once."""
         try:
             bound.publisher.socket.bind(bound.endpoint)
         except zmq.ZMQError as error:
-            # the old listener is closed by a thread of libzmq's, a moment later; all else takes longer
+            # A thread of libzmq closes the old listener a moment later; any other obstacle lasts longer.
             bound.attempts += 1
             if bound.attempts == _FAST_REBINDS:
                 text = f"{bound.node} cannot bind {bound.endpoint} again: {error.strerror}; retrying twice a second"
@@ -197,6 +198,6 @@ class ZapAuthenticator:
 
 
 def _is_of_this_user(address: str) -> bool:
-    """Return whether a peer is a process of this user or of root on this machine, by what libzmq says of its socket."""
+    """Return whether a peer is a process of this user or root on this machine, by the address that libzmq reports."""
     peer = _LOCAL_PEER.fullmatch(address)
     return peer is not None and int(peer[1]) in (os.geteuid(), 0)

@@ -1,4 +1,4 @@
-"""The loop of a process of several nodes: one wait for the sockets and deadlines of all, one order of their turns."""
+"""The loop of a process of several nodes: one wait for all sockets and deadlines, and one order of the nodes' turns."""
 
 import contextlib
 import os
@@ -17,13 +17,13 @@ from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire.nodes import DEVICES, HAND, STOP_ORDER
 from telenano.wire.received import Received
 
-# After one of these messages the tick is at the other site, or over, for the longest time; the one by itself is for a
-# process without the hand.
+# After one of these messages the longest idle gap of a tick begins, because the tick is at the other site or over; the
+# single one applies to a process without the hand.
 _IDLE_AFTER = {(HAND, "haptic/command"), ("controller@slave", "afm/state")}
 _IDLE_WITHOUT_HAND = ("controller@master", "teleop/backward")
-# After this number of turns that only memory has brought, the sockets are looked at again.
+# After this number of turns for messages in memory alone, the sockets are checked again.
 _MOST_TURNS = 64
-# A signal writes one byte, and this number is more than will wait.
+# Bytes read at once from the wake descriptor; each signal writes one byte, and fewer than this number will wait.
 _MOST_SIGNALS = 64
 
 
@@ -36,17 +36,17 @@ class Member(NamedTuple):
     loop: NodeLoop
 
     def due_ns(self) -> int:
-        """Return when it takes a turn without a message, on the monotonic clock [ns]."""
+        """Return the time of its next turn without a message, on the monotonic clock [ns]."""
         return min(self.node.deadline_ns(), self.loop.health_due_ns, self.bus.due_ns)
 
 
 class SiteLoop:
-    """The turns of the nodes of a process.
+    """The loop of the nodes of a process.
 
     Args:
         keys: The nodes.
         clock: The clock of the process.
-        exchange: What they hand over in memory.
+        exchange: Passes messages between the nodes in memory.
         tell: Writes an error to the log of the process.
     """
 
@@ -57,7 +57,7 @@ class SiteLoop:
         self._idle_after = _IDLE_AFTER if HAND in keys else {*_IDLE_AFTER, _IDLE_WITHOUT_HAND}
         self._monotonic_ns = clock.monotonic_ns
         self._limit = TurnLimit(lambda: self._at, tell)
-        # The node whose turn is in hand, and whether the idle gap begins with what was received in this turn.
+        # The node that takes its turn now, and whether a message received in this turn begins the idle gap.
         self._at = ""
         self._was_last = self._is_signalled = False
         self._order: list[Member] = []
@@ -68,9 +68,9 @@ class SiteLoop:
         self._wake = -1
 
     def open(self, members: Iterable[Member], wake_descriptor: int) -> None:
-        """Take up the nodes, whose buses are open."""
+        """Add the nodes, whose buses are open."""
         self.members = {member.key: member for member in members}
-        # A tick of the hand comes before what sockets have brought meanwhile.
+        # Devices come first: a tick of the hand precedes messages that sockets have received meanwhile.
         self._order = sorted(self.members.values(), key=lambda member: member.key not in DEVICES)
         self._owner = {number: member for member in self._order for number in member.bus.descriptors}
         self._sockets = [(socket, member.bus) for member in self._order for socket in member.bus.sockets]
@@ -84,38 +84,38 @@ class SiteLoop:
         return tuple(member.node for member in self._order)
 
     def note_received(self, key: str, received: Sequence[Received]) -> None:
-        """Note what a node has received: whether the idle gap begins, and what it may send on as it came."""
+        """Note the messages that a node has received: for the begin of the idle gap, and for the exchange."""
         self._was_last |= (key, received[-1].topic) in self._idle_after
         self.exchange.note_received(key, received)
 
     def note_signal(self) -> None:
-        """Have every node take its next turn at once, within the handler of a signal."""
+        """Make every node take its next turn at once; called within the handler of a signal."""
         self._is_signalled = True
 
     def has_arrived(self) -> bool:
-        """Return whether something may have arrived since the last wait, in memory or at a socket."""
+        """Return whether messages may have arrived since the last wait, in memory or at a socket."""
         self._readable, _, _ = select.select(self._descriptors, (), (), 0)
         return bool(self.exchange.pending or self._readable)
 
     def run(self, guard: HangGuard) -> None:
-        """Run until the stop of a node is requested, then leave every node safe whatever happened."""
+        """Run until the stop of a node is requested; then make every node safe, also after an error."""
         members = self.members.values()
         with guard:
             try:
                 while not any(member.node.context.stop_requested for member in members):
                     self.turn()
-            # code of a package may end the program
+            # Code of a package may raise SystemExit.
             except (Exception, SystemExit) as error:
                 self.members[self._at or next(iter(self.members))].loop.report_failure(error)
                 raise
             finally:
-                # Of each the end is its own: what one of them fails at keeps no other one from being made safe.
+                # Each node ends separately, so that the failure of one does not keep another from being made safe.
                 with contextlib.ExitStack() as ends:
                     for key in reversed([key for key in STOP_ORDER if key in self.members]):
                         ends.callback(self.members[key].loop.end)
 
     def turn(self) -> None:
-        """Wait for what is next, and have every node that it concerns take its turn, and those that follow from it."""
+        """Wait for messages or deadlines; let every node concerned take its turn, and then nodes with new messages."""
         readable = self._wait()
         self._limit.begin()
         try:
@@ -152,12 +152,12 @@ class SiteLoop:
             self.tasks.note_event(woken_ns, self._monotonic_ns(), is_last=self._was_last)
 
     def take(self, member: Member) -> None:
-        """Have a node take a turn."""
+        """Let a node take a turn."""
         self._at = member.key
         member.loop.turn()
 
     def _next_ns(self) -> int:
-        """Return when the next node takes a turn without a message, on the monotonic clock [ns]."""
+        """Return the time of the next turn of any node without a message, on the monotonic clock [ns]."""
         return min(member.due_ns() for member in self._order)
 
     def _wait(self) -> Sequence[int]:
@@ -171,20 +171,19 @@ class SiteLoop:
         return readable
 
     def _run_deferred(self) -> None:
-        """Run the tasks that are due, until a message comes."""
+        """Run the deferred tasks that are due, until a message is passed in memory."""
         while not self.exchange.pending and (now_ns := self._monotonic_ns()) >= self.tasks.due_ns:
             if (task := self.tasks.take(now_ns, self._next_ns())) is not None:
                 self._at = self.tasks.owners[task.run]
                 self.members[self._at].loop.run_task(task)
-                # Each is a turn of its own, also for the limit.
+                # Each task has the time limit of a turn.
                 self._limit.begin()
 
 
 class SharedGuard(HangGuard):
-    """The limit of processor time of a process of several nodes: it begins again when every node has reported.
+    """The limit of processor time of a process of several nodes: it restarts when every node has reported.
 
-    The report of one says nothing of the others, and none of them ends the guard: it is the process's, which ends with
-    all of its nodes.
+    The report of one node does not show that the others are alive.
     """
 
     def __init__(self, keys: Collection[str]) -> None:

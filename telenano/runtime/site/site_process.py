@@ -1,4 +1,4 @@
-"""The way from a command line to the running nodes of a site: one context, one clock, one owner of signals."""
+"""Start of the nodes of a site in one process from a command line: one ZeroMQ context, clock and signal handler."""
 
 import functools
 import signal
@@ -42,11 +42,11 @@ from telenano.wire.nodes import DEVICES, JOINED, LINK, endpoints_of, name_of
 
 @dataclass(frozen=True, kw_only=True)
 class SiteWiring(Wiring):
-    """What the builder of a node is given: sockets to other processes, and memory within this one."""
+    """The argument of a node's builder: it opens sockets to other processes, and memory readers within this one."""
 
     publisher_class = SitePublisher
     site: SiteLoop = field(repr=False)
-    # The node that looks after the paths and connections of the process.
+    # The node whose loop checks the paths and connections of the process.
     keeper: str
 
     def bind(self, key: str, kind: int = zmq.PUB, *, ends: bool = False) -> ZmqPublisher:
@@ -89,7 +89,7 @@ class SiteWiring(Wiring):
 
 
 def run_site(arguments: Sequence[str] | None = None) -> int:
-    """Run the nodes of a site that the command line names until they are stopped; return the exit code, 2 for none."""
+    """Run the nodes of a site that the command line names until they stop; return the exit code, 2 if none ran."""
     read = parse_arguments("site", SITES, arguments, joins=True)
     log = StructuredLog(f"site@{read.site}")
     return exit_code_of(lambda: _run(read, log), log)
@@ -99,10 +99,10 @@ def _run(read: NodeArguments, log: StructuredLog) -> None:
     keys = _members(read)
     files = StartingFiles.read(read)
     check_simulated(files.loaded, keys)
-    # The device, or else the half, keeps the place that it would have by itself.
+    # The process runs on the processor of its last node, the device, or else the half of the controller.
     first = keys[-1]
     scenario = files.loaded.scenario
-    # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
+    # The scheduling is set before the ZeroMQ context exists, because the context's threads inherit it.
     status = apply_realtime(on_one_processor(scenario.realtime_in_force(), keys, first), log, first)
     signals = StopSignals()
     with Participant.open(first, files.book, signals.descriptor) as participant:
@@ -121,13 +121,13 @@ def _run(read: NodeArguments, log: StructuredLog) -> None:
             members.append(Member(key, node, cast(SiteBus, bus), loop))
         for publisher in exchange.publishers:
             publisher.yields = False
-        # Every socket is open now, and the node that keeps the paths keeps the connections.
+        # All sockets are open now; the node that checks the paths also processes the network events.
         members[-1].bus.look_after(participant.network)
         site.open(members, signals.descriptor)
         signals.interrupt(*site.nodes)
         if members[-1].key in DEVICES:
             _take_stops(site, members[-1].loop)
-        # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
+        # This takes tens of ms in a large process, and other processes on this processor must keep their periods.
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if scenario.realtime.huge_pages else 0
             freeze_garbage()
@@ -139,7 +139,7 @@ def _run(read: NodeArguments, log: StructuredLog) -> None:
 
 
 def _members(read: NodeArguments) -> tuple[str, ...]:
-    """Return the nodes that a command line names, in the order in which they are built."""
+    """Return the nodes that a command line names, in building order; raise ConfigError for an unknown one."""
     known = JOINED[f"site@{read.site}"]
     for node in read.node:
         if node not in known:
@@ -148,7 +148,7 @@ def _members(read: NodeArguments) -> tuple[str, ...]:
 
 
 def check_simulated(loaded: LoadedScenario, keys: Collection[str]) -> None:
-    """Raise ConfigError where one of these nodes drives a real device, which has to have a process of its own."""
+    """Raise ConfigError if one of these nodes drives a real device, which needs a separate process."""
     for key in keys:
         kind = node_kind(name_of(key))
         config = loaded.section(kind.name, kind.config)
@@ -158,7 +158,7 @@ def check_simulated(loaded: LoadedScenario, keys: Collection[str]) -> None:
 
 
 def _take_stops(site: SiteLoop, device: NodeLoop) -> None:
-    """Obey an emergency stop at the signal for one; the turn that follows reads what the signal has written."""
+    """Obey an emergency stop at STOP_SIGNAL; the next turn reads the byte that the signal has written."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         device.note_stop_signal()

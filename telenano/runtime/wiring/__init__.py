@@ -1,1 +1,1 @@
-"""How a process is put together: its sockets and keys, its part in the bus, and its way from a command line."""
+"""Assembly of a process: its sockets and keys, its part in the bus, and its start from a command line."""

@@ -1,8 +1,8 @@
-"""Whether a process may open as many files as its sockets take, before libzmq meets the limit.
+"""Check of the limit of open files against the needs of a process's sockets, before libzmq reaches the limit.
 
-libzmq ends the process, or tries for ever, where it gets no descriptor for a connection. So what the sockets of a
-process take is added up as they are planned, from the address book, and a process that may not have it ends in a
-sentence. `telenano up` asks for each of its nodes before it starts the first (`needed_by`).
+libzmq aborts the process, or retries for ever, if it gets no descriptor for a connection. So the descriptors of the
+planned sockets are added up from the address book, and a process that may not open enough ends with an error message.
+`telenano up` checks all of its nodes before it starts the first (`needed_by`).
 """
 
 import sys
@@ -17,21 +17,22 @@ from telenano.wire.nodes import KEEPERS, LAUNCHER, LINK, NODES, PAGE, RECORDER, 
 # Windows has no such module.
 resource = optional_module("resource")
 _OPEN = Path("/dev/fd")
-# Each thread of a context of ZeroMQ has a mailbox and an epoll; the reaper is one, and the context has a mailbox.
+# Descriptors of a ZeroMQ context: each thread has a mailbox and an epoll; the context has a mailbox, and the two of its
+# reaper thread.
 _OF_A_THREAD, _OF_A_CONTEXT = 2, 3
 # A socket of ZeroMQ has a mailbox.
 _OF_A_SOCKET = 1
-# A bound ipc endpoint has its listener, its lock, and what tells its file from another one's.
+# A bound ipc endpoint has its listener, its lock, and the open inode that identifies its file.
 _OF_AN_ENDPOINT = 3
-# A node opens so many files for a moment while it runs: its recording or lists, a table of the kernel, and the further
-# connection by which it finds that it is deaf, with its socket.
+# Files that a node opens only for a moment: its recording or lists, a table of the kernel, and the probe by which it
+# finds that it is deaf, with its socket.
 _FOR_A_MOMENT = 5
-# What of the table of nodes runs as long as a rig does.
+# The parts of the table of nodes that run as long as the rig does.
 _PARTS = ("rig", "endpoint", "launcher")
 
 
 def open_descriptors() -> int | None:
-    """Return how many files this process has open; None where the system does not say."""
+    """Return the number of open files of this process; None if the system does not tell."""
     try:
         return sum(1 for _ in _OPEN.iterdir()) - 1
     except OSError:
@@ -39,7 +40,7 @@ def open_descriptors() -> int | None:
 
 
 def descriptor_limit() -> int | None:
-    """Return how many files this process may have open; None where there is no such limit."""
+    """Return the limit of open files of this process; None if there is none."""
     if resource is None or sys.platform == "win32":
         return None
     limit: int = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
@@ -47,18 +48,18 @@ def descriptor_limit() -> int | None:
 
 
 def descriptors_free() -> int | None:
-    """Return how many more files this process may open; None where that is unknown."""
+    """Return the number of further files that this process may open; None if unknown or unlimited."""
     taken, limit = open_descriptors(), descriptor_limit()
     return None if taken is None or limit is None else limit - taken
 
 
 def check_descriptors(owner: str, needed: int) -> int | None:
-    """Return how many more files this process may open than it needs beside those that are open; None: unknown.
+    """Return the number of files that this process may open beyond `needed` further ones; None if unknown.
 
-    It is for a process that counts its connections itself.
+    For a process that counts its connections itself.
 
     Raises:
-        EndpointError: It may open fewer; the message names the owner, what it needs and what it may have.
+        EndpointError: Fewer may be opened than needed; the message has the owner, the needed number and the limit.
     """
     taken, limit = open_descriptors(), descriptor_limit()
     if taken is None or limit is None:
@@ -76,40 +77,45 @@ def _check(owner: str, needed: int, limit: int) -> None:
 
 
 class Descriptors:
-    """What the sockets of one process take, added up as they are opened."""
+    """The number of descriptors that the sockets of one process need, added up as they are opened."""
 
     def __init__(self, threads: int, held: int | None = None) -> None:
-        """Begin with a context of so many threads, and what is open already, or will be in a process to come."""
+        """Begin with a context and the open files.
+
+        Args:
+            threads: The number of I/O threads of the ZeroMQ context.
+            held: The number of files open in a process to come; None for those open in this process now.
+        """
         self._held = open_descriptors() if held is None else held
         self.needed = (self._held or 0) + threads * _OF_A_THREAD + _OF_A_CONTEXT + _FOR_A_MOMENT
 
     def add_publisher(self, readers: int) -> None:
-        """Add an endpoint that so many others connect to."""
+        """Add an endpoint to which this number of readers connect."""
         self.needed += _OF_A_SOCKET + _OF_AN_ENDPOINT + readers
 
     def add_reader(self, publishers: int) -> None:
-        """Add a socket that connects to so many others."""
+        """Add a socket that connects to this number of publishers."""
         self.needed += _OF_A_SOCKET + publishers
 
     def check(self, owner: str) -> None:
-        """Raise EndpointError, which names the owner, where there is no room for what was added."""
+        """Raise EndpointError, which names the owner, if the sum exceeds the limit of open files."""
         limit = descriptor_limit()
         if self._held is not None and limit is not None:
             _check(owner, self.needed, limit)
 
 
 def readers_of(book: AddressBook, key: str) -> int:
-    """Return how many processes may be connected to an endpoint at the same time.
+    """Return the number of processes that may be connected to an endpoint of node `key` at the same time.
 
-    They are the others of its site that run as long as the rig does, those that show or record both sites, what reads
-    each node once for observers, and a console.
+    They are the other nodes of its site that run as long as the rig does, the nodes that show or record both sites, the
+    process that reads each node once for all observers, and a console.
     """
     near = {row.key for row in NODES if row.part in _PARTS and site_of(row.key) == site_of(key)}
     return len(((near | {RECORDER, LAUNCHER, PAGE}) & set(book.nodes)) - {key}) + 2
 
 
 def needed_by(book: AddressBook, key: str, held: int) -> Descriptors:
-    """Return what a node will need that begins with so many open files."""
+    """Return the descriptors that node `key` will need, if its process begins with `held` open files."""
     descriptors = Descriptors(2 if book.spans_machines else 1, held)
     ends = [f"{LINK}@{site}" for site in ("master", "slave")] if name_of(key) == LINK else [key]
     for end in ends:
@@ -128,7 +134,13 @@ def needed_by(book: AddressBook, key: str, held: int) -> Descriptors:
 
 
 def check_rig(book: AddressBook, nodes: Sequence[str], held: int) -> None:
-    """Raise EndpointError where a node that this process is about to start may not open what it will need."""
+    """Raise EndpointError if the limit of open files is too low for one of the nodes that this process will start.
+
+    Args:
+        book: The addresses of the rig.
+        nodes: The nodes to start, as node@site; those not in the book are left out.
+        held: The number of files that are open when a node begins.
+    """
     needs = {node: needed_by(book, node, held) for node in nodes if node in book.nodes}
     if needs:
         most = max(needs, key=lambda node: needs[node].needed)

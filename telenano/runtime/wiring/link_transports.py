@@ -1,7 +1,7 @@
-"""A way of your own between two machines, beside or in place of TCP; docs/extending/io.md has an example.
+"""The interface for transports of packages between two machines, beside or instead of TCP.
 
-The entry of a package is an object of a subclass of `LinkTransport`. The runtime of a node and the launcher call it;
-two processes have an end of the link, and pass it a `LinkSide`.
+docs/extending/io.md has an example. The entry of a package is an object of a subclass of `LinkTransport`. The runtime
+of a node and the launcher call it; the two processes at the ends of the link pass it a `LinkSide`.
 """
 
 from abc import ABC, abstractmethod
@@ -21,19 +21,19 @@ from telenano.wire.messages import Message
 from telenano.wire.nodes import FAR_END, LINK
 from telenano.wire.received import Received
 
-# A `set` of the link with this key is no setting: it measures what the line between two machines carries.
+# A `set` of the link with this key changes no setting: it starts a measurement of the capacity of the line.
 TRAIN = "line.train"
 _NEAR_END = f"{LINK}@slave"
 
 
 class LinkEnds(NamedTuple):
-    """What one of the two processes that the link ends in has of a transport, all of it by default nothing.
+    """The parts of a transport in one of the two processes at the ends of the link; by default none.
 
     Attributes:
-        readers: What the loop of the process reads as it reads its subscribers.
-        carry: Called with topic and bytes of every message that the process publishes. It sends those that cross
-            otherwise than by TCP, and returns what goes before the topic of one that is sent by TCP once more.
-        measure: Measures what the line carries, and returns whether it could.
+        readers: Further readers, which the loop of the process reads like its subscribers.
+        carry: Called with topic and bytes of every message that the process publishes. It sends those that the
+            transport carries, and returns the prefix of the topic for a message that TCP also sends a second time.
+        measure: Measures the capacity of the line, and returns whether it could.
     """
 
     readers: Sequence[Reader] = ()
@@ -42,20 +42,20 @@ class LinkEnds(NamedTuple):
 
 
 class _BesideConnection(Subscriber):
-    """A further connection to the other machine; a callable returns what of its messages the reader receives."""
+    """A second connection to the other machine; a callable selects and decodes the messages of its reader."""
 
     def __init__(self, side: "LinkSide", take: Callable[[Sequence[Taken]], list[Received]]) -> None:
         super().__init__(side.network.context, side.clock, {}, connect=False)
         self._take = take
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
-        """Return the messages that have arrived, as the callable returns them."""
+        """Return the messages that the callable makes of the frames that have arrived."""
         waiting = self.receive_raw(signalled=signalled)
         return self._take(waiting) if waiting else []
 
 
 class LinkSide:
-    """One of the two processes that the link ends in, as a transport has it for its end.
+    """The interface of a transport to the process at one end of the link.
 
     Attributes:
         network: The sockets of the process, with the keys of the machines (`network.access_control`).
@@ -63,21 +63,22 @@ class LinkSide:
         book: The address book, with the settings (`book.link.read(MySettings)`).
         is_master: Whether this is the end at the master's site.
         machine: The other machine.
-        reader: Receives from it over TCP. What came otherwise is handed to its method `take`, which judges it alike.
+        reader: Receives from the other machine over TCP. Messages received by the transport are passed to its method
+            `take`, which checks them in the same manner.
     """
 
-    # It has no socket of its own that would become readable.
+    # This handler has no sockets of its own to wait for.
     sockets = ()
 
     def __init__(
         self, network: Transport, outgoing: ZmqPublisher, reports: ZmqPublisher, reader: Subscriber, *, is_master: bool
     ) -> None:
-        """Stand at one end.
+        """Make the interface of one end.
 
         Args:
             network: The network of the process.
-            outgoing: What the process publishes for the other machine with.
-            reports: What it publishes the status of the network with, at its own site.
+            outgoing: The publisher of messages for the other machine.
+            reports: The publisher of the status of the network, at the process's own site.
             reader: Receives from the other machine.
             is_master: Whether this is the end at the master's site.
         """
@@ -99,7 +100,7 @@ class LinkSide:
         reports: ZmqPublisher,
         readers: Sequence[Subscriber],
     ) -> Self | None:
-        """Return the side of a node; None where nothing is received from another machine."""
+        """Return the side of a node; None if no reader receives from another machine's end of the link."""
         book, is_master = network.book, key != FAR_END
         if not {_NEAR_END, FAR_END} <= set(book.nodes):
             return None
@@ -121,7 +122,7 @@ class LinkSide:
 
     @property
     def endpoint(self) -> str:
-        """The TCP endpoint of the link: at the master where it is bound, at the slave where it is reached."""
+        """The TCP endpoint of the link: at the master the bound one, at the slave the one to connect to."""
         near = self.book.bind_endpoint(_NEAR_END) if self.is_master else None
         return near or self.book.connect_endpoint(_NEAR_END, self.network.machine)
 
@@ -134,15 +135,15 @@ class LinkSide:
         return self._reports.publish(topic, **fields)
 
     def tell(self, level: str, text: str, data: Mapping[str, bool | float | str]) -> None:
-        """Report in a sentence what has happened to the connection; it becomes a session/event of the node."""
+        """Report an event of the connection as a sentence; it becomes a session/event of the node."""
         self._events.append(ConnectionEvent(level, text, dict(data)))
 
     def connect_beside(self, take: Callable[[Sequence[Taken]], list[Received]]) -> Subscriber:
-        """Connect to the other machine once more, and return the reader of that connection.
+        """Open a second connection to the other machine, and return its reader.
 
         Args:
-            take: Called with the frames of what has arrived by it, each with the time of reception [ns]; returns the
-                messages for the loop.
+            take: Called with the frames of the messages that have arrived by it, each with the time of reception [ns];
+                returns the messages for the loop.
         """
         beside = _BesideConnection(self, take)
         self.network.connect_beside(FAR_END if self.is_master else _NEAR_END, beside)
@@ -156,14 +157,14 @@ class LinkSide:
         permissions_changed: Callable[[], None] = lambda: None,
         close: Callable[[], None] = lambda: None,
     ) -> None:
-        """Have an end take part in the process.
+        """Register an end of a transport in this process.
 
         Args:
-            *readers: What the loop reads as it reads its subscribers.
-            carry: Called with topic and bytes of every message that the process publishes. It sends those that cross
-                otherwise than by TCP, and returns what goes before the topic of one that is sent by TCP once more, or
-                None.
-            measure: Measures what the line carries, and returns whether it could.
+            *readers: Further readers, which the loop reads like its subscribers.
+            carry: Called with topic and bytes of every message that the process publishes. It sends those that the
+                transport carries, and returns the prefix of the topic for a message that TCP also sends a second time,
+                else None.
+            measure: Measures the capacity of the line, and returns whether it could.
             permissions_changed: Called when the list of allowed keys has changed.
             close: Called when the process ends.
         """
@@ -172,16 +173,16 @@ class LinkSide:
         self.network.look_after(self)
 
     def process_events(self) -> bool:
-        """Do nothing: what has happened is noted where it happens."""
+        """Do nothing and return False: the transport reports its events by `tell`."""
         return False
 
     def take_events(self) -> list[ConnectionEvent]:
-        """Return what was reported since the last call."""
+        """Return the events reported since the last call."""
         events, self._events = self._events, []
         return events
 
     def apply_permissions(self) -> None:
-        """Hand on that the list of allowed keys has changed."""
+        """Tell the transport that the list of allowed keys has changed."""
         self._permissions_changed()
 
     def close(self) -> None:
@@ -190,93 +191,100 @@ class LinkSide:
 
 
 class PieceSender(Protocol):
-    """What `LinkTransport.sender` returns."""
+    """Sender of the recording of the slave's site, as `LinkTransport.sender` returns it."""
 
     def request(self, parameters: Mapping[str, Any], now_ns: int) -> str:
-        """Take what the other site asks for by a command `set`; return in words what is done.
+        """Accept a request of the other site, made by a command `set`; return a sentence on its result.
 
         Raises:
-            RefusedError: What is wrong with the command.
+            RefusedError: The command is invalid; the message has the reason.
         """
 
     def send_due(self, now_ns: int) -> None:
-        """Send what is due at a time [ns]."""
+        """Send the pieces that are due at a time [ns]."""
 
     def close(self) -> None:
-        """End what is being sent."""
+        """Stop sending."""
 
 
 class LineCheck(Protocol):
-    """What `LinkTransport.line_check` returns: whether the line between the sites carries a session."""
+    """Check whether the line between the sites can carry a session, as `LinkTransport.line_check` returns it."""
 
     def record(self, message: Message) -> None:
-        """Take note of a message, a link/network or another one."""
+        """Record a message, a link/network or another one."""
 
     def settled(self) -> bool:
-        """Return whether the line is known, or nothing more is to be expected."""
+        """Return whether the capacity of the line is known, or no more information is expected."""
 
     def refusal(self) -> str:
-        """Return why there can be no session; empty where there can, or where that is in doubt."""
+        """Return the reason why no session is possible; empty if one is possible, or that is uncertain."""
 
     def advice(self) -> list[str]:
-        """Return what becomes of a session on a line that is narrow, in sentences."""
+        """Return sentences on the effects that a narrow line will have on a session."""
 
 
 class LinkTransport(SiteFileTransport, ABC):
-    """What an entry of the kind `transports` is an object of.
+    """Base class of the entries of the kind `transports`.
 
-    Every process of two machines may read it, so its methods import what they need. One with `reaches_relay` has
-    `run_beside`, and one with `fetches` has `sender` and `fetch`.
+    Every process of two machines may import the module, so the methods import what they need. A transport with
+    `reaches_relay` implements `run_beside`, and one with `fetches` implements `sender` and `fetch`.
     """
 
     @abstractmethod
     def open_end(self, side: LinkSide) -> None:
-        """Open an end of the link, and call `side.opened` with it; without that call there is none.
+        """Open an end of the link, and register it by `side.opened`; without that call, TCP carries everything.
 
         Raises:
-            OSError, ValueError, ConfigError: There can be no end; the log has the reason, and TCP carries everything.
+            OSError, ValueError, ConfigError: The end cannot be opened. The caller logs the reason, and TCP carries
+                everything.
         """
 
     def line_check(self, monotonic_ns: Callable[[], int]) -> LineCheck | None:
-        """Return what judges the line at the start of a session, by a monotonic clock [ns]; None where nothing does."""
+        """Return the check of the line at the start of a session, or None; `monotonic_ns` returns the time [ns]."""
         return None
 
     def run_beside(self, book: AddressBook, site: str, log: StructuredLog) -> None:
-        """Reach the relay of the site file for the nodes of a site, in a process of its own, until SIGTERM or SIGINT.
+        """Connect the nodes of a site to the relay of the site file, in a separate process, until SIGTERM or SIGINT.
 
         Raises:
-            TelenanoError: It cannot begin.
+            TelenanoError: The connection cannot be started.
         """
         raise NotImplementedError
 
     def sender(self, folder: Path, publish: Callable[..., Any]) -> PieceSender:
-        """Return what sends the recording of the slave's site from a folder, by what publishes for the launcher."""
+        """Return the sender of the slave's site's recording.
+
+        Args:
+            folder: The folder of the recording.
+            publish: Publishes a message for the launcher.
+        """
         raise NotImplementedError
 
     def fetch(
         self, book: AddressBook, session: SessionFolder, kbit_per_s: float | None, show: Callable[[str], None]
     ) -> Path:
-        """Fetch the files that the slave's site recorded, merge them with the own ones, and return the result.
+        """Fetch the files recorded at the slave's site, merge them with the local ones, and return the result's path.
 
         Args:
             book: The addresses of the rig.
             session: The folder of the session.
-            kbit_per_s: The most that is fetched [kbit/s]; None is as much as does no harm.
+            kbit_per_s: The greatest rate [kbit/s]; None for the greatest that disturbs nothing else.
             show: Called with each line for the user.
 
         Raises:
-            TelenanoError: The own recording is kept, and the error is reported as what is missing.
+            TelenanoError: Files could not be fetched or merged. The caller keeps the local recording, and reports the
+                error as what is missing.
         """
         raise NotImplementedError
 
 
 def link_transport(name: str) -> LinkTransport:
-    """Return the transport of a name as `named` does; ConfigError where there is none."""
+    """Return the transport with a name as `named` does; raise ConfigError if there is none."""
     return _complete(named(name))
 
 
 def fetching_transport() -> LinkTransport | None:
-    """Return the installed transport that fetches the other site's recording; None without any."""
+    """Return the installed transport that fetches the other site's recording; None if there is none."""
     transport = fetching()
     return None if transport is None else _complete(transport)
 

@@ -1,4 +1,4 @@
-"""The way from a command line to a running node: configuration, clock, bus, loop."""
+"""Start of a node from its command line: configuration, clock, bus, loop."""
 
 import argparse
 import gc
@@ -42,7 +42,7 @@ EXIT_DIED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring(Participant):
-    """What a node's builder is given: its part in the bus, and the files that it is configured by."""
+    """The argument of a node's builder: the node's part in the bus, and its configuration files."""
 
     site_file: Path
     scenario_file: Path
@@ -53,10 +53,10 @@ W = TypeVar("W", bound=Wiring)
 
 @dataclass(frozen=True)
 class NodeKind(Generic[C]):
-    """A kind of node: its name in the table of nodes, its section of the scenario and how it is built.
+    """A kind of node: its name in the table of nodes, the model of its section of the scenario, and its builder.
 
-    `realtime`, whether it is in the loop: what is not comes behind the others; `observer`, whether it shows what they
-    do: it keeps the garbage collector.
+    `realtime`: the node belongs to the loop; others run at a lower priority. `observer`: the node displays the work of
+    others, and keeps the garbage collector.
     """
 
     name: str
@@ -74,28 +74,33 @@ class NodeKind(Generic[C]):
     ) -> tuple[Node, NodeBus]:
         """Build a node of this kind with its bus, from its section of a scenario.
 
-        With sockets, in memory and from a recording it is opened alike; the wiring is what differs.
+        Nodes with sockets, in memory and from a recording are opened in the same manner; only the wiring differs.
 
         Args:
-            wiring: What the builder of the node is given.
+            wiring: The argument of the node's builder.
             loaded: The scenario.
-            adapt: Returns the section that the node with this key gets, from the one that stands there.
+            adapt: Called with the key of the node and its section of the scenario; returns the section to use.
 
         Raises:
-            ConfigError: Its section of the scenario cannot be used.
-            EndpointError: An endpoint of it cannot be bound.
+            ConfigError: The node's section of the scenario is invalid.
+            EndpointError: An endpoint of the node cannot be bound.
         """
         return self.build(wiring, adapt(wiring.key, loaded.section(self.name, self.config)))
 
 
 def node_kind(name: str) -> NodeKind[Any]:
-    """Return the kind that a service declares for itself, so that a check and the node's own cannot differ."""
+    """Return the kind that a service declares in its `__main__`, so that checks and the node itself use the same."""
     module = importlib.import_module(f"{module_of(name)}.__main__")
     return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 
 def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, NodeBus]]:
-    """Return the builder of a node of the loop that has one bus."""
+    """Return the builder for a node of the loop with one bus.
+
+    Args:
+        node: Makes the node from its context and section.
+        inputs: The topics that the node reads.
+    """
 
     def build(wiring: Wiring, config: C) -> tuple[Node, NodeBus]:
         bus = wiring.bus(inputs, newest_only=True)
@@ -105,7 +110,7 @@ def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> C
 
 
 class NodeArguments(argparse.Namespace):
-    """What a node is started with."""
+    """The command line of a node."""
 
     site_file: Path
     scenario: Path
@@ -126,7 +131,7 @@ class _Parser(argparse.ArgumentParser):
 def parse_arguments(
     name: str, sites: Sequence[str], arguments: Sequence[str] | None, *, joins: bool = False
 ) -> NodeArguments:
-    """Read the command line of a node, or of a process that `joins` several."""
+    """Parse the command line of a node, or of a process that `joins` several nodes."""
     parser = _Parser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
     about = "address book of the rig: a known name or a YAML file; default: local, all on this machine"
     parser.add_argument("--site-file", type=Path, default=DEFAULT_SITE_FILE, metavar="NAME|FILE", help=about)
@@ -139,7 +144,7 @@ def parse_arguments(
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
     if joins:
         parser.add_argument("--node", action="append", required=True, metavar="NODE", help="run this node (repeatable)")
-    # What a launcher holds for its nodes is a descriptor, which nobody types.
+    # The descriptor of files that a launcher holds for its nodes; no person types it.
     parser.add_argument("--held", type=int, help=argparse.SUPPRESS)
     read = parser.parse_args(arguments, namespace=NodeArguments())
     if read.held is not None:
@@ -156,7 +161,7 @@ def beside_the_loop() -> None:
 
 @dataclass(frozen=True)
 class StartingFiles:
-    """What the nodes of a process are configured by: address book and scenario, and the files that they are from."""
+    """The configuration of the nodes of a process: address book and scenario, and the files they were read from."""
 
     site_file: Path
     scenario_file: Path
@@ -165,10 +170,10 @@ class StartingFiles:
 
     @classmethod
     def read(cls, arguments: NodeArguments) -> Self:
-        """Read what a command line names, and obey what else it says of the process.
+        """Read the files that a command line names, and apply its options `--with-parent` and `--rig`.
 
         Raises:
-            ConfigError: A file or a key of it cannot be used.
+            ConfigError: A file or one of its keys is invalid.
         """
         if arguments.with_parent:
             die_with_parent(signal.SIGTERM)
@@ -180,14 +185,18 @@ class StartingFiles:
         return cls(site_file, scenario_file, book, LoadedScenario.load(scenario_file, arguments.set))
 
     def wiring(self, participant: Participant, make: Callable[..., W], **further: Any) -> W:
-        """Return the wiring of a node, of a class `make` with these further fields."""
+        """Return the wiring of a node: an object of the class `make`, with these further fields."""
         values = {**vars(participant), "period_s": self.loaded.scenario.period_s, **further}
         return make(**values, site_file=self.site_file, scenario_file=self.scenario_file)
 
 
 def exit_code_of(run: Callable[[], None], log: StructuredLog) -> int:
-    """Run the nodes of a process until they are stopped; return its exit code, 2 when it could not start."""
-    # What was imported stays, so that no later collection has to look through it.
+    """Run the nodes of a process until they are stopped.
+
+    Returns:
+        The exit code: 0, EXIT_BAD_START (2) after a TelenanoError, EXIT_DIED (1) if a package ended the program.
+    """
+    # Imported objects stay for good; frozen, they are not scanned by later collections.
     gc.freeze()
     gc.enable()
     configure_logging()
@@ -209,7 +218,7 @@ def exit_code_of(run: Callable[[], None], log: StructuredLog) -> int:
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is stopped; return the exit code, 2 when it could not start."""
+    """Run a node until it is stopped; return its exit code, 2 if it could not start (see `exit_code_of`)."""
     arguments_read = parse_arguments(kind.name, kind.sites, arguments)
     log = StructuredLog(f"{kind.name}@{arguments_read.site}")
     return exit_code_of(lambda: _run(kind, arguments_read, log), log)
@@ -218,18 +227,18 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
 def _run(kind: NodeKind[C], arguments: NodeArguments, log: StructuredLog) -> None:
     files = StartingFiles.read(arguments)
     scenario = files.loaded.scenario
-    # A section that cannot be used is told before anything of the process is changed.
+    # An invalid section is reported before anything of the process is changed.
     files.loaded.section(kind.name, kind.config)
     wanted = scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
     if not kind.realtime:
         behind_others()
-    # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
+    # The scheduling is set before the ZeroMQ context exists, because the context's threads inherit it.
     key = f"{kind.name}@{arguments.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     with Participant.open(key, files.book, signals.descriptor) as participant:
         node, bus = kind.open(files.wiring(participant, Wiring), files.loaded)
-        # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
+        # Huge pages take tens of ms in a large process, and other processes on this processor must keep their periods.
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)

@@ -1,11 +1,11 @@
-"""The process of a node that a command runs, instead of one that the launcher starts.
+"""The process of a node that a command runs itself, without the launcher.
 
     with NodeProcess.open("delay_node@master", AddressBook.load(site_file)) as process:
         publisher = process.participant.bind(process.participant.key)
         bus = process.participant.bus_of(publisher, readers)
         process.run(Node(process.participant.context(bus)), bus)
 
-It has the scheduling of the nodes, and ends at a stop signal.
+The process gets the scheduling of the nodes, and ends at a stop signal.
 """
 
 import contextlib
@@ -35,10 +35,10 @@ class NodeProcess:
 
         Raises:
             EndpointError: The node is not in the book.
-            ConfigError: Its machine lacks a key that the rig needs.
+            ConfigError: The node's machine lacks a key that the rig requires.
         """
         signals = StopSignals()
-        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
+        # The scheduling is set before the ZeroMQ context exists, because the context's threads inherit it.
         realtime = apply_realtime(None, StructuredLog(key), key)
         with Participant.open(key, book, signals.descriptor) as participant:
             yield cls(participant, signals, realtime)

@@ -27,23 +27,26 @@ from telenano.wire.sequence import SequenceTracker
 from telenano.wire.topics import keep_unknown
 
 _WAIT_MS = 100
-# A rig whose sockets were removed makes them again within this time [s], on a machine that is busy.
+# A rig makes removed sockets again within this time, even on a busy machine [s].
 _BACK_S = 3.0
 _RETRY_S = 0.05
 
 
 @dataclass(frozen=True)
 class ObservedMessage:
-    """A message as an observer receives it; a copy that left the link at a site is named topic@site."""
+    """A message as an observer receives it; `name` is the topic, or topic@site for a copy from the link at a site."""
 
     name: str
     received: Received
 
 
 def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
-    """Split topic or topic@site; ConfigError lists the topics that there are.
+    """Split topic or topic@site into topic and site (None without one).
 
-    With `unknown` it may be one that nothing installed declares, if it is not like another: messages keep their bytes.
+    With `unknown`, an undeclared topic is accepted unless its name resembles a known one; its messages stay undecoded.
+
+    Raises:
+        ConfigError: The topic is unknown, or a site is named although the topic does not cross the link.
     """
     topic, _, site = name.partition("@")
     meant = probably_meant(topic, TOPICS)
@@ -56,15 +59,15 @@ def known_name(name: str, *, unknown: bool = False) -> tuple[str, str | None]:
 
 
 class Observer:
-    """One connection to every socket of the rig, so that original and copy are counted apart."""
+    """One connection to every socket of the rig, so that originals and copies are counted separately."""
 
     def __init__(self, book: AddressBook, wanted: Collection[str] | None = None, *, shared: bool = True) -> None:
-        """Connect for some topics, or for all where `wanted` is None, as the machine that this process runs on.
+        """Connect for some topics, or for all if `wanted` is None, as the machine on which this process runs.
 
-        With `shared` the nodes are read through the process that does that once for all observers, where a rig has it.
+        With `shared`, nodes are read through the process that reads them once for all observers, if the rig has one.
 
         Raises:
-            ConfigError: This machine lacks a key that the rig demands.
+            ConfigError: This machine lacks a key that the rig requires.
         """
         self.notices: list[ConnectionEvent] = []
         self._book = book
@@ -78,13 +81,13 @@ class Observer:
 
     @classmethod
     def of_rig(cls, site_file: Path, wanted: Collection[str] | None = None) -> Self:
-        """Connect to the rig of a site file; RigError at once where no rig can be running."""
+        """Connect to the rig of a site file; raise RigError at once if no rig can be running."""
         book = AddressBook.load(site_file)
         require_rig(book, site_file)
         return cls(book, wanted)
 
     def listen(self, duration_s: float | None) -> Iterator[ObservedMessage]:
-        """Return the messages received within a time [s], None for no end."""
+        """Yield the messages received within a time [s], or without end if it is None."""
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
@@ -103,11 +106,11 @@ class Observer:
 
     @staticmethod
     def name(node: str, topic: str, src: str) -> str:
-        """Return the name of what a node sent: at a site, the messages of the other are copies by the link."""
+        """Return the topic of a message of a node, or topic@site if it is a copy by the link from the other site."""
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
     def why_silent(self) -> str:
-        """Return what is known of a rig that nothing was received of: its processes may run all the same."""
+        """Return the known reasons why nothing was received from the rig; its processes may run all the same."""
         if holders := _holders(self._book):
             nodes = ", ".join(dict.fromkeys(f"{one.node} (process {one.process})" for one in holders))
             return f"it runs all the same, and nothing was received of {nodes}; `telenano estop` stops its devices"
@@ -123,9 +126,9 @@ class Observer:
 
 
 def runs_no_node(book: AddressBook) -> bool:
-    """Return whether no rig is found: its sockets would be on this machine, none is there, and no process holds one.
+    """Return whether no rig is found: all its sockets would be on this machine, but none exists or is held.
 
-    Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
+    Sockets of consoles, players and pages do not count, because they remain if such a process is killed.
     """
     return not _has_sockets(book) and not _holders(book)
 
@@ -135,21 +138,21 @@ def _has_sockets(book: AddressBook) -> bool:
 
 
 def _paths(book: AddressBook) -> list[Path]:
-    """Return where the nodes of a rig, which are no visitors, have their sockets."""
+    """Return the paths of the sockets of a rig's nodes, without visitors such as consoles."""
     endpoints = [entry.local for node, entry in book.nodes.items() if not is_visitor(node)]
     return [path_of(local_endpoint(text)) for text in endpoints if text is not None]
 
 
 def _holders(book: AddressBook) -> list[Holder]:
-    """Return the processes that hold the sockets of a rig, whether or not these are at their paths."""
+    """Return the processes that hold the sockets of a rig, whether or not the socket files still exist."""
     seen = look()
     return [holder for path in _paths(book) for holder in seen.at(str(path))]
 
 
 def require_rig(book: AddressBook, site_file: Path) -> None:
-    """Raise RigError where no rig is found, instead of waiting for messages that cannot come.
+    """Raise RigError if no rig is found, instead of waiting for messages that cannot come.
 
-    One whose sockets were removed makes them again, and is waited for.
+    If a rig runs but its sockets were removed, wait until it has made them again, for at most 3 s.
     """
     if _has_sockets(book):
         return
@@ -165,7 +168,7 @@ def require_rig(book: AddressBook, site_file: Path) -> None:
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
-    """Listen for a time [s] and return a row for each topic and source received, and for each topic without any."""
+    """Listen for a time [s]; return one row for each topic and source received, and for each silent topic."""
     counts: dict[tuple[str, str], int] = {}
     for observed in observer.listen(duration_s):
         key = (observed.name, observed.received.message.src)
@@ -184,7 +187,7 @@ def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
 
 
 def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
-    """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
+    """Yield the messages of a topic (topic@site: of its copy) until a number of messages or a time [s] is reached."""
     yielded = 0
     for observed in observer.listen(duration_s):
         if observed.name == name:
@@ -195,9 +198,9 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
 
 
 def measure(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Return for each source of a topic its rate, gaps, the age of its messages on arrival and their size.
+    """Return a row for each source of a topic: rate [Hz], gaps, and age on arrival [ms] and size [bytes] of messages.
 
-    Listens for a time [s] or a number of messages, None for no end, until it is interrupted.
+    Listens for a time [s] or a number of messages, None for no limit, or until interrupted.
 
     Raises:
         RigError: No source sent two messages.

@@ -1,4 +1,4 @@
-"""How a process takes part in the bus: what it opens there, the loop that it runs, and how both end."""
+"""The part of a process in the bus: the sockets that it opens, the loop that it runs, and the end of both."""
 
 import contextlib
 import itertools
@@ -40,11 +40,11 @@ NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
 
 @dataclass(frozen=True)
 class NoNetwork:
-    """The network of a process in memory: the machine that it is on, and nothing that could connect."""
+    """The network of a node without sockets: only the name of its machine."""
 
     machine: str
     descriptors: Sequence[int] = ()
-    # Without sockets there are no paths that others could remove.
+    # Without sockets there are no paths that could be removed, and no connections that could fail.
     places: None = None
     hearing: None = None
 
@@ -53,10 +53,11 @@ class NoNetwork:
 class Participant:
     """A process on the bus: its name there, its clock, and the sockets that it opens.
 
-    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is that of the loop.
+    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is the period of the loop
+    [s].
     """
 
-    # What sends the messages of a node.
+    # The class that sends the messages of a node.
     publisher_class: ClassVar[type[ZmqPublisher]] = ZmqPublisher
     key: str
     book: AddressBook
@@ -66,18 +67,18 @@ class Participant:
     wake_descriptor: int
     period_s: float = LOOP_PERIOD_S
     machine: Machine = OWN_MACHINE
-    # Further metadata of a recording that is begun here, by name.
+    # Further metadata, by name, for a recording that this process begins.
     recorded_facts: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def bind(self, key: str, kind: int = zmq.PUB, *, ends: bool = False) -> ZmqPublisher:
-        """Bind the endpoints of a node; EndpointError gives the reason if that fails.
+        """Bind the endpoints of a node, and return its publisher, which is closed with this participant.
 
         Args:
             key: The node as node@site.
-            kind: The kind of the socket, of ZeroMQ.
-            ends: Whether the last message of the node is published when this participant is closed: how many messages
-                it has sent. A node of a loop publishes it itself.
+            kind: The kind of the ZeroMQ socket.
+            ends: Whether closing this participant publishes the last message of the node, the number of messages that
+                it has sent. A node with a loop publishes that itself.
 
         Raises:
             EndpointError: The endpoints cannot be bound; the message has the reason.
@@ -98,17 +99,24 @@ class Participant:
         newest_only: bool = False,
         shared: bool = False,
     ) -> list[Subscriber]:
-        """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""
+        """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node.
+
+        The other arguments are those of `Transport.subscribers`.
+        """
         opened = self.network.subscribers(connections, apart=apart, newest_only=newest_only, shared=shared)
         return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
 
     def observe(
         self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES, *, shared: bool = False
     ) -> dict[str, Subscriber]:
-        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of it.
+        """Connect to each node at `sites` by its own socket, and return the subscribers by node.
 
-        With `shared` it may be the socket of the process that reads the node once for all observers. Topics of
-        installed packages that this process has not met yet are asked for at every one of these nodes.
+        Topics of installed packages that this process does not know yet are subscribed to at each of these nodes.
+
+        Args:
+            wanted: Returns whether to subscribe to a topic at a node.
+            sites: The sites of the nodes.
+            shared: Whether to connect to the process that reads a node once for all observers, if there is one.
         """
         topics_of = self.book.observed(self.network.machine, sites)
         plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
@@ -120,13 +128,13 @@ class Participant:
         return subscriber_of
 
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
-        """Open the bus of an ordinary node: its own endpoint and connections for its inputs.
+        """Open the bus of an ordinary node: its endpoint, the connections for its inputs, and an inlet for stops.
 
         Args:
             topics: The topics that the node reads.
             newest_only: True for a node of the loop, which acts on the newest message of each `latest` topic.
         """
-        # The publisher is opened first, because it may fail, and nothing is open yet.
+        # The publisher is opened first: if that fails, nothing else is open yet.
         publisher = self.bind(self.key)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
         ends = self.link_ends(publisher, publisher, subscribers) if self.key == FAR_END else LinkEnds()
@@ -135,9 +143,15 @@ class Participant:
         )
 
     def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:
-        """Open this end of the link's transport, for what `outgoing` sends and one of `readers` receives.
+        """Open this end of the link's transport, and return its parts.
 
-        There is none, and everything crosses over TCP, in a rig on one machine and where the site file asks for it.
+        The parts are empty, and TCP carries everything, in a rig on one machine, if the site file requests TCP, or if
+        the end cannot be opened, which is logged.
+
+        Args:
+            outgoing: The publisher of messages for the other machine.
+            reports: The publisher of the status of the network.
+            readers: The readers of this node, one of which receives from the other machine.
         """
         name = self.book.link.transport
         if not self.book.spans_machines or name == STREAM:
@@ -147,7 +161,7 @@ class Participant:
             side = LinkSide.of(self.key, self.network, outgoing, reports, readers)
             if side is None:
                 return LinkEnds()
-            # What a transport needs is loaded in these two processes only.
+            # A transport imports its libraries in this call, so only the two processes at the ends load them.
             transport.open_end(side)
         except (OSError, ValueError, ConfigError) as error:
             self.log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
@@ -156,23 +170,23 @@ class Participant:
         return side.ends
 
     def estop_inlet(self) -> list[Subscriber]:
-        """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""
+        """Open the inlet for emergency stops; empty without an ipc endpoint, where only a console can send stops."""
         inlet = self.network.estop_inlet(self.key)
         return [] if inlet is None else [self.resources.enter_context(contextlib.closing(inlet))]
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
-        """Make one bus of sockets that were opened before."""
+        """Return the bus of a publisher and readers that were opened before."""
         bus = ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
         bus.is_brief = is_brief(self.book, self.key)
         return bus
 
     def recording_bus(self, make: Callable[..., Any], publisher: Publisher, listeners: Any, intake: Any) -> Any:
-        """Return the bus of a recorder, which hands what its listeners receive to `intake` as it came.
+        """Return the bus of a recorder, which passes the messages of its listeners to `intake` unchanged.
 
         Args:
             make: The class of the bus, `RecorderBus` of the recorder.
-            publisher: Sends what the recorder publishes.
-            listeners: The connections of the recorder, each with what is known of its streams.
+            publisher: Sends the messages of the recorder.
+            listeners: The connections of the recorder, each with the state of its streams.
             intake: Records the messages.
         """
         return make(publisher, listeners, intake, self.clock, self.wake_descriptor, self.network)
@@ -191,7 +205,10 @@ class Participant:
         )
 
     def kept_stop(self) -> Path | None:
-        """Return where stops of a device, or of the link for the far one, are kept; None without an ipc endpoint."""
+        """Return the file that keeps emergency stops; None for other nodes, and without an ipc endpoint for stops.
+
+        Devices keep their own stops, and the link keeps those of the far device.
+        """
         return self.book.kept_stop(self.key) if self.key in KEEPERS else None
 
     @classmethod
@@ -199,18 +216,17 @@ class Participant:
     def open(
         cls, key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
     ) -> "Iterator[Participant]":
-        """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
+        """Take part in the bus while the block runs; then close connections, endpoints and context, in this order.
 
         Args:
             key: The participant as node@site.
             book: The addresses of the rig.
             wake_descriptor: The descriptor that wakes the loop.
-            publisher: False for a participant that has no endpoint in the site file; it only listens and may be on any
-                machine.
+            publisher: False for a participant without an endpoint in the site file, which may be on any machine.
 
         Raises:
             EndpointError: The node is not in the book.
-            ConfigError: Its machine lacks a key that the rig needs.
+            ConfigError: The participant's machine lacks a key that the rig requires.
         """
         raise_file_limit()
         clock = SystemClock()
@@ -233,7 +249,7 @@ class Participant:
     @classmethod
     @contextlib.contextmanager
     def at_console(cls, book: AddressBook, site: Site) -> "Iterator[Participant]":
-        """Open the console of a site whose machine this is, as `open` does.
+        """Open the first console of a site that is on this machine, as `open` does.
 
         Raises:
             ConfigError: The site has no console on this machine.
@@ -257,13 +273,13 @@ class Participant:
         retry_ns: int = 0,
         issued_ns: int | None = None,
     ) -> CommandClient:
-        """Return what sends commands one after the other and collects their answers.
+        """Return a client that sends commands one after the other and collects their answers.
 
         Args:
             commands: The commands.
             publish: Publishes a session/control.
-            retry_ns: How long a required command is tried again after a refusal [ns].
-            issued_ns: When the commands were issued, on the monotonic clock [ns], now if None.
+            retry_ns: Time for which a required command is tried again after a refusal [ns].
+            issued_ns: Time at which the commands were issued, on the monotonic clock [ns]; None for now.
         """
         return CommandClient(self.clock, publish, commands, retry_ns=retry_ns, issued_ns=issued_ns)
 
@@ -271,17 +287,17 @@ class Participant:
     def observing(
         cls, book: AddressBook, wake_descriptor: int = -1
     ) -> contextlib.AbstractContextManager["Participant"]:
-        """Open a part that only listens, or publishes what it binds itself, on any machine of a rig."""
+        """Open a participant without an endpoint of its own in the site file, such as an observer, on any machine."""
         return cls.open(OBSERVER, book, wake_descriptor, publisher=False)
 
 
 def is_brief(book: AddressBook, key: str) -> bool:
-    """Return whether the health of a node crosses to another machine, and has to be short."""
+    """Return whether the health of a node crosses to another machine, so that it has to be short."""
     return book.spans_machines and site_of(key) == "slave"
 
 
 def _machines_here(book: AddressBook) -> list[str] | None:
-    """Return the machines whose keys this process has; None for all, where there are no keys."""
+    """Return the machines whose keys this process has; None for all machines, in a rig without keys."""
     if not book.requires_keys:
         return None
     keyring = Keyring()
@@ -296,7 +312,7 @@ def _machine_of(book: AddressBook, key: str) -> str:
 
 
 class StopSignals:
-    """SIGTERM and SIGINT from now on: they interrupt the nodes, also when they come before there are any."""
+    """Handles SIGTERM and SIGINT from now on: they interrupt the nodes, even if they come before the nodes exist."""
 
     def __init__(self) -> None:
         self._nodes: tuple[Node, ...] = ()
@@ -304,7 +320,7 @@ class StopSignals:
         self.descriptor = install_stop_signals(self._receive)
 
     def interrupt(self, *nodes: Node) -> None:
-        """Interrupt the nodes of this process at every signal, and now if there was one already."""
+        """Interrupt these nodes at every signal from now on, and at once if a signal has already come."""
         self._nodes = nodes
         if self._received:
             self._receive()
@@ -323,9 +339,9 @@ class StopSignals:
         Args:
             node: The node.
             bus: The bus of the node.
-            realtime: The scheduling that the process has.
+            realtime: The scheduling that the process was granted.
             freeze: False for a process that needs the garbage collector for work after the loop.
-            guarded: Whether the process is ended when it computes without end.
+            guarded: Whether the kernel ends the process if it computes without end (`HangGuard`).
         """
         guard = HangGuard()
         note_alive = guard.renew if guarded else lambda: None
@@ -335,15 +351,15 @@ class StopSignals:
         if node.context.key in DEVICES:
             self._take_stops(loop)
         if freeze:
-            # The garbage collector looks at every object of the process, and the others on its processor have their
-            # periods to keep.
+            # The garbage collector scans every object of the process, and other processes on this processor must keep
+            # their periods.
             with ordinary_scheduling():
                 freeze_garbage()
         with guard if guarded else contextlib.nullcontext():
             loop.run()
 
     def _take_stops(self, loop: NodeLoop) -> None:
-        """Obey an emergency stop at the signal for one, which needs no socket and comes from this user or root only."""
+        """Obey an emergency stop at STOP_SIGNAL, which needs no socket, and which only this user or root can send."""
 
         def stop(number: int, frame: FrameType | None) -> None:
             loop.note_stop_signal()
@@ -362,6 +378,6 @@ class StopSignals:
             self._continue_waiting()
 
     def _continue_waiting(self) -> None:
-        """Read the descriptor, which ends every wait until then, where the loop continues after a signal."""
+        """Read the descriptor after a signal that does not end the loop, because it would end every further wait."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.descriptor, 64)

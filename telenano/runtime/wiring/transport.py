@@ -1,9 +1,9 @@
 """The sockets of one process: plain ipc within its machine, CURVE between machines, and the state of every connection.
 
-No Python here runs in a thread of its own: the node's loop calls `process_events` when a descriptor is readable or
-twice a second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A
-thread could: the interpreter makes a loop wait up to 5 ms for one that is busy.) What libzmq does for strangers it does
-in a thread that comes behind the loop, and the kernel limits how much that is.
+This module starts no Python thread: the node's loop calls `process_events` when a descriptor is readable or twice a
+second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A thread could
+delay it: the interpreter makes a loop wait up to 5 ms for a busy thread.) libzmq serves strangers in a thread of lower
+priority than the loop, and the kernel limits the number of connections.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,26 +31,26 @@ from telenano.wire.errors import ConfigError, EndpointError
 from telenano.wire.messages import InputHealth
 from telenano.wire.nodes import is_estop
 
-# a loop gives up a connection on which nothing is received for a second: a pulled cable gives no event, and what was
-# sent meanwhile must not arrive later
+# A loop drops a connection on which it receives nothing for a second: a pulled cable causes no event, and messages sent
+# meanwhile must not arrive later.
 _LOOP_SILENCE_MS = 1000
-# an observer may be late by seconds on a busy machine, and answers heartbeats as late
+# An observer may be late by seconds on a busy machine, and then answers heartbeats late as well.
 _READER_SILENCE_MS = 5000
 _HEARTBEATS = 4
-# four round trips of a satellite link
+# Enough for four round trips over a satellite link.
 _HANDSHAKE_MS = 5000
-# The system accepts this number of connections ahead of this process, for which a limit comes too late.
+# Connections that the system queues until this process accepts them; this process cannot limit those itself.
 _BACKLOG = 16
 # Without this limit the next attempt to connect may come minutes after the cable is back.
 _CONNECT_MS = 2000
 # A lost connection is made again after this time, which grows to _RECONNECT_MOST_MS.
 _RECONNECT_MS = 100
 _RECONNECT_MOST_MS = 1000
-# This thread of the context, as a bit of the affinity, accepts connections, fails handshakes, and sends to those that
-# succeeded.
+# The I/O thread, as a bit of the affinity, that accepts connections from other machines, makes the handshakes, and
+# sends to the peers.
 _SECOND_THREAD = 2
 _SECOND_THREAD_NAME = "ZMQbg/IO/1"
-# It is below the half second after which a loop calls at the latest, so that each such call checks.
+# Interval of the checks, below the half second after which a loop calls at the latest, so that each such call checks.
 _CHECK_NS = 400_000_000
 
 
@@ -58,61 +58,62 @@ P = TypeVar("P", bound=ZmqPublisher)
 
 
 class BusContext(zmq.Context["zmq.Socket[bytes]"]):
-    """A context whose end closes every socket of it, also one that an interruption kept from being closed by its owner.
+    """A context that closes all its sockets at its end, even one that its owner could not close after an interruption.
 
-    The context of the library knows its sockets by weak references. Where the garbage collector ends the generator that
-    has the context, as in a process that exits, it has cleared them before, and the end waits for those sockets.
+    The context of pyzmq keeps only weak references to its sockets. If the garbage collector ends the generator that
+    holds the context, as in a process that exits, these references are cleared first, and ending the context would wait
+    for the open sockets for ever.
     """
 
-    # The library takes an attribute that its class does not have for an option of ZeroMQ.
+    # pyzmq treats an attribute that the class does not declare as an option of ZeroMQ.
     opened: "Sequence[zmq.Socket[bytes]]" = ()
 
     def socket(self, *arguments: Any, **options: Any) -> "zmq.Socket[bytes]":
-        """Open a socket as the library does, and keep it until it is closed."""
+        """Open a socket as pyzmq does, and keep a reference to it until it is closed."""
         self.opened = [socket for socket in self.opened if not socket.closed]
         self.opened.append(super().socket(*arguments, **options))
         return self.opened[-1]
 
     def destroy(self, linger: int | None = None) -> None:
-        """Close every socket and end the context; each sends what it has left as long as its own LINGER permits."""
+        """Close every socket and end the context; each sends queued messages for `linger` [ms], or for its LINGER."""
         for socket in self.opened:
             socket.close(linger)
         super().destroy(linger)
 
 
 def open_context(*, serves_network: bool) -> BusContext:
-    """Return a ZeroMQ context, with a thread of its own for endpoints that other machines can reach."""
+    """Return a ZeroMQ context, with a second I/O thread if it serves endpoints that other machines can reach."""
     return BusContext(io_threads=2 if serves_network else 1)
 
 
 class EstopInlet(Subscriber):
     """A SUB socket for emergency stops (ADR 0014).
 
-    The node binds it itself, so that any number of senders can connect, at once and without a lock.
-    It takes `session/control` of `estop@site` only, which `CommandHandler` lets stop and do nothing else.
+    The node itself binds it, so that any number of senders can connect at the same time, without a lock. It accepts
+    only `session/control` of `estop@site`, from which `CommandHandler` executes nothing but stops.
     """
 
     def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, node: str, endpoint: str) -> None:
-        """Bind an ipc endpoint for `node`; EndpointError says why that fails."""
+        """Bind an ipc endpoint for `node`; raise EndpointError with the reason if that fails."""
         super().__init__(context, clock, {endpoint: ["session/control"]}, connect=False, permit=_permit)
         self._listener = bind(self.socket, endpoint, node)
         self.shared = False
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the sequence statistics of every sender; silence is nothing to report."""
+        """Return the sequence statistics of every sender; silence is not reported, because it is the usual state."""
         return tuple(health for health in super().input_health() if health.src)
 
     def lost(self) -> str:
-        """Return its path where another file or none stands there by now; empty while it is in place."""
+        """Return the path of the inlet if its file was removed or replaced; empty while it is in place."""
         return "" if self._listener is None else self._listener.lost()
 
     def make_again(self) -> None:
-        """Bind it again; EndpointError where that is not possible."""
+        """Bind the inlet again; raise EndpointError if that is not possible."""
         if self._listener is not None:
             self._listener.make_again()
 
     def close(self) -> None:
-        """Close the socket and remove it from its folder, so that the node is not taken for one that runs."""
+        """Close the socket and remove its file, so that the node does not appear to run."""
         super().close()
         if self._listener is not None:
             self._listener.remove()
@@ -124,27 +125,27 @@ def _permit(topic: str, src: str) -> None:
 
 
 class NetworkHandler(Protocol):
-    """What a transport looks after: connections of one kind, and what they need from time to time."""
+    """Handler of one kind of connections, which a transport calls from time to time."""
 
     @property
     def sockets(self) -> Sequence["zmq.Socket[bytes]"]:
-        """What becomes readable when there are events to process."""
+        """Sockets that become readable when there are events to process."""
 
     def process_events(self) -> bool:
-        """Process pending events, a bounded number; True when more are left."""
+        """Process a bounded number of pending events; return True if more are left."""
 
     def take_events(self) -> list[ConnectionEvent]:
-        """Return what happened since the last call."""
+        """Return the events since the last call."""
 
     def apply_permissions(self) -> None:
-        """Act on a list of allowed keys that has changed."""
+        """Apply a changed list of allowed keys."""
 
     def close(self) -> None:
-        """Close what it has opened."""
+        """Close the sockets that the handler has opened."""
 
 
 class Transport:
-    """Opens the sockets of a process, authenticates connections from other machines, and keeps those to them up."""
+    """Opens the sockets of a process, authenticates incoming connections, and maintains outgoing ones."""
 
     def __init__(
         self,
@@ -162,12 +163,12 @@ class Transport:
             clock: The clock of the process.
             book: The addresses of the rig.
             machine: The machine.
-            keyring: Its folder of keys; None for that of this user.
-            owner: Who has the sockets, as an error names it.
+            keyring: The folder of keys of the machine; None for that of this user.
+            owner: The name of the process in error messages.
 
         Raises:
-            ConfigError: The machine has no key, or one that other users can read, or other users can reach the folder
-                of sockets.
+            ConfigError: The machine has no key, or one that other users can read; or the folder of sockets belongs to
+                another user or is open to others.
         """
         if book.uses_runtime_directory:
             check_runtime_directory()
@@ -185,19 +186,19 @@ class Transport:
         self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
         self._lowered = True
-        # Where other processes of this machine reach this one; the loop of its node looks after them.
+        # Paths by which other processes of this machine reach this one; the loop of its node checks them.
         self.places = Places(self._prepare_folder)
-        # Whether the publishers on this machine that send are heard.
+        # Checks whether the publishers on this machine are heard.
         self.hearing = Hearing(context, clock)
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """What becomes readable when there are events to process."""
+        """Descriptors that become readable when there are events to process."""
         return [socket.fileno() for handler in self._handlers for socket in handler.sockets]
 
     @property
     def rejected(self) -> dict[str, int]:
-        """How often a connection was rejected or its handshake failed, by reason."""
+        """Number of connections rejected or failed in the handshake, by reason."""
         return self._rejections.counts
 
     @property
@@ -206,7 +207,13 @@ class Transport:
         return self._rejections.last_error
 
     def publisher(self, key: str, kind: int = zmq.PUB, make: type[P] = ZmqPublisher) -> P:  # type: ignore[assignment]
-        """Bind the endpoints of a node by a socket of a class; EndpointError gives the reason if that fails."""
+        """Bind the endpoints of a node; raise EndpointError with the reason if that fails.
+
+        Args:
+            key: The node as node@site.
+            kind: The kind of the ZeroMQ socket.
+            make: The class of the publisher.
+        """
         try:
             local, network = self.book.local_endpoint(key), self.book.bind_endpoint(key)
         except KeyError as error:
@@ -221,7 +228,7 @@ class Transport:
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, network)
-            # A reader without pings is given up by the kernel, where it acknowledges nothing for so long.
+            # The kernel drops a reader without pings that acknowledges nothing for this time.
             socket.set(zmq.TCP_MAXRT, _READER_SILENCE_MS)
             if self.context.get(zmq.IO_THREADS) > 1:
                 socket.set(zmq.AFFINITY, _SECOND_THREAD)
@@ -255,12 +262,12 @@ class Transport:
 
         Args:
             sources: The topics by node.
-            apart: Whether each node gets a socket of its own, in order, so that the endpoint of a message is known.
+            apart: Whether each node gets its own socket, in order, so that the endpoint of a message is known.
             newest_only: True for a reader that acts on the newest message of each `latest` topic.
-            shared: Whether the rig may read the node once for all observers, where these are apart.
+            shared: With `apart`, whether to connect to the process that reads a node once for all observers.
         """
         if apart:
-            # Of an observer each message is shown or counted, so that it is given no topic that it did not ask for.
+            # An observer shows or counts every message, so it is subscribed to no topic that it did not request.
             return [
                 self._reader({node: topics}, _READER_SILENCE_MS, shared=shared, hears=BEACON in topics)
                 for node, topics in sources.items()
@@ -272,7 +279,7 @@ class Transport:
         return [self._reader(plan, _LOOP_SILENCE_MS, newest_only=newest_only) for plan in groups.values()]
 
     def reader_of(self, machine: str, readers: Sequence[Subscriber]) -> Subscriber | None:
-        """Return which of `readers` receives from another machine, None where none does."""
+        """Return the reader among `readers` that receives from another machine, None if there is none."""
         return next(
             (peers.subscriber for peers in self._peers if peers.machine == machine and peers.subscriber in readers),
             None,
@@ -283,7 +290,7 @@ class Transport:
         return any(peer.up for peers in self._peers if peers.machine == machine for peer in peers.connections)
 
     def connect_beside(self, node: str, subscriber: Subscriber) -> None:
-        """Connect a socket to a node that another socket is connected to as well, which alone reports what happens."""
+        """Connect a second socket to a node; only the first one's connection reports its events."""
         endpoint, machine = self.book.connect_endpoint(node, self.machine), self.book.machine_of(node)
         _set_network_options(subscriber.socket, endpoint)
         _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
@@ -293,15 +300,15 @@ class Transport:
         self._handlers.append(peers)
 
     def look_after(self, handler: NetworkHandler) -> None:
-        """Have a further kind of connection take part in what is done from time to time."""
+        """Add a handler, whose events are processed and to which changed permissions are applied from now on."""
         self._handlers.append(handler)
 
     def estop_inlet(self, key: str) -> EstopInlet | None:
-        """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
+        """Bind the endpoint for emergency stops of a node; return None if the address book has none for it."""
         endpoint = self.book.estop_endpoint(key)
         if endpoint is None:
             return None
-        # Those who send stops come for a moment, and one is enough.
+        # Senders of stops connect only for a moment, so room for one is enough.
         self._needed_files.add_publisher(1)
         self._needed_files.check(self.owner)
         inlet = EstopInlet(self.context, self.clock, key, endpoint)
@@ -310,7 +317,7 @@ class Transport:
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""
-        # Every handler runs, and none is left out because another one has more to do.
+        # The list makes every handler run, even if an earlier one has more to do.
         self.has_pending = any([handler.process_events() for handler in self._handlers])
         events = self._check()
         for handler in self._handlers:
@@ -318,13 +325,13 @@ class Transport:
         return events + self.hearing.look()
 
     def close(self) -> None:
-        """Close the sockets that are not closed with the publishers and subscribers."""
+        """Close all sockets besides those of publishers and subscribers."""
         self.hearing.close()
         for handler in self._handlers:
             handler.close()
 
     def _prepare_folder(self) -> None:
-        """Make the private folder of sockets, if the rig has one; ConfigError where it belongs to another user."""
+        """Make the private folder of sockets if the rig uses one; raise ConfigError if other users can reach it."""
         if self.book.uses_runtime_directory:
             check_runtime_directory(make=True)
 
@@ -365,7 +372,7 @@ class Transport:
             return []
         self._next_check_ns = now + _CHECK_NS
         if not self._lowered:
-            # The thread gives itself its name, so it cannot be found earlier.
+            # The thread sets its name itself after its start, so it cannot be found earlier.
             self._lowered = True
             lower_thread(_SECOND_THREAD_NAME)
         events = []
@@ -381,10 +388,10 @@ class Transport:
 
 
 def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:
-    """Have a reader give up a connection that is silent for a time [ms], and its publisher one without its pings.
+    """Make a reader drop a connection that is silent for a time [ms], and its publisher one without the reader's pings.
 
-    Publishers send no pings of their own. Where bytes of a connection are altered and it is then reset, the next ping
-    of the side that accepted it ends the process: `Assertion failed: !_io_error (src/stream_engine_base.cpp:310)`.
+    Publishers send no pings. If bytes of a connection were altered and the connection is then reset, the next ping from
+    the accepting side would abort its process: `Assertion failed: !_io_error (src/stream_engine_base.cpp:310)`.
     """
     socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
     socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
