@@ -36,7 +36,7 @@ from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.nodes import site_of
 
 if TYPE_CHECKING:
-    # A command that only lists running rigs does not need the models of nodes, which take long to import.
+    # The import is for types only, because a command that lists running rigs does not need the models of nodes.
     from telenano.launcher.plan import Plan
 
 fcntl = optional_module("fcntl")
@@ -54,7 +54,7 @@ _NEEDED = {"slave": 1}
 class RigFacts(NamedTuple):
     """A running rig: `about` is the description written by its launcher, or only its process id if that is unreadable.
 
-    `folder` is the runtime directory of the rig, empty if it is that of this process.
+    `folder` is the runtime directory with the folders of its user's rigs, empty if it is that of this process.
     """
 
     name: str

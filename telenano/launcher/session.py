@@ -287,7 +287,7 @@ class SessionNode(RigNode):
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
 
     def _end(self) -> None:
-        """Command the end of the operator's force profile, where one is running and can still be commanded."""
+        """Begin to end the session: stop the force profile if it runs, complete its files, withdraw a tip if needed."""
         was_arming = self.phase == "arming"
         self.phase = "ending"
         withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []

@@ -46,7 +46,7 @@ class ProcessTimes(Protocol):
     """Source of samples of processes for a watchdog."""
 
     def read(self, process_id: int) -> ProcessSample:
-        """Return the sample of a process; OSError or ValueError where there is none."""
+        """Return the present sample of a process; OSError or ValueError if there is none."""
 
 
 class ProcFiles:
@@ -57,7 +57,7 @@ class ProcFiles:
         self._tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
 
     def read(self, process_id: int) -> ProcessSample:
-        """Return the sample of a process; OSError or ValueError where there is none."""
+        """Return the present sample of a process; OSError or ValueError if there is none."""
         text = (self._folder / str(process_id) / "stat").read_text()
         # The name may contain any character, even parentheses and spaces.
         fields = text.rpartition(")")[2].split()

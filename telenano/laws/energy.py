@@ -48,7 +48,10 @@ def with_inflow(port: Port, position_m: float, force_n: float) -> Port:
 
 @compiled
 def with_outflow(port: Port, position_m: float, force_n: float) -> Port:
-    """Subtract the work out of the law over a motion to a position [m], with a linear force [N]: the slave's port."""
+    """Subtract the work out of the law over the motion to a position [m]: the slave's port.
+
+    The force is the mean of the last one and the one at that position, force_n [N].
+    """
     work = 0.5 * (port.force_n + force_n) * (position_m - port.position_m)
     return Port(position_m, force_n, port.energy_j - work)
 

@@ -212,7 +212,7 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
 def master_receive(
     params: WaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] at the end of the line; if its device is off for a moment, it stands still."""
+    """Move the virtual mass over dt [s] at the end of the line; it stands still while the device is briefly off."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
     may = at_hand(p, hand, signal, state.up, state.stood_s, dt, True)
