@@ -6,8 +6,9 @@ At either port with the power F v, at the hand's scale,
     F v = u^2 / 2 - w^2 / 2.
 
 The master's mass feels F_e = b v - sqrt(2 b) w, and the wave that leaves it is u = sqrt(2 b) v - w. At the slave the
-base is a position source and F_s is measured: v = (sqrt(2 b) u - F_s) / b, and the returned wave is w = (b v - F_s) /
-sqrt(2 b). B_v = b terminates the line at the master in its own impedance, so that the returned wave is not reflected.
+base is a position source and F_s is measured: v = (sqrt(2 b) u - F_s) / b, and the returned wave is
+w = (b v - F_s) / sqrt(2 b). B_v = b terminates the line at the master in its own impedance, so that this wave is not
+reflected.
 Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE J. Oceanic Eng. 16 (1991), and
 "Telemanipulation with time delays", Int. J. Robotics Research 23 (2004), for waves, matching and filter; the same,
 "Towards force-reflecting teleoperation over the Internet", ICRA 1998, for the integrals of wave and wave energy.
