@@ -1,7 +1,7 @@
-"""The `telenano` command, and what programs use.
+"""The `telenano` command, and the functions for programs of your own.
 
-`open` a recording, `open_all` of many, `simulate` a session, connect to a `live` rig, fit force
-`curves`.
+`open` reads a recording and `open_all` many of them, `simulate` runs a session, `live` connects to a running rig,
+`curves` fits force curves, and `check_law` tests a law.
 """
 
 from importlib import import_module
@@ -44,14 +44,14 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    """Return what there is for programs, without what this module needs for itself."""
+    """Return the names for programs, without those that this module needs for itself."""
     return [*__all__, "__version__"]
 
 
 if not TYPE_CHECKING:
-    # To a checker of types a name that is not above is none.
+    # A type checker must not see this function, so that it reports names that are not imported above.
     def __getattr__(name: str) -> Any:
-        # The command begins faster without modules that it may not need.
+        # Names are imported at their first use, so that the command starts faster.
         if name == "__version__":
             from importlib.metadata import version
 

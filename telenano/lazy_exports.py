@@ -1,14 +1,14 @@
-"""The public face of a room: what its `__init__` names for type checkers, imported when it is first used.
+"""Lazy public names of a room (a package of telenano): each is imported at its first use.
 
-A room lists its public names once, and the last line makes them importable:
+The `__init__` of a room lists its public names once, for type checkers, and the last line makes them importable:
 
     if TYPE_CHECKING:
         from telenano.recording.reader import Recording as Recording
     else:
         __getattr__, __dir__ = face(__name__)
 
-The modules of a room are imported one by one in this way because most processes need one or two of them, and an
-emergency stop cannot wait for NumPy.
+The modules of a room are imported one by one because most processes need only one or two of them, and an emergency stop
+cannot wait for the import of NumPy.
 """
 
 import importlib
@@ -20,19 +20,19 @@ from typing import Any
 def face(
     room: str, moved: Mapping[str, Collection[str]] | None = None
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a room.
+    """Return `__getattr__` and `__dir__` of a room; an unknown name raises AttributeError at its use.
 
     Args:
         room: The name of its package, whose `__init__` imports the public names under `if TYPE_CHECKING:`.
-        moved: The public names of before that are now in another room, by that room. Code that imports them here finds
-            them, and `dir` does not list them.
+        moved: Former public names that are now in other rooms, by room. They can still be imported here, but `dir` does
+            not list them.
     """
     package = sys.modules[room]
     modules: dict[str, str] = {}
     rooms = {name: other for other, names in (moved or {}).items() for name in names}
 
     def module_of(name: str) -> str | None:
-        # The parser is imported with the first name, because a process that uses no face does not need it.
+        # The source is parsed at the first name, because a process that uses none does not need the parser.
         if not modules:
             from pathlib import Path
 
@@ -40,7 +40,7 @@ def face(
         return modules.get(name) or rooms.get(name)
 
     def get(name: str) -> Any:
-        # dunder names are asked for by the import system itself, and never belong to a face
+        # The import system itself looks up names that begin with two underscores, which are never public.
         module = None if name.startswith("__") else module_of(name)
         if module is None:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
@@ -60,7 +60,7 @@ def face(
 
 
 def names_of(source: str) -> dict[str, str]:
-    """Return the names of a face with the module of each, from the text of the room's `__init__`."""
+    """Return the public names of a room with the module of each, from the source text of its `__init__`."""
     import ast
 
     blocks = [part for part in ast.parse(source).body if isinstance(part, ast.If)]

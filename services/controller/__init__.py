@@ -1,1 +1,1 @@
-"""The process that runs one half of a teleoperation law."""
+"""The controller node, which runs one half of a teleoperation law."""

@@ -3,7 +3,7 @@
 import gc
 
 if __name__ == "__main__":
-    # The imports make nothing that could be collected, and to look for it takes an eighth of their time.
+    # The imports create no garbage, and the collector would take an eighth of their time.
     gc.disable()
 
 import sys
@@ -20,12 +20,12 @@ HALVES: dict[str, type[ControllerHalf]] = {"master": MasterController, "slave": 
 
 
 def half_of_site(context: NodeContext, config: ControllerConfig) -> ControllerHalf:
-    """Return the half of the law that belongs to the node's site."""
+    """Return the half of the law for the node's site."""
     return HALVES[site_of(context.key)](context, config)
 
 
 def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, NodeBus]:
-    """Wire the half that belongs to the site."""
+    """Return the half for the node's site and its bus, which delivers only the newest messages of each input."""
     bus = wiring.bus(HALVES[site_of(wiring.key)].inputs, newest_only=True)
     return half_of_site(wiring.context(bus), config), bus
 

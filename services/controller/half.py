@@ -1,4 +1,4 @@
-"""What both halves of a law share as nodes: the law in force, its parameters, and how both change at run time."""
+"""Base class of both halves of a law as nodes: the law in force, its parameters, and changes of both at run time."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar
@@ -35,15 +35,15 @@ ZERO_XY = (0.0, 0.0)
 
 
 class HalfState(msgspec.Struct, array_like=True, kw_only=True):
-    """The state that both halves have.
+    """The part of the state that both halves have.
 
-    config: the settings in force where they were changed since the start; signal: the newest one of the other half;
-    lateral_m: where the device is, or is led, across the sample at the scale of the tip [m]; far_lateral: what the
-    other half sent last, which is where the hand wants the tip [m] at the slave's half, and the force on the tip [N] at
-    the master's; far_place: where the stage is [m], there; hand_stamp: number and time stamp [ns] of the newest sample
-    of the hand; reported_j: energy of the last report; newest: number of the newest signal of the other half, and time
-    stamp [ns] of the sample of the hand behind it. `capture` writes law (None before the first sample), steps and
-    freshness.
+    config: the settings in force, None if unchanged since the start; signal: newest signal of the other half;
+    lateral_m: position or reference of the device across the sample, at the scale of the tip [m]; far_lateral: last
+    lateral value of the other half, at the slave's half the position that the hand wants for the tip [m], at the
+    master's the force on the tip [N]; far_place: position of the stage, at the master's half [m]; hand_stamp: number
+    and time stamp [ns] of the newest sample of the hand; reported_j: energy at the port at the last report [J];
+    newest: number of the newest signal of the other half, and time stamp [ns] of the hand's sample that it answers.
+    `capture` writes law (None before the first sample), steps and freshness.
     """
 
     config: ControllerConfig | None = None
@@ -63,19 +63,20 @@ class HalfState(msgspec.Struct, array_like=True, kw_only=True):
 
 
 class ControllerHalf(Node):
-    """What both halves share: the law, its parameters, and how both change at run time.
+    """Base class of both halves: the law, its parameters, and changes of both at run time.
 
-    A change of law reaches the halves at different times, and each stands still after that: the reference of the hand
-    coasts to rest, that of the base stays, and both send the new law's signals without following; those of another law
-    are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
-    reference where the slave reports the base; the slave continues when it receives that the master follows.
+    A change of law reaches the halves at different times, and each of them then stops: the reference of the hand
+    coasts to rest, that of the base stays, and both send inactive signals of the new law and ignore those of any other.
+    The master continues from the hand's reference at the first signal of the slave in the new law, with the base
+    position that the slave reports as the tip's reference. The slave continues at the first active signal of the
+    master.
 
-    What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal. The
-    first signal of another half whose process has begun anew is none to follow: the law is interrupted by it, so that
-    what it counts of the other half begins at what that one counts now.
+    Messages past their deadline are rejected (`Freshness`), and a half that stalled continues with the next fresh
+    signal. If the process of the other half has restarted, its first signal counts as inactive. That interrupts the
+    law, so that its counters of the other half start again from the present values of that half.
     """
 
-    # The one state of the half, of the kind `state_kind`, and the part of it that both halves have.
+    # The whole state of the half, of type `state_kind`, and the part of it that both halves have.
     memory: Any
     half: HalfState
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -98,17 +99,20 @@ class ControllerHalf(Node):
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._band = config.deadband.to_params()
         self._failing: dict[str, str] = {}
-        # law/status as it was at its tick, until it is sent
+        # Fields of law/status at their tick, kept until they are sent.
         self._status: dict[str, Any] = {}
-        for law in KNOWN_LAWS.values():  # a change of law is no time to compile
+        for law in KNOWN_LAWS.values():  # compile now, because a change of law must not wait for it
             self._warm_up(law)
 
     def _warm_up(self, law: Law) -> None:
-        """Run each step of a law once. Raises ConfigError where the law in force, of another package, fails in it."""
+        """Run each step of a law once, so that it is compiled.
+
+        The failure of a law of another package is recorded; ConfigError if that law is in force.
+        """
         changed = self.config.model_copy(update={"law": law.name})
         try:
             _call_every_step(law, changed.params(), changed)
-        # The code of a package may raise anything; it must not end a session that does without it.
+        # The code of a package may raise anything; it must not end a session that uses another law.
         except Exception as error:
             if law.name not in PACKAGE_LAWS.found:
                 raise
@@ -120,12 +124,12 @@ class ControllerHalf(Node):
         return self.freshness.deadline_ns()
 
     def on_deadline(self, now_ns: int) -> None:
-        """Detect a stall: a controller acts on messages only."""
+        """Detect a stall of this process; all other actions of a controller follow from messages."""
         if self.begin_turn(now_ns):
             self.forget()
 
     def rejects(self, received: Received) -> bool:
-        """Return whether a message is too old to act on; forget the time before, where this process stalled."""
+        """Return whether a message is too old to act on; after a stall of this process, forget the earlier signals."""
         if self.begin_turn(received.received_ns - self.clock.epoch_offset_ns):
             self.forget()
         if (reason := self.freshness.rejection(received)) is None:
@@ -137,16 +141,16 @@ class ControllerHalf(Node):
 
     @abstractmethod
     def timing_of(self, config: ControllerConfig) -> TimingParams:
-        """Return the constants of the timing of this half."""
+        """Return the timing constants of this half."""
 
     @property
     def heard(self) -> NewestSignal:
-        """When the newest signal of the other half came."""
+        """Arrival of the newest signal of the other half, and the stamp of the hand's sample that it answers [ns]."""
         heard: NewestSignal = self.memory.timing.heard
         return heard
 
     def forget(self) -> None:
-        """Forget the signal of the other half; it is waited for again."""
+        """Forget the signal of the other half, and wait for the next one."""
         self.half.signal = NO_SIGNAL
         self.state = "safe"
 
@@ -188,21 +192,21 @@ class ControllerHalf(Node):
         half.band = initial_deadband_state(NO_SIGNAL)
         half.port = energy.opened(half.port.position_m, half.port.force_n)
         half.reported_j = 0.0
-        # before the first tick there is nothing to take over
+        # Before the first tick no law has run yet, so there is no state to take over.
         half.switching = self.law_state is not None
 
     @property
     @abstractmethod
     def touches(self) -> bool:
-        """Whether the tip is in contact, by what this half has heard last."""
+        """Whether the tip is in contact, by the newest message that this half has."""
 
     @abstractmethod
     def retuned(self, old: Any, new: Any) -> Any:
-        """Carry the state of this half over a change of parameters without a jump at its device."""
+        """Return the state of this half after a change of parameters, such that its device does not jump."""
 
     @abstractmethod
     def started(self) -> Any:
-        """Return the state in which this half of the law starts."""
+        """Return the initial state of this half of the law."""
 
     def capture(self) -> Any:
         self.half.law = None if self.law_state is None else part(self.law_state)
@@ -220,33 +224,33 @@ class ControllerHalf(Node):
 
     @abstractmethod
     def energy_account(self) -> EnergyAccount:
-        """Return what this half of the law knows of energy."""
+        """Return the energy account of this half of the law."""
 
     def lateral_account(self) -> EnergyTank:
-        """Return the energy at the port across: none where this half has no such port."""
+        """Return the energy at the lateral port; zero for a half without one."""
         return NO_ENERGY
 
     def _is_passive_across(self, across: EnergyTank) -> bool:
-        """Return whether no more has left across than was granted."""
+        """Return whether the lateral port has given out no more energy than was granted."""
         return across.entered_j + self.lateral.feel.granted_j >= -energy.TOLERANCE_J
 
     def receive_signal(self, message: TeleopForward | TeleopBackward) -> bool:
-        """Take a signal of the other half; one of another law is not understood and counts as silence."""
+        """Store a signal of the other half; return False for one of another law, which counts as silence."""
         half = self.half
         if message.law != self.law.name:
             return False
         is_new_process = self._is_of_new_process(message)
-        # F_s is the reaction along +z, F_m the push along -z
+        # F_s is the reaction along +z, and F_m the push along -z.
         force_n, separation_m, separation_valid, in_contact = to_paper_axis(message.force_n), 0.0, False, False
-        # `isinstance` is avoided because the classes of messages answer it in Python, which takes longer than all of
-        # this.
+        # `type` replaces `isinstance`, which message classes implement in Python, so that it takes longer than the rest
+        # of this method.
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
-            # the master's half: the lateral force on the tip [N], and where the stage is [m]
+            # At the master's half: the lateral force on the tip [N], and the position of the stage [m].
             half.far_lateral, half.far_place = message.force_n[:2], message.position_m[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
-            # the slave's half: where the hand wants the tip over the sample [m]
+            # At the slave's half: the position over the sample that the hand wants for the tip [m].
             half.far_lateral = message.position_m[:2]
         half.signal = port_signal(
             position_m=to_paper_axis(message.position_m),
@@ -256,32 +260,32 @@ class ControllerHalf(Node):
             energy_j=message.energy_j if message.energy_j is not None else 0.0,
             separation_m=separation_m,
             separation_valid=separation_valid,
-            # A tip that touches has not to be armed.
+            # Inactive but in contact: the law then assumes an interruption, and no tip that has to be armed.
             in_contact=in_contact or is_new_process,
             active=message.active and not is_new_process,
         )
         return True
 
     def _is_of_new_process(self, message: TeleopForward | TeleopBackward) -> bool:
-        """Return whether a process counts its signals anew: a lower number than before, about a newer sample."""
+        """Return whether the other half has restarted: a lower number than before, but a newer sample of the hand."""
         number, stamp_ns = self.half.newest
         if message.hand_t_ns >= stamp_ns:
             self.half.newest = message.seq, message.hand_t_ns
         return message.seq < number and message.hand_t_ns > stamp_ns
 
     def latest_signal(self) -> PortSignal:
-        """Return the newest signal with the time of silence since."""
+        """Return the newest signal with the silence since its arrival and the round trip filled in."""
         if self.heard.received_ns < 0:
             return NO_SIGNAL
-        # The last two fields change with each look; `_replace` takes five times as long.
+        # The last two fields depend on the present time; `_replace` would take five times as long.
         return PortSignal(*self.half.signal[:-2], self._silence_s(), self.round_trip_s()[0])
 
     def round_trip_s(self) -> tuple[float, bool]:
-        """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
+        """Return the age [s] of the hand's sample that the newest answer is about, and whether it is known."""
         return ROUND_TRIP_UNKNOWN
 
     def signal_fields(self, signal: PortSignal) -> dict[str, object]:
-        """Return the part of a teleop message that both directions share, without the force."""
+        """Return the fields of a teleop message that both directions have, without the force."""
         half = self.half
         return {
             "law": self.law.name,
@@ -295,13 +299,13 @@ class ControllerHalf(Node):
         }
 
     def passes_deadband(self, signal: PortSignal, dt: float) -> bool:
-        """Ask the dead band whether a signal is to be sent, dt [s] after the last; while the law changes, all are."""
+        """Return whether the dead band passes a signal, dt [s] after the last one; all pass while the law changes."""
         half = self.half
         half.band, send = deadband(self._band, half.band, signal, dt)
         return send or half.switching
 
     def report_status(self, other_energy_j: float | None) -> None:
-        """Have law/status sent once in some ticks; other_energy_j [J]: what entered the other port, if known."""
+        """Queue law/status every 10 ms; other_energy_j: energy that entered the other port [J], None if unknown."""
         half = self.half
         if self.steps % self._status_ticks or self.law_state is None:
             return
@@ -324,7 +328,7 @@ class ControllerHalf(Node):
             "net_energy_j": net_j if has_other_energy else 0.0,
             "left_j": account.remaining_j,
             "dissipated_j": account.dissipated_j + across.spilled_j,
-            # Each is judged by itself, so that what enters across hides nothing of the law.
+            # Judge both ports separately, so that energy entering at the lateral port does not hide a fault of the law.
             "passive": bool(energy.is_passive(net_j - across.entered_j, has_other_energy, account))
             and self._is_passive_across(across),
             "saved_percent": 100.0 * (offered - half.band.sent) / offered if offered else 0.0,
@@ -343,7 +347,7 @@ class ControllerHalf(Node):
 
 
 def _call_every_step(law: Law, params: Any, config: ControllerConfig) -> None:
-    """Call every step of a law, so that none is compiled or specialised when the first tick needs it."""
+    """Call every step of a law, so that none has to be compiled or specialised at the first tick."""
     period_s = config.period_s
     hand, tip = HandSample(0.0, 0.0, 0.0, False), NO_TIP
     state = law.master_resume(params, hand, 0.0)

@@ -1,4 +1,4 @@
-"""The half of a law at the operator's site, as a node: it runs on the arrival of messages."""
+"""The half of a law at the operator's site, as a node that runs when messages arrive."""
 
 import math
 from typing import Any, cast
@@ -28,18 +28,19 @@ from telenano.timing.freshness import DEADLINES_S
 from telenano.wire.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from telenano.wire.received import Received
 
-# A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
+# States of the device with which the hand can follow; a simulated device reports None. The hand of a lost device counts
+# as inactive.
 _FOLLOWING_DEVICE = (None, "ok")
-# A hand that no fresh answer has reached for this time feels nothing, and the tip does not follow it [ns]. With the
-# 50 ms for which an answer is fresh, and the 50 ms after which the instrument holds, the tip stops following within
-# 0.5 s of the last answer, beyond the round trip that the link reports.
+# Time without a fresh answer after which the hand counts as feeling nothing, and the tip stops following it [ns]. With
+# the 50 ms for which an answer is fresh and the 50 ms after which the instrument holds, the tip stops within 0.5 s of
+# the last answer, plus the round trip that the link reports.
 UNANSWERED_NS = 350_000_000
-# The hand comes to rest like a free virtual mass while this half waits for the other one.
+# Time constant with which the hand comes to rest, like a free virtual mass, while this half waits for the other [s].
 _COASTING_S = 0.005
-# A sample that drifts faster parts hand and tip by more than 0.1 mm in a quarter of a minute, at a scale of 1.5e-6
-# [m/s].
+# Drift of the sample that is worth a warning [m/s]: at a scale of 1.5e-6 it separates hand and tip by more than 0.1 mm
+# in a quarter of a minute.
 _LEAST_DRIFT_M_PER_S = 1e-11
-# A way of the tip across the sample that is worth a signal of its own [m].
+# Lateral motion of the tip for which a signal is sent in any case [m].
 _LEAST_SENT_M = 1e-10
 _NEWS = {
     MET: "met: the tip has met something across the sample, {force:.3g} N",
@@ -50,12 +51,12 @@ _NEWS = {
 class MasterState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the master half.
 
-    drifts: whether the newest warning of a drift stands; across: the lateral path, where it has a mode of its own, and
-    sent_m, its reference as it was sent last [m]; hand, reference: the newest sample, and the newest reference;
-    tip_reference_m: the last one sent to the slave [m]; switch_s: time since a change of law [s]; armed: whether the
-    hand was armed in its newest sample, and feels the tip; answered: number and time stamp [ns] of the sample of the
-    hand that the newest answer descends from; felt_ns: time stamp of the newest sample in which the hand had a fresh
-    answer [ns], 0 before the first, -1 where an older recording does not say.
+    drifts: whether a warning of a drift is in force; across: state of the lateral path in the modes rate and position,
+    and sent_m, its reference as last sent [m]; hand, reference: the newest sample and the newest reference;
+    tip_reference_m: the tip's reference last sent to the slave [m]; switch_s: time since a change of law [s]; armed:
+    whether the hand was armed in its newest sample and feels the tip; answered: number and time stamp [ns] of the
+    hand's sample that the newest answer is about; felt_ns: time stamp of the newest sample in which the hand had a
+    fresh answer [ns], 0 before the first, -1 if an older recording does not state it.
     """
 
     half: HalfState
@@ -76,16 +77,16 @@ class MasterState(msgspec.Struct, array_like=True, kw_only=True):
 class MasterController(ControllerHalf):
     """The half at the operator's site: haptic/state in, teleop/forward out; teleop/backward in, haptic/command out.
 
-    One command a tick of the hand: when the answer to the tick comes, or else at the next tick.
+    It sends one command for each tick of the hand: when the answer to the tick arrives, or else at the next tick.
 
-    No answer, no following: each sample states to the slave's site that the hand is armed only while the hand feels the
-    tip. The hand itself reports the newest sample that an answer to it descends from, so its age needs no other clock.
+    Without answers the tip does not follow: the signals to the slave's site declare the hand armed only while it feels
+    the tip. The hand reports the newest of its samples to which it has an answer, so their age is by its own clock.
     """
 
     inputs = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
     state_kind = MasterState
     memory: MasterState
-    # After this the tick is at the slave's side.
+    # After this input the tick continues at the slave's site.
     idle_after = "haptic/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
@@ -153,7 +154,7 @@ class MasterController(ControllerHalf):
         return self.law.master_resume(self.params, sample, tip_reference_m)
 
     def _take_over(self) -> None:
-        """Run the new law from the position of the hand and from where the slave reports the base."""
+        """Continue with the new law from the hand's reference and from the base position that the slave reports."""
         half = self.half
         half.switching = False
         tip_m = half.signal.position_m if half.signal.active else self.memory.tip_reference_m
@@ -172,7 +173,10 @@ class MasterController(ControllerHalf):
             self._send_signal(step.periods * self.config.period_s)
 
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
-        """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on the way."""
+        """Store a sample of the hand, dt_s [s] after the last one, and add the work done at the device in between.
+
+        begins: the sequence of samples begins or begins again, so the work is counted from this sample on.
+        """
         memory, half = self.memory, self.half
         half.hand_stamp = (message.seq, message.t_ns)
         memory.armed = self._feels(message) and message.armed is True
@@ -195,13 +199,16 @@ class MasterController(ControllerHalf):
             self.law_state = self.law.master_start(self.params, memory.hand)
         if begins:
             half.port = energy.opened(memory.hand.position_m, memory.hand.force_n)
-        # the sample's force acted over the way to the sample's position
+        # The force of a sample acted over the motion that ends at its position.
         counts = not begins and following and memory.hand.following and memory.reference.active
         count = energy.with_inflow if counts and not half.switching else energy.moved_to
         half.port = count(half.port, memory.hand.position_m, memory.hand.force_n)
 
     def _feels(self, message: HapticState) -> bool:
-        """Return whether a fresh answer of the tip's site had reached the hand at a sample, or shortly before it."""
+        """Return whether the hand had a fresh answer of the tip's site at a sample, or at most 350 ms before it.
+
+        Warn once when an armed hand stops having one.
+        """
         memory = self.memory
         age_s = self.freshness.answer_age_s(message.t_ns, message.answered_t_ns)
         if memory.felt_ns < 0 or age_s <= DEADLINES_S["teleop/backward"]:
@@ -218,7 +225,7 @@ class MasterController(ControllerHalf):
         hand = memory.hand._replace(following=False) if self.half.switching else self._guided_hand()
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
         memory.tip_reference_m = signal.position_m
-        # What the hand moves across is sent whether or not the dead band passes the law's signal.
+        # Lateral motion of the hand is sent even if the dead band holds the law's signal back.
         if self.passes_deadband(signal, dt_s) or self._has_moved_across():
             memory.sent_m = self.half.lateral_m
             force_n = to_site_frame(signal.force_n)
@@ -229,7 +236,7 @@ class MasterController(ControllerHalf):
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
 
     def _watch_drift(self) -> None:
-        """Warn of a sample that surely drifts faster than hand and tip can stay together on, once until it does not."""
+        """Warn once of a sample that drifts, with two standard errors of confidence, too fast for hand and tip."""
         memory = self.memory
         if self.law.sample_drift is None or self.half.switching or not self.touches:
             return
@@ -243,7 +250,7 @@ class MasterController(ControllerHalf):
             self.event("mode", "warning", text, drift_m_per_s=speed, error_m_per_s=error)
 
     def _move_across(self, message: HapticState, dt_s: float) -> None:
-        """Take the hand's way across, in a mode of its own, and say what it has met or lost."""
+        """Step the lateral path of mode rate or position, dt_s [s] after the last sample; report news of a particle."""
         memory, half = self.memory, self.half
         if dt_s <= 0.0:
             return
@@ -270,7 +277,7 @@ class MasterController(ControllerHalf):
         return abs(x - sent_x) + abs(y - sent_y) >= _LEAST_SENT_M
 
     def _guided_hand(self) -> HandSample:
-        """Return the hand with the force of the hold of its depth, as a law takes it."""
+        """Return the hand's sample for the law, with the force of the depth hold added to that of the operator."""
         memory = self.memory
         force_n = memory.across.force_n[2]
         return memory.hand._replace(force_n=memory.hand.force_n + force_n) if force_n else memory.hand
@@ -287,7 +294,7 @@ class MasterController(ControllerHalf):
         return scale * x, scale * y
 
     def _settle(self) -> bool:
-        """Send the command that is due; return whether one was."""
+        """Send the command that is due, and return True; return False if none is due."""
         memory = self.memory
         dt_s = memory.timing.due * self.config.period_s
         if not dt_s:
@@ -318,7 +325,7 @@ class MasterController(ControllerHalf):
         return cast(MasterReference, reference)
 
     def _coasting(self, dt_s: float) -> MasterReference:
-        """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
+        """Return the reference while this half waits for the other: it comes to rest, and the displayed force stays."""
         memory = self.memory
         memory.switch_s += dt_s
         last, fades = memory.reference, math.exp(-dt_s / _COASTING_S)

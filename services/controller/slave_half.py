@@ -1,4 +1,4 @@
-"""The half of a law at the instrument's site, as a node: it runs on the arrival of messages."""
+"""The half of a law at the instrument's site, as a node that runs when messages arrive."""
 
 import math
 from typing import Any, Literal, NamedTuple, cast
@@ -21,17 +21,17 @@ from telenano.wire.messages import AfmState, LinkDelay, TeleopForward
 from telenano.wire.ranges import FORCE
 from telenano.wire.received import Received
 
-# A program that is silent for this time is over [ns]: it reports ten times a second.
+# Silence after which a program of the instrument counts as over [ns]; it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000
 _NO_COMMAND = -2
-# An instrument that is behind by more commands than this is taken to be at the oldest of them.
+# Number of commands before the newest whose references are kept; an instrument further behind counts as at the oldest.
 _MOST_OUTSTANDING = 7
 
 
 class SetOff(NamedTuple):
-    """How far the instrument's base is away from the sample of what it is commanded [m], as it says itself.
+    """Offset of the base from its commanded position, away from the sample [m], as the instrument reports it.
 
-    surface_m: not used; recordings have it.
+    surface_m: unused; it is kept because recordings contain it.
     """
 
     offset_m: float = 0.0
@@ -41,11 +41,11 @@ class SetOff(NamedTuple):
 class SlaveState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the slave half.
 
-    tip, reference: the newest sample, and the newest reference; hand_armed: whether the hand was armed in the sample
-    that the newest signal descends from; asked_m: the references of the newest commands, the
-    newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
-    lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
-    program of the instrument [ns], which images or measures by itself until then; entry: how far the hand is set off.
+    tip, reference: newest measurement and newest reference; hand_armed: whether the hand was armed in the sample that
+    the newest signal follows from; asked_m: references of the newest commands, the newest first [m]; carried_out_m:
+    reference that the instrument had carried out at its newest measurement [m]; lateral_n: force on the tip in x and y
+    [N]; instrument_ns: time of the newest measurement [ns]; occupied_until_ns: time until which a program of the
+    instrument is assumed to image or measure by itself [ns]; entry: offset between hand and tip.
     """
 
     half: HalfState
@@ -66,14 +66,14 @@ class SlaveState(msgspec.Struct, array_like=True, kw_only=True):
 class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out.
 
-    Whatever the law says, a command asks the instrument to follow only where the hand was armed in the sample behind
-    it, and reports it. The guard of the instrument judges the same by itself (`telenano.afm.safety`).
+    Independent of the law, a command requests the instrument to follow only if the hand was armed in the sample that
+    led to it, and states whether it was. The guard of the instrument checks that again (`telenano.afm.safety`).
     """
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
     state_kind = SlaveState
     memory: SlaveState
-    # After this the tick is in the link, which may share its processor.
+    # After this input the tick continues in the link, which may share the processor.
     idle_after = "afm/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
@@ -132,16 +132,16 @@ class SlaveController(ControllerHalf):
             self.law_state = self._begun_together()
 
     def _standing(self) -> Any:
-        """Return the state of a half that begins at the last reference of the base."""
+        """Return the initial state of the half at the last reference of the base."""
         return self.law.slave_start(
             self.params, self.memory.tip._replace(base_position_m=self.memory.reference.position_m)
         )
 
     def _begun_together(self) -> Any:
-        """Return the state of a half that begins at the last reference of the base as the hand's half begins too.
+        """Return the initial state at the last reference of the base if the hand's half begins at the same time.
 
-        It has heard that one before it had done anything, so a law may begin in both with what it finds at the tip. A
-        half that begins alone, after a restart or the loss of its instrument, has not.
+        The state has received a first signal of that half with empty counters, so both halves of a law may begin with
+        the force found at the tip. A half that begins alone, after a restart or the loss of its instrument, may not.
         """
         beginning = NO_SIGNAL._replace(position_m=self.memory.reference.position_m, silence_s=0.0)
         return self.law.slave_receive(self.params, self._standing(), beginning, self.memory.tip, self.config.period_s)[
@@ -149,16 +149,17 @@ class SlaveController(ControllerHalf):
         ]
 
     def _interrupted(self) -> Any:
-        """Return the state of a half that takes the signals up again.
+        """Return the state after an interruption, ready for the next signal.
 
-        What it counts continues: a master that has not noticed would take lower counters for those of old signals.
+        Its counters continue, because a master that did not notice the interruption would take lower counters for old
+        signals.
         """
         return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.memory.tip, self.config.period_s)[0]
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
         memory, half = self.memory, self.half
         if memory.timing.commands.waiting:
-            # The instrument has not answered the last tick, so its newest sample is used for as long as it is fresh.
+            # The instrument has not answered the last tick, so its newest measurement is used while it is fresh.
             self._doubt_instrument()
         early = self.law.local_loop and not memory.instrument_lost and not half.switching
         memory.timing, settled = integration.slave_unanswered(memory.timing, early)
@@ -197,7 +198,7 @@ class SlaveController(ControllerHalf):
         self.report_status(None)
 
     def _receive(self, signal: PortSignal, elapsed: int) -> None:
-        """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
+        """Step the half by the periods that it lags the hand; elapsed: periods brought by a signal, 0 without one."""
         memory = self.memory
         memory.timing = integration.slave_stepped(memory.timing, self.timing_params, self.clock.now_ns(), elapsed)
         dt_s = memory.timing.pacing.step * self.config.period_s
@@ -229,7 +230,7 @@ class SlaveController(ControllerHalf):
         memory.asked_m = (memory.reference.position_m, *memory.asked_m[:_MOST_OUTSTANDING])
 
     def _doubt_instrument(self) -> None:
-        """Mark an instrument that has been silent for too long as not following, whatever it published last."""
+        """Treat the instrument as lost if its newest measurement is past the deadline of afm/state."""
         silence_s = (self.clock.now_ns() - self.memory.instrument_ns) * 1e-9
         if self.memory.tip.following and silence_s > DEADLINES_S["afm/state"]:
             self._lose_instrument()
@@ -237,7 +238,7 @@ class SlaveController(ControllerHalf):
             self.event("fault", "warning", text, silence_s=silence_s)
 
     def _lose_instrument(self) -> None:
-        """Hold the base where it was last commanded to be, until the instrument says where it is."""
+        """Treat the tip as not following, and hold the last reference of the base until the next measurement."""
         memory = self.memory
         memory.tip = memory.tip._replace(following=False)
         self.state = "safe"
@@ -249,7 +250,7 @@ class SlaveController(ControllerHalf):
         followed = memory.tip.following
         memory.entry = SetOff(message.offset_m or 0.0)
         memory.tip = TipMeasurement(
-            # The law sees the base where it would be without the offset, like a sample that lies deeper by as much.
+            # For the law the base is where it would be without the offset, as if the sample were deeper by the offset.
             base_position_m=to_paper_axis(message.base_position_m) + memory.entry.offset_m,
             force_n=message.tip_force_n[2],
             separation_m=message.separation_m,
@@ -268,7 +269,7 @@ class SlaveController(ControllerHalf):
             self.law_state = self._standing()
         self._count_port_energy()
         follows = self.law_state is not None and half.signal.active and memory.tip.following
-        # an instrument that has no command yet names the first one
+        # Before its first command the instrument reports the number of the first one.
         number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
         later = max(memory.timing.commands.newest - number, 0)
         memory.carried_out_m = memory.asked_m[min(later, len(memory.asked_m) - 1)]
@@ -278,7 +279,7 @@ class SlaveController(ControllerHalf):
         self._settle(settled)
 
     def _report_offset(self, offset_m: float) -> None:
-        """Report that hand and tip begin apart, because arming has left both where they are."""
+        """Report that hand and tip begin with an offset, because arming moved neither of them."""
         apart_m = offset_m / self.config.law_config().position_scale
         text = (
             f"the hand is set off by {1e3 * apart_m:.3g} mm: the tip is {1e9 * offset_m:.3g} nm further away from the"
@@ -297,7 +298,7 @@ class SlaveController(ControllerHalf):
         )
 
     def _settle(self, settled: SlaveDecision) -> None:
-        """Carry out what is due after a state of the instrument, or where none came."""
+        """Carry out the decision that follows from a state of the instrument, or from its absence at a signal."""
         if settled.sends:
             if self.half.switching:
                 self.law_state = self._begun_together()

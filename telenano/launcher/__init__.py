@@ -1,4 +1,4 @@
-"""The supervisor of a rig, or of one site of it."""
+"""Planning and supervision of a rig, or of one site of it, for `telenano up` and the commands that inspect rigs."""
 
 from typing import TYPE_CHECKING
 

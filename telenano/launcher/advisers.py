@@ -1,7 +1,7 @@
-"""The advisers that packages bring, a few times a second beside the loop.
+"""Advisers from packages, which examine the messages of a running session and warn the person who runs it.
 
-They read a copy of what the nodes publish from a socket of the launcher's own, which wakes no process: the newest of
-each topic is taken at every tick.
+They run in the launcher, not in the loop. The launcher reads their topics from subscribers of its own at every tick,
+the newest messages only, so no message wakes the process.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,32 +17,35 @@ from telenano.wire.errors import ConfigError, TelenanoError
 from telenano.wire.messages import Message
 from telenano.wire.topics import OWN_TOPICS
 
-# A reader takes at most 256 messages in a turn, and five times as much as comes in a tick.
+# Reads per subscriber and tick; a read takes at most 256 messages, and all reads five times those of a tick.
 _MOST_TURNS = 4
 
 
 class Advisers:
-    """The advisers of a rig, by name, and what they read."""
+    """The advisers of a rig, by name, and the subscribers to the topics that they read."""
 
     def __init__(self, log: StructuredLog, advisers: Mapping[str, Adviser], readers: Sequence[Subscriber] = ()) -> None:
-        """Prepare to look.
+        """Keep the advisers and the subscribers; nothing is read yet.
 
         Args:
-            log: Where the failure of an adviser is written.
+            log: The log for failures of advisers.
             advisers: The advisers, by name.
-            readers: What is read at each look.
+            readers: The subscribers that each `look` reads.
         """
         self._log, self._advisers, self._readers = log, dict(advisers), readers
 
     def look(self, *, runs: bool) -> list[Advice]:
-        """Read what has come, and return the warnings that are due."""
+        """Read the messages received since the last call, pass them to each adviser, and return its warnings.
+
+        An adviser that raises is logged and dropped for the rest of the rig. `runs`: whether a session is running.
+        """
         messages = list(self._received())
         found = []
         for name, adviser in list(self._advisers.items()):
             try:
                 if (advice := adviser.look(messages, runs=runs)) is not None:
                     found.append(advice)
-            # whatever is wrong with the advice, the session continues
+            # An adviser is code of a package and may raise anything; the session continues without it.
             except Exception as error:  # noqa: BLE001
                 del self._advisers[name]
                 self._log.warning(f"adviser {name} failed, and advises no more in this rig: {error!r}")
@@ -57,7 +60,10 @@ class Advisers:
 
 
 def advisers_for(session: AdvisedSession, log: StructuredLog) -> dict[str, Adviser]:
-    """Return the advisers of installed packages that have something to say of a session, by name."""
+    """Return the advisers of installed packages for a session, by name.
+
+    A package may decline by returning None; an adviser that cannot be made is logged and left out.
+    """
     made: dict[str, Adviser] = {}
     loaded = load("advisers")
     for name, problem in loaded.problems.items():
@@ -69,7 +75,7 @@ def advisers_for(session: AdvisedSession, log: StructuredLog) -> dict[str, Advis
                     continue
                 if unknown := sorted({*adviser.inputs} - {*OWN_TOPICS, *topics_by_name()}):
                     raise ConfigError(f"it looks at {', '.join(unknown)}, and there are no such topics")
-        # No rig depends on advice.
+        # Advice is optional, so a broken adviser does not prevent the start of a rig.
         except TelenanoError as error:
             log.warning(f"adviser {name} is left out: {error}")
         else:
@@ -78,5 +84,5 @@ def advisers_for(session: AdvisedSession, log: StructuredLog) -> dict[str, Advis
 
 
 def absent_laws() -> dict[str, str]:
-    """Return the laws of this project's packages that are not installed, each with where it is."""
+    """Return the laws of this project's packages that are not installed, each with its package in words."""
     return {law: where_it_is(f"law {law}") for law in known_of("law") if law not in LAWS}

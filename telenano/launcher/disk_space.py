@@ -1,4 +1,4 @@
-"""Whether the disks that a rig writes to have room for its start, and may be written to, before anything is started."""
+"""Checks that the disks a rig writes to have room for its start and are writable, before any process is started."""
 
 import os
 import tempfile
@@ -11,19 +11,20 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.wire.errors import RigError
 
-# A socket, its lock, and the inlet for emergency stops of a node, and the name of the rig with what it says of itself.
+# Files in the runtime directory: socket, lock, and inlet for emergency stops of a node; lock of the name of a rig, and
+# the file in which it describes itself.
 _FILES_OF_A_NODE, _FILES_OF_A_RIG = 4, 2
 
 
 def check_room(plan: Plan, status: Callable[[Path], os.statvfs_result] = os.statvfs) -> None:
-    """Look at the folders that a rig writes to.
+    """Check the free space and the permissions of each folder that a rig writes to.
 
     Args:
         plan: The planned rig.
-        status: Returns what a disk says of itself.
+        status: Returns the file system statistics of a folder, as `os.statvfs` does.
 
     Raises:
-        RigError: One has no room for the start, or cannot be written to; the message names it and what it lacks.
+        RigError: A folder has no room for the start or cannot be written to; the message names folder and reason.
     """
     for folder, what, needed, files in _needs(plan):
         place = next((each for each in (folder, *folder.absolute().parents) if each.exists()), folder)
@@ -34,7 +35,7 @@ def check_room(plan: Plan, status: Callable[[Path], os.statvfs_result] = os.stat
         try:
             disk = status(place)
         except OSError:
-            # What writes there first reports it.
+            # The first write to this folder will report the fault.
             continue
         if disk.f_flag & os.ST_RDONLY:
             raise RigError(f"{place}: its disk is mounted read-only, and {what} there: name another one")
@@ -45,7 +46,7 @@ def check_room(plan: Plan, status: Callable[[Path], os.statvfs_result] = os.stat
                 f"{place}: its disk has {_kilobytes(room)} left, and {what} there, which takes {_kilobytes(needed)} at "
                 "the start: remove something, or name another one"
             )
-        # A disk without a table of files, such as btrfs, says 0 of 0.
+        # A file system without an inode table, such as btrfs, reports 0 of 0 files.
         if disk.f_files and disk.f_favail < files:
             raise RigError(
                 f"{place}: its disk takes {disk.f_favail} more files, and {what} there, which are {files}: remove "
@@ -54,7 +55,7 @@ def check_room(plan: Plan, status: Callable[[Path], os.statvfs_result] = os.stat
 
 
 def _needs(plan: Plan) -> Iterator[tuple[Path, str, int, int]]:
-    """Yield each folder with what is written there, in words, the bytes of it, and the number of files."""
+    """Yield for each folder its path, its use in words, the bytes written at the start, and the number of files."""
     if plan.nodes:
         recorder = plan.loaded.section("recorder", RecorderConfig)
         records = any(node.startswith("recorder@") for node in plan.nodes)

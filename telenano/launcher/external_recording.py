@@ -1,4 +1,4 @@
-"""The recording of a recorder that this process does not run: it is commanded to begin a file for the session."""
+"""Recording of a session by a recorder of another launcher, which is commanded to begin a new file for the session."""
 
 from pathlib import Path
 
@@ -13,13 +13,14 @@ _RECORDER_WAIT_NS = 3_000_000_000
 
 
 class ExternalRecording:
-    """Which file a session goes to, learned from the recorder's events around the command to begin a new one.
+    """Tracks the files of a session from the events with which the recorder answers the command to begin a new file.
 
-    `files` are those of the session, where the recorder is; `fault`: why there are none, empty while it records.
+    `files`: paths of the session's files, on the recorder's machine; `fault`: the reason why there are none, empty
+    while it records.
     """
 
     def __init__(self, clock: Clock, recorder: str) -> None:
-        """Prepare the command for `recorder` (node@site)."""
+        """Prepare the command to `recorder` (node@site) to begin a new file."""
         self.recorder = recorder
         self._split = Command("set", recorder, (recorder,), {"record.split": True}, required=False)
         self.files: list[str] = []
@@ -32,7 +33,7 @@ class ExternalRecording:
 
     @property
     def path(self) -> str:
-        """File of the session where the recorder is; empty when there is none."""
+        """Path of the session's first file, on the recorder's machine; empty if there is none."""
         return self.files[0] if self.files else ""
 
     def on_health(self, health: NodeHealth) -> None:
@@ -40,7 +41,7 @@ class ExternalRecording:
             self._recorder_alive = True
 
     def on_event(self, event: SessionEvent) -> None:
-        """Record which file the recorder began, or why it failed."""
+        """Record the file that the recorder has begun, or the reason of its failure."""
         path = event.data.get("path")
         if event.src == self.recorder and event.kind == "recording" and isinstance(path, str):
             if event.data.get("state") == "started":
@@ -51,33 +52,36 @@ class ExternalRecording:
                 self.fault = event.text
 
     def settled(self) -> bool:
-        """Return whether the recorder is alive, or the time to wait for it, from the first call on, is over."""
+        """Return whether the recorder has reported, or 3 s have passed since the first call."""
         now = self._clock.monotonic_ns()
         if self._wait_until_ns is None:
             self._wait_until_ns = now + _RECORDER_WAIT_NS
         return self._recorder_alive or now >= self._wait_until_ns
 
     def begin_steps(self) -> tuple[Command, ...]:
-        """Return the command to begin a new file; none without a recorder."""
+        """Return the command to begin a new file; an empty tuple if the recorder has never reported."""
         return (self._split,) if self._recorder_alive else ()
 
     def confirm_start(self, failure: str | None) -> None:
-        """Record the outcome of the first command: the newest file is the session's, unless the command failed."""
+        """Take the newest file as that of the session, unless the command to begin it failed.
+
+        `failure` is the reason of the failure; None if the recorder acknowledged the command.
+        """
         if self._recorder_alive and failure is None and self._newest:
-            # the recorder reports the file before it answers, on the same socket
+            # The recorder reports the file before it answers, on the same socket, so the newest file is the right one.
             self.files, self._recording, self.fault = [self._newest], True, ""
         elif self._recorder_alive:
             self.fault = failure or f"{self.recorder} did not report which file it began"
 
     def end_steps(self) -> tuple[Command, ...]:
-        """Return the command that completes the session's file; none where there is no such file."""
+        """Return the command that completes the session's file by beginning another; empty if no such file is open."""
         steps = self.begin_steps() if self._recording else ()
         self._recording = False
         return steps
 
 
 def holds_command(path: Path, command_id: str) -> bool:
-    """Return whether a recording contains a command; RecordingError when it cannot be read."""
+    """Return whether a recording contains the command with this id; RecordingError if it cannot be read."""
     for message in Recording(path).select(lambda channel: channel.topic == "session/control"):
         record = message.decode()
         if isinstance(record, SessionControl) and record.id == command_id:
@@ -86,7 +90,10 @@ def holds_command(path: Path, command_id: str) -> bool:
 
 
 def readable_here(path: str, command_id: str) -> bool:
-    """Return whether the file that a recorder named is here and is the session's, not another one of the same name."""
+    """Return whether the recorder's file exists on this machine and contains the command with this id.
+
+    The command distinguishes it from another file with the same path.
+    """
     file = Path(path)
     try:
         return file.is_file() and holds_command(file, command_id)

@@ -1,4 +1,4 @@
-"""The process that reads each node of a rig once for all of its observers, as long as the launcher runs."""
+"""The fan-out process of a rig: it subscribes once to each node and serves all observers while the launcher runs."""
 
 import contextlib
 import os
@@ -16,7 +16,10 @@ _PARTS = ("rig", "endpoint", "launcher")
 
 
 def endpoints_of(plan: Plan) -> list[str]:
-    """Return the local endpoints of the nodes that run as long as the rig does, where the path has room for another."""
+    """Return the local endpoints of the nodes that run as long as the rig does.
+
+    Endpoints are left out whose fan-out socket would have a path longer than the system allows.
+    """
     rows = [row.key for row in NODES if row.part in _PARTS and row.key in plan.book.nodes]
     endpoints = [endpoint for node in rows if (endpoint := plan.book.local_endpoint(node)) is not None]
     return [each for each in endpoints if len(os.fsencode(fan_out_endpoint(each)[len("ipc://") :])) <= LONGEST_IPC_PATH]
@@ -24,16 +27,16 @@ def endpoints_of(plan: Plan) -> list[str]:
 
 @contextlib.contextmanager
 def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
-    """Run the process while the block runs. Where it has died, observers that come later connect to the nodes.
+    """Run the fan-out process while the block runs. If it dies, later observers connect to the nodes themselves.
 
     Args:
-        plan: The planned rig. One that spans machines, or whose nodes run already, has none.
+        plan: The planned rig. A rig with sites on other machines, or whose nodes run already, has no fan-out.
         held: Descriptors that every process of the rig inherits.
     """
     if plan.attach or plan.site is not None or not plan.book.uses_runtime_directory:
         yield
         return
-    # It ends when its standard input does, so also with a launcher that is killed.
+    # The process ends at the end of its standard input, so it also ends if the launcher is killed.
     endpoints = endpoints_of(plan)
     process = children.start(
         [sys.executable, "-m", module_of(name_of(FAN_OUT)), *endpoints],

@@ -1,6 +1,6 @@
-"""Whether the hand feels the stiffness that is there while a session runs: the adviser that every rig has.
+"""The adviser of every rig that compares the stiffness felt by the hand with that of the sample during a session.
 
-What it finds is advice, and never acts on a device.
+Its findings are shown to the operator and never act on a device.
 """
 
 import contextlib
@@ -22,9 +22,9 @@ from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import RigError
 from telenano.wire.messages import AfmState, HapticState, LawStatus, Message, SessionEvent
 
-# It is judged this often [ns].
+# Interval of the comparison [ns].
 _LOOK_NS = 500_000_000
-# What is known is told this often [ns].
+# Shortest interval between two updates of the text for `telenano status` [ns].
 _TELL_NS = 2_000_000_000
 _NO_TIP = NotKnown("the samples of the instrument are not heard at this site, and its recording will tell")
 _NOT_RUNNING = NotKnown("no session runs")
@@ -35,7 +35,7 @@ _ADVICE = {
 
 
 class FeltAdviser:
-    """Watches what the hand feels; `found` is what is known of it at present, or why nothing is."""
+    """Compares felt and actual stiffness; `found` is the present result, or the reason why it is unknown."""
 
     inputs: Sequence[str] = ("law/status", "haptic/state", "afm/state", "session/event")
 
@@ -46,13 +46,13 @@ class FeltAdviser:
         facts: SampleFacts,
         tell: Callable[..., None] | None = None,
     ) -> None:
-        """Prepare to watch.
+        """Begin with an unknown result.
 
         Args:
             now_ns: Returns the time on the monotonic clock [ns].
-            controller: The section of the controller.
-            facts: What the settings say of the sample.
-            tell: Called every `_TELL_NS` at most with what is known, as `felt=` in words, for `telenano status`.
+            controller: The settings of the controller.
+            facts: Properties of the sample according to the settings.
+            tell: Called at most every 2 s with the present result in words, as `felt=`, for `telenano status`.
         """
         self.found: Felt | NotKnown = _NOT_RUNNING
         self._now_ns, self._controller = now_ns, controller
@@ -61,13 +61,13 @@ class FeltAdviser:
         self._hears_master = self._hears_tip = self._scale_changed = False
         self._look_ns = self._tell_ns = now_ns()
         self._tell = tell
-        # What is warned of, and since when it has been found, or has not been any more.
+        # Kind of the last warning (empty: none in force), kind of the present result, and the time since that holds.
         self._warned = ""
         self._finds = ""
         self._since_ns = self._look_ns
 
     def look(self, messages: Iterable[Message], *, runs: bool) -> Advice | None:
-        """Return a warning where the hand has come to feel far more, or far less, than is there."""
+        """Take the messages, and return a warning if the hand has come to feel far more or far less stiffness."""
         for message in messages:
             self._take(message)
         now_ns = self._now_ns()
@@ -81,7 +81,7 @@ class FeltAdviser:
             self.found, self._warned, self._finds = _NOT_RUNNING, "", ""
         if self._tell is not None and now_ns >= self._tell_ns:
             self._tell_ns = now_ns + _TELL_NS
-            # What stands in the way of the file is told by whoever looks after it.
+            # A fault of the file is reported by the launcher, which restores it.
             with contextlib.suppress(RigError):
                 self._tell(felt=str(self.found))
         return self._judged(now_ns) if runs else None
@@ -98,7 +98,8 @@ class FeltAdviser:
             touches = message.in_contact and message.mode == "follow" and message.felt_channel is None
             self._window.tip(time_s, 0.0 - message.base_position_m[2], message.tip_force_n[2], touches=touches)
         elif isinstance(message, LawStatus):
-            # The round trip is measured at the master's half, and the slave's may be at another law for a moment.
+            # Only the master's half measures the round trip, so this identifies it. The slave's half is used only until
+            # the master's has reported, because the two may have different laws for a moment.
             self._hears_master |= message.round_trip_valid
             if (message.round_trip_valid or not self._hears_master) and message.law != self._law:
                 self._law = message.law
@@ -125,7 +126,7 @@ class FeltAdviser:
             self._warned = kind
             facts = {name: float(f"{value:.4g}") for name, value in zip(_FACTS, self.found, strict=True)}
             return Advice(f"The hand feels {self.found}; {_ADVICE[kind]}.", {"felt": kind, "law": self._law, **facts})
-        # What is not known any more is not known to be as it is.
+        # An unknown result does not end a warning; only a confirmed match that lasts does.
         if kind == "as it is" and lasts_s >= GONE_S:
             self._warned = ""
         return None

@@ -1,4 +1,7 @@
-"""What a launcher holds for its nodes: all that one reads that is started again, whatever has become of the files."""
+"""Copies of the files that nodes read, held open by the launcher.
+
+A restarted node reads them even if the files were deleted or changed since the start of the rig.
+"""
 
 import contextlib
 import os
@@ -19,10 +22,10 @@ _SUFFIX = ".yaml"
 
 
 class HeldForNodes:
-    """The files of a rig, held from its start on: `table` is what its nodes are given to find them by."""
+    """The files of a rig, held from its start on; its nodes find them by the inherited descriptor `table`."""
 
     def __init__(self, plan: Plan, access_control: AccessControl) -> None:
-        """Hold site file, scenario and keys as they were checked, and the files that the scenario names.
+        """Hold the site file, the scenario and the keys as checked, and the files that the scenario names.
 
         Raises:
             ConfigError: A file has gone since it was checked; the message names it.
@@ -35,37 +38,37 @@ class HeldForNodes:
             raise ConfigError(f"{plan.site_file}: cannot be read: {error.strerror}") from error
         self._held.keep(plan.scenario_file, plan.scenario_bytes)
         for path in _named_files(plan.loaded.document):
-            # One that cannot be read is reported by the node that needs it.
+            # The node that needs an unreadable file reports it.
             with contextlib.suppress(OSError), open_regular(path) as file:
                 self._held.keep_spare(path, file)
         self.refresh()
 
     @property
     def table(self) -> int:
-        """The descriptor of the table."""
+        """The descriptor of the table of held files."""
         return self._held.table
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """What a node has to inherit."""
+        """The descriptors that a node has to inherit."""
         return self._held.descriptors
 
     def refresh(self) -> None:
-        """Hold the keys as they are in force now: one that was revoked must not come back with a node.
+        """Hold the keys that are in force now, so that a restarted node does not accept a revoked key.
 
-        The list itself is read as long as it is there.
+        The held list of allowed keys is used only if the file itself is gone.
         """
         listed = self._access_control.keyring.allowed_path
         for path, content in self._access_control.held_files().items():
             self._held.keep(path, content, is_spare=path == listed)
 
     def close(self) -> None:
-        """Let everything go."""
+        """Close all held files."""
         self._held.close()
 
 
 def named_bytes(plan: Plan) -> int:
-    """Return the size of the files that the scenario names, which a node copies that finds them gone [bytes]."""
+    """Return the total size of the files that the scenario names [bytes]; a node that finds them gone makes copies."""
     total = 0
     for path in _named_files(plan.loaded.document):
         with contextlib.suppress(OSError):
@@ -74,9 +77,12 @@ def named_bytes(plan: Plan) -> int:
 
 
 def _named_files(document: Any) -> Iterator[Path]:
-    """Yield the files that a scenario names, whatever the keys are, and those of the folders of the environment."""
+    """Yield each existing file that any value of a scenario names, and those in the folders of the environment.
+
+    The folders are those of TELENANO_NETWORKS and TELENANO_INSTRUMENTS.
+    """
     for text in _texts(document):
-        # A text with a zero byte, or a long one, is no path.
+        # A text with a zero byte, or one that is too long, raises instead of being a path.
         with contextlib.suppress(OSError, ValueError):
             if Path(text).is_file():
                 yield Path(text)

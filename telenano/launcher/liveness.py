@@ -1,16 +1,16 @@
-"""Liveness of the nodes that this process does not run: heartbeat timeouts and returns, on a clock."""
+"""Liveness of nodes that run elsewhere: heartbeat timeouts and returns, on an injected clock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from telenano.timing.clock import Clock
 
-# node/health comes twice a second
+# Silence after which a node counts as silent [s]; it publishes node/health twice a second.
 NODE_TIMEOUT_S = 3.0
-# The time is shorter than that of a node, so that a pulled cable is reported as one silent site and not as one node
-# after the other.
+# Silence after which a whole site counts as silent [s]. It is shorter than that of a node, so that a pulled cable is
+# reported as one silent site and not as one node after the other.
 SITE_TIMEOUT_S = 2.0
-# a site that is started again does not have all its nodes at once
+# Time that the nodes of a returned site have to report [s]; a restarted site does not have all its nodes at once.
 _RETURN_GRACE_S = 20.0
 
 
@@ -18,8 +18,8 @@ _RETURN_GRACE_S = 20.0
 class Change:
     """A node, or the site as a whole, fell silent or is alive again.
 
-    `nodes` are those concerned; `first` marks a site that was never alive before. `since_ns` is the time of the last
-    heartbeat before the silence, on the clock of message headers; `silence_s` is how long the silence has lasted.
+    `nodes`: the nodes concerned; `first`: the site was never alive before; `since_ns`: time of the last heartbeat
+    before the silence, on the clock of message headers [ns]; `silence_s`: length of the silence so far [s].
     """
 
     subject: str
@@ -31,10 +31,10 @@ class Change:
 
 
 class LivenessMonitor:
-    """Reports a liveness timeout once, and its end once. With a site, a timeout of all its nodes is reported as one."""
+    """Reports each liveness timeout once, and its end once; a timeout of all nodes of a site is one report."""
 
     def __init__(self, clock: Clock, nodes: Sequence[str], site: str = "") -> None:
-        """Monitor `nodes` from the first heartbeat of each; `site` is the other site, where there is one."""
+        """Monitor each of `nodes` from its first heartbeat on; `site` is the name of the other site, empty if none."""
         self._clock = clock
         self._nodes = tuple(nodes)
         self.site = site
@@ -44,7 +44,7 @@ class LivenessMonitor:
         self._returned_ns = self._grace_until_ns = 0
 
     def record(self, node: str) -> None:
-        """Record a heartbeat; that of a node which is not monitored is ignored."""
+        """Record a heartbeat; those of other nodes are ignored."""
         if node in self._nodes:
             self._last_seen_ns[node] = self._clock.monotonic_ns()
 
@@ -58,16 +58,16 @@ class LivenessMonitor:
 
     @property
     def site_silent(self) -> bool:
-        """Whether the other site as a whole was alive once and is silent."""
+        """Whether the other site as a whole was alive before and is silent now."""
         return self.site_name in self._silent_ns
 
     @property
     def silent(self) -> list[str]:
-        """Nodes that were alive before and are silent, or the site as a whole."""
+        """The nodes that were alive before and are silent now, or the site if all of them are."""
         return list(self._silent_ns)
 
     def check(self) -> list[Change]:
-        """Return what has changed since the last call."""
+        """Return the changes of liveness since the last call."""
         changes = self._check_site() if self.site and self._last_seen_ns else []
         if not self.site_silent:
             in_grace = self._clock.monotonic_ns() < self._grace_until_ns

@@ -1,4 +1,4 @@
-"""The page among the processes of a rig: its address is bound here, so that it stays the same over restarts."""
+"""Inheritance of the operator's page: the launcher binds its address, so that restarts of the page keep the address."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -15,9 +15,9 @@ from telenano.wire.nodes import PAGE, name_of
 
 @contextlib.contextmanager
 def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[str, Inheritance]]:
-    """Bind the address of a rig's page while the block runs, show it, and yield what the process of the page inherits.
+    """Bind and show the address of a rig's page while the block runs; yield the inheritance of its process, by node.
 
-    Where there is to be no page that is nothing. What keeps it from being served is shown, and the rig runs without.
+    The mapping is empty if no page is planned or it cannot be served. The reason is shown, and the rig runs without it.
     """
     with contextlib.ExitStack() as stack:
         inherited = {}

@@ -1,4 +1,4 @@
-"""What `telenano up` is to run, checked as a whole before anything is started."""
+"""The plan of `telenano up`: nodes, address book and scenario, checked together before any process is started."""
 
 import contextlib
 import os
@@ -150,8 +150,8 @@ def _reject(given: Mapping[str, bool], reason: str) -> None:
 class Plan:
     """A checked rig: its address book, effective scenario and folder.
 
-    `nodes` are those to start, in order; `others` those that run elsewhere and that the session needs; `page`, whether
-    the operator's page is served beside them.
+    `nodes`: the nodes to start, in order; `others`: the nodes that run elsewhere and that the session needs; `page`:
+    whether the operator's page is served too.
     """
 
     book: AddressBook
@@ -165,12 +165,12 @@ class Plan:
     attach: bool = False
     wait_s: float | None = None
     page: bool = False
-    # The file that was given; the effective scenario is written only where nodes are started from it.
+    # The scenario file of the request. With --attach it is used itself, because no effective scenario is written.
     given: Path = Path()
 
     @property
     def warning(self) -> str:
-        """What is easily overlooked in the scenario in force: keys that replace those of the link's profile."""
+        """A sentence on scenario keys that override the link's profile, which is easily overlooked; else empty."""
         if LINK not in {name_of(node) for node in self.nodes}:
             return ""
         changes = changes_text(self.loaded.section(LINK, LinkSettings))
@@ -178,7 +178,7 @@ class Plan:
 
     @property
     def stiffness_warning(self) -> str:
-        """Why the sample is too stiff for the law with such an instrument and line; else empty."""
+        """A sentence on a sample that is too stiff for the law over this instrument and link; else empty."""
         if package_is_absent(self.loaded, "afm_node"):
             return ""
         afm = self.loaded.section("afm_node", AfmConfig)
@@ -189,16 +189,16 @@ class Plan:
 
     @property
     def sample_facts(self) -> SampleFacts:
-        """What the scenario says of the sample to whoever compares with it what the hand feels."""
+        """Properties of the sample according to the scenario, for comparison with the stiffness that the hand feels."""
         try:
             return SampleFacts.of(self.loaded.section("afm_node", AfmConfig))
         except ConfigError:
-            # The section may need what is installed at the other site alone.
+            # The section may need a package that is installed only at the other site.
             return SampleFacts()
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """The warnings of the drivers that never drove a real device, for the nodes that are started here."""
+        """Warnings for the nodes started here whose driver has never been tried with a real device."""
         started = sorted({name_of(node) for node in self.nodes})
         sentences = [
             drivers.caution(getattr(self.scenario, name).get("driver"))
@@ -209,27 +209,27 @@ class Plan:
 
     @property
     def fetches(self) -> bool:
-        """Whether the other site records what it sends, to be fetched after the session."""
+        """Whether the other site makes a recording of its own, which is fetched after the session."""
         far = self._recorder.far == "fetch" and FAR_RECORDER in self.book.nodes
         return self.site == "master" and not self.attach and self.book.spans_machines and far
 
     @property
     def fetch_kbit_per_s(self) -> float:
-        """Most that is fetched after a session [kbit/s]."""
+        """Greatest data rate of the fetch after a session [kbit/s]."""
         return self._recorder.fetch_kbit_per_s
 
     @property
     def _recorder(self) -> "RecorderConfig":
-        # a container of a node anchors its scenario by this module, and its image has no writer of recordings
+        # The import is late because containers of nodes use this module and have no writer of recordings.
         from telenano.recording.recorder_config import RecorderConfig
 
         return self.loaded.section("recorder", RecorderConfig)
 
     @property
     def joined(self) -> dict[str, tuple[str, ...]]:
-        """The processes in which several of the nodes run, by name, each with its nodes in the order of building.
+        """The processes that run several nodes, by name, each with its nodes in the order in which they are built.
 
-        A real device keeps a process of its own: where what runs beside it hangs, it holds and withdraws by itself.
+        The node of a real device has its own process, so that it still holds and retracts if another node hangs.
         """
         if self.scenario.realtime.processes == "node":
             return {}
@@ -261,12 +261,12 @@ class Plan:
 
     @property
     def scenario_bytes(self) -> bytes:
-        """What the nodes read as their scenario, with environment and flags merged."""
+        """The effective scenario as YAML, with environment and flags merged, which the nodes read."""
         return yaml.safe_dump(self.loaded.document, sort_keys=False).encode()
 
     def existing_outputs(self) -> list[Path]:
-        """Return the files of an earlier session in the folder; a restarted recorder leaves several recordings."""
-        # a recorder that runs elsewhere may be writing to this very folder
+        """Return the sorted files of an earlier session in the folder; a restarted recorder leaves several files."""
+        # With --attach, a recorder of another launcher may be writing to this folder.
         recordings = () if self.attach else ("session*.mcap",)
         patterns = (*recordings, "fig12.png", "fig12.pdf", "fig12.svg", "summary.json")
         far = () if self.attach else ("far.json", "far/*", "both.mcap")
@@ -288,9 +288,9 @@ class Plan:
             raise RigError(f"{self.out}: cannot be written: {error.strerror}") from error
 
     def remake_folder(self) -> None:
-        """Make the folder and the scenario in it once more where somebody removed them; on a full disk they stay away.
+        """Restore the folder and its scenario file if they were removed; an OSError, such as a full disk, is ignored.
 
-        What the nodes are started with again is held in memory, so that only a person needs these.
+        Only people need them: restarted nodes read copies that the launcher holds open.
         """
         with contextlib.suppress(OSError):
             self.out.mkdir(parents=True, exist_ok=True)
@@ -299,10 +299,10 @@ class Plan:
 
 
 def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:
-    """Return the stiffness [N/m] that a real instrument meets at most, and its latency [s], by its calibration.
+    """Return the greatest stiffness [N/m] that a real instrument can feel, and its latency [s], from its calibration.
 
-    A sample is never felt stiffer than the cantilever. Where the file cannot be read there is no stiffness: it may be
-    on another machine, and the instrument's own node names what is wrong with it.
+    The stiffness is that of the cantilever, because no sample feels stiffer. It is None if the driver or its
+    calibration file cannot be used: the file may be on another machine, and the instrument's node reports the fault.
     """
     from telenano.devices.afm.instrument import driver_of
 
@@ -316,10 +316,13 @@ def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:
 
 
 def make_plan(request: UpRequest, default_out: Path) -> Plan:
-    """Read and check everything that a rig needs; ConfigError names the file and key at fault."""
+    """Read and check site file, scenario and outputs of a rig; ConfigError names the file and key at fault.
+
+    `default_out` is the folder of the session if the request names none.
+    """
     request.check()
     named = request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)
-    # `Path.resolve` raises another error for links that lead to one another.
+    # `Path.resolve` raises RuntimeError for a loop of symbolic links; `realpath` does not.
     site_file = Path(os.path.realpath(named)) if named.exists() else named.absolute()
     book = AddressBook.load(site_file)
     own = own_nodes(book, request)
@@ -365,7 +368,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
 
 
 def _check_delay(loaded: LoadedScenario) -> None:
-    """Raise ConfigError for a link over which nothing of the session would come back."""
+    """Raise ConfigError if the round trip of the link is at least as long as the session: no answer would arrive."""
     link = loaded.section("delay_node", LinkSettings)
     there_s, back_s, lasts_s = link.forward.delay_s, link.backward.delay_s, loaded.scenario.duration_s
     if lasts_s is not None and there_s + back_s >= lasts_s:
@@ -376,7 +379,7 @@ def _check_delay(loaded: LoadedScenario) -> None:
 
 
 def own_nodes(book: AddressBook, request: UpRequest) -> tuple[str, ...]:
-    """Return the nodes to start, in order: all but those that run elsewhere or that a replay stands in for."""
+    """Return the nodes to start, in order: all except those that run elsewhere or that --without leaves out."""
     if request.attach:
         return ()
     names: tuple[str, ...] = START_ORDER
@@ -400,7 +403,7 @@ def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
     """Raise ConfigError naming the nodes that a site file lacks."""
     needed = [LAUNCHER, *(node for node in START_ORDER if not (request.attach and node == RECORDER))]
     if request.site is not None:
-        # the nodes at the slave connect to the link's endpoint there
+        # The nodes at the slave's site connect to the link's endpoint there.
         needed += [f"launcher@{request.site}", f"{LINK}@slave"]
     absent = [node for node in dict.fromkeys(needed) if node not in book.nodes]
     if absent:
@@ -408,7 +411,7 @@ def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
 
 
 def excluded_nodes(names: Sequence[str], nodes: Sequence[str] = START_ORDER) -> frozenset[str]:
-    """Return the nodes that `node@site` or `node` names; ConfigError lists the known ones."""
+    """Return the nodes named by `node@site` or `node`; ConfigError for an unknown name lists the known ones."""
     for name in names:
         if not any(name in (node, name_of(node)) for node in nodes):
             raise ConfigError(f"--without {name}: no such node, {known_names(name, nodes)}")
@@ -434,18 +437,18 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         _reject_recording_place(settings)
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
         if request.site is not None:
-            # Each of two launchers has a recorder of its own site, where the site file has a place for it.
+            # Each of the two launchers has a recorder if the site file has one for its site.
             far = "stream" if fetching() is None else "fetch"
             flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", far)
     if refused := refused_laws(str((document.get("afm_node") or {}).get("driver", "simulated"))):
-        # Both halves refuse a law that is asked for later by the same words as a plan does.
+        # Both halves use these texts to refuse a later change of law, so that the reason is the same as here.
         flags["controller"] = {"refused_laws": refused}
     document = merge(document, flags)
     return LoadedScenario.of(document, origin)
 
 
 def refused_laws(driver: str) -> dict[str, str]:
-    """Return the laws that a driver of the instrument cannot be used with, and why."""
+    """Return the laws that cannot be used with a driver of the instrument, each with the reason."""
     instead = dict.fromkeys((*KNOWN_MODEL_LAWS, *(name for name, law in KNOWN_LAWS.items() if not law.link_loop)))
     where = next((where_it_is(f"law {name}") for name in KNOWN_MODEL_LAWS if name not in KNOWN_LAWS), "")
     closing = [name for name, law in KNOWN_LAWS.items() if law.link_loop]
@@ -453,7 +456,10 @@ def refused_laws(driver: str) -> dict[str, str]:
 
 
 def _reject_recording_place(settings: Sequence[str]) -> None:
-    """Reject settings of the recorder that --out decides; those of a scenario are for a recorder that runs alone."""
+    """Reject the recorder's folder and file name in --set and environment, because --out determines them.
+
+    In a scenario they are allowed, because they apply to a recorder that is started alone.
+    """
     for origin, settings_of in (("--set", flag_overrides(settings)), ("environment", environment_overrides())):
         section = settings_of.get("recorder")
         keys = [key for key in ("directory", "file_name") if isinstance(section, dict) and key in section]
@@ -465,7 +471,11 @@ def _reject_recording_place(settings: Sequence[str]) -> None:
 
 
 def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scenario with absolute file names: in its folder, or else in the one that the command is given in."""
+    """Return a scenario with absolute file names.
+
+    A file that does not exist in `folder`, that of the scenario, but in the working directory is taken from there. So
+    are missing files if `folder` is that of the packaged scenarios.
+    """
     return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
 
 
@@ -479,7 +489,10 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
 
 
 def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
-    """Raise ConfigError for the first file that a node of this machine cannot use."""
+    """Raise ConfigError for the first file of the scenario that a node of this machine cannot use.
+
+    `elsewhere`: names of the nodes that run on other machines, whose files are not checked.
+    """
     if "delay_node" not in elsewhere:
         for way in ("forward", "backward"):
             link = loaded.section("delay_node", LinkSettings)
@@ -495,14 +508,14 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
 
 
 def _drivers_of(name: str) -> Drivers | None:
-    """Return the drivers of a node that has a device, None for any other."""
+    """Return the drivers of the device of a node; None for a node without a device."""
     from telenano.sections.hand_section import DRIVERS as HANDLES
 
     return {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
 
 
 def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
-    """Return whether no package on this machine has the driver, a layer or the program that a section names."""
+    """Return whether a driver, a layer or a program that a node's section names is in no package on this machine."""
     if (drivers := _drivers_of(name)) is None:
         return False
     section = getattr(loaded.scenario, name)
@@ -516,12 +529,12 @@ def package_is_absent(loaded: LoadedScenario, name: str) -> bool:
 def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> None:
     """Check every node's section with the node's own model; ConfigError names file and key.
 
-    A law or a program that the driver of the instrument cannot be used with is refused as well.
+    A law or a program that does not work with the instrument's driver is refused as well.
 
     Args:
         loaded: The scenario.
-        elsewhere: The nodes that run on other machines: each checks its own section there, and its driver's package
-            does not have to be on this one.
+        elsewhere: The names of the nodes that run on other machines. The section of one whose driver's package is not
+            on this machine is not checked here: the node checks it itself.
     """
     absent = {name for name in elsewhere if package_is_absent(loaded, name)}
     for name in SERVICES:

@@ -1,4 +1,4 @@
-"""The processes of a rig: each started in a session of its own, with a log file, and stopped in order."""
+"""The processes of a rig: each is started in its own process session with a log file, and they are stopped in order."""
 
 import contextlib
 import json
@@ -17,62 +17,62 @@ from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.nodes import module_of, name_of
 
-# a node is safe within milliseconds and then publishes how much it has sent
+# Time for a node to publish its last message [s]; it is safe within milliseconds and then publishes its counts.
 GRACE_S = 8.0
-# then its last messages go out to readers that are behind, its recorder above all
+# Time to deliver the last messages to readers that are behind, above all the recorder [s].
 LINGER_GRACE_S = LINGER_S + 2.0
-# What has nothing left to deliver ends within milliseconds, and on a machine that is busy within this time [s].
+# Time to exit once everything is delivered [s]; it takes milliseconds, except on a busy machine.
 EXIT_GRACE_S = 3.0
-# a recorder on a machine that was too busy has to write what still waits for it
+# Time for a recorder to exit [s]; on an overloaded machine it still has to write the messages in its queue.
 RECORDER_GRACE_S = 30.0
-# A process that is waited for is polled at this interval.
+# Polling interval while waiting for a process [s].
 _WAIT_S = 0.02
 _TAIL_BYTES = 16_384
 _TAIL_LINES = 6
-# the steps are compiled for one core; a thread pool in a loop process would only compete with the loop
+# The steps are compiled for one core, so a thread pool in a process of the loop would only compete with the loop.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class StopObserver:
-    """Looks on while processes are stopped; this one knows nothing of them."""
+    """Receives progress while processes are stopped; this base class knows nothing about them and does nothing."""
 
     def has_ended(self, node: str) -> bool:
-        """Return whether a node has published its last message: what is left is to deliver it."""
+        """Return whether a node has published its last message, which may still have to be delivered."""
         return False
 
     def has_delivered(self, node: str, gone: Collection[str]) -> bool:
-        """Return whether no reader lacks a message of a node any more; `gone` are the processes that have ended."""
+        """Return whether every reader has all messages of a node; `gone` are the nodes whose processes have ended."""
         return False
 
     def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
-        """Look at nodes that have been waited for [s], of a limit [s]; called several times a second."""
+        """Process messages while nodes are waited for, since `waited_s` of at most `limit_s` [s]; called each 20 ms."""
 
 
 class Inheritance(NamedTuple):
-    """What one process inherits: variables of its environment, and open descriptors."""
+    """Environment variables and open descriptors that one process inherits."""
 
     environment: Mapping[str, str] = {}
     descriptors: tuple[int, ...] = ()
 
 
 class _Log(NamedTuple):
-    """The open log of a node, whose end can be read also when its file is gone; `fault`: why there is none."""
+    """The open log of a node, readable even if its file was deleted; `fault`: the reason why there is none."""
 
     descriptor: int
     fault: str = ""
 
 
 class Children(Protocol):
-    """The child processes that a supervisor works with."""
+    """The child processes as a supervisor controls them."""
 
     def start(self, node: str) -> int:
         """Start a node and return its process id."""
 
     def reap(self) -> dict[str, int]:
-        """Return the exit codes of the nodes that ended since the last call; negative is a signal."""
+        """Return the exit codes of the nodes that ended since the last call; a negative code is a signal."""
 
     def kill(self, node: str) -> None:
-        """Kill a node's process; one that has ended by then is left to `reap`."""
+        """Kill a node's process; the next `reap` returns it."""
 
     def log_tail(self, node: str) -> str:
         """Return the last lines of a node's log, as readable text."""
@@ -108,12 +108,12 @@ class NodeProcesses:
             commands: The command line of each node, by its key.
             stop_order: The keys in the order in which the nodes are stopped.
             log_directory: The folder of their logs.
-            epoch_offset_ns: The epoch of all stamps.
-            on_stopping: Called with a key before its process is stopped.
-            inherited: What some of the nodes are given as well.
-            held: The descriptors that each of them keeps open.
+            epoch_offset_ns: Offset of the monotonic clock to the epoch for all stamps of the rig [ns].
+            on_stopping: Called with the key, or keys in words, of a process before it is stopped.
+            inherited: Additional variables and descriptors of some nodes, by key.
+            held: The descriptors that every process inherits.
             before_start: Called before each start.
-            joined: The process of each node that shares one; their command lines are the same, and so is their log.
+            joined: The name of the process of each node that shares one; such nodes have one command line and one log.
         """
         self._commands = commands
         self._joined = joined or {}
@@ -137,7 +137,7 @@ class NodeProcesses:
         for other in self._mates_of(node):
             process = self._running.get(other)
             if process is not None and process.poll() is None:
-                # The first of the nodes of a process has started it.
+                # Another node of the same process has already started it.
                 self._running[node] = process
                 return process.pid
         inherited = self._inherited.get(node, Inheritance())
@@ -150,7 +150,7 @@ class NodeProcesses:
             stderr=log.descriptor,
             env={**self._environment, **inherited.environment},
             pass_fds=(*inherited.descriptors, *self._held),
-            # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
+            # Ctrl-C on the terminal must reach the supervisor alone, which then stops the nodes in order.
             start_new_session=True,
             dies_with_parent=True,
         )
@@ -158,7 +158,7 @@ class NodeProcesses:
         return process.pid
 
     def reap(self) -> dict[str, int]:
-        # Each process is asked once, so that the nodes of one end at the same look.
+        # Poll each process once, so that all nodes of one process end in the same call.
         codes = {process: process.poll() for process in set(self._running.values())}
         ended = {node: code for node, process in self._running.items() if (code := codes[process]) is not None}
         for node in ended:
@@ -181,9 +181,8 @@ class NodeProcesses:
     def stop(self, observer: StopObserver = _NO_OBSERVER) -> None:
         """Stop every process, in order: SIGTERM, eight seconds to publish the last message, then SIGKILL.
 
-        A process may take longer to deliver its last messages while the next ones are stopped, and is killed if it has
-        not ended three seconds after its readers have them. A recorder is stopped when all others are gone, and has
-        thirty seconds.
+        A process delivers its last messages while the next ones are stopped; it is killed if it has not ended three
+        seconds after its readers have them. Recorders are stopped after all others, and have thirty seconds.
         """
         nodes = [node for node in dict.fromkeys([*self._stop_order, *self._running]) if node in self._running]
         senders = [node for node in nodes if name_of(node) != "recorder"]
@@ -209,9 +208,9 @@ class NodeProcesses:
         return [other for other, process in self._joined.items() if process == name and other != node]
 
     def _opened_log(self, node: str) -> "_Log":
-        """Open the log of a node for another life of it, in a folder that is made again where somebody removed it.
+        """Open the log of a node for its next start, and create its folder if it was removed.
 
-        A log that cannot be written is no reason to leave a node dead: it runs without one.
+        If the log cannot be written, the node runs without one.
         """
         name = self._process_of(node)
         path, before = self.log_path(node), self._logs.pop(name, None)
@@ -233,7 +232,7 @@ class NodeProcesses:
     def _wait(self, nodes: Sequence[str], grace_s: float, observer: StopObserver, *, until_ended: bool = False) -> None:
         """Wait until processes have ended, and kill them after the grace [s].
 
-        With `until_ended` it is enough that each has published its last message.
+        With `until_ended`, return as soon as each has published its last message.
         """
         begin_s = time.monotonic()
         delivered_s: dict[str, float] = {}
@@ -265,7 +264,10 @@ class NodeProcesses:
 
 
 def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> dict[str, str]:
-    """Return the environment of the nodes: one epoch for all stamps, and settings from the effective scenario only."""
+    """Return the environment of the nodes: without settings, which are in the effective scenario, and with the epoch.
+
+    `epoch_offset_ns`: offset of the monotonic clock to the epoch for all stamps [ns]. Math libraries get one thread.
+    """
     kept = {name: value for name, value in environment.items() if not name.startswith(ENVIRONMENT_PREFIX)}
     threads = {name: kept.get(name, "1") for name in _THREAD_VARIABLES}
     return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
@@ -278,7 +280,7 @@ def node_command(node: str, site_file: Path, scenario_file: Path, held: int | No
         node: The node as node@site.
         site_file: The site file.
         scenario_file: The scenario.
-        held: The descriptor by which the node finds what this process holds of these files and of others.
+        held: The descriptor of the table by which the node finds the files that this process holds; None without it.
 
     Raises:
         ValueError: The table of nodes has no such process.
@@ -296,7 +298,7 @@ def joint_command(process: str, nodes: Sequence[str], site_file: Path, scenario_
 
 
 def _readable(line: str) -> str:
-    """Return a line of the structured log as text; whatever else a dying process wrote stays as it is."""
+    """Return a line of the structured log as text; any other output of the process is returned unchanged."""
     try:
         entry = json.loads(line)
         return f"{entry['level']}: {entry['text']}" + (f"\n{entry['exception']}" if "exception" in entry else "")

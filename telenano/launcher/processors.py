@@ -1,7 +1,7 @@
-"""Processors of a rig's own: a lock for each on this machine, which the kernel ends with the rig's last process.
+"""Exclusive processors for a rig: a file lock for each, which the kernel releases when the rig's last process ends.
 
-Two rigs that share their processors reach three quarters of their rate, while others stand idle. The locks are in a
-folder that all users of the machine have, because a processor is shared by all of them.
+Without them, two rigs that share processors reach three quarters of their rate while other processors are idle. The
+locks are in a folder that all users of the machine share, because they share the processors.
 """
 
 import contextlib
@@ -13,16 +13,16 @@ from pathlib import Path
 
 from telenano.files.optional_modules import optional_module
 
-# Windows has no such module, and no processes of a rig.
+# Windows lacks this module; no rig runs its processes there.
 fcntl = optional_module("fcntl")
-# One for the hand's side and one for the instrument's; they meet at the link.
+# Number of processors of a rig: one for the hand's side and one for the instrument's.
 FOR_A_RIG = 2
 _SHARED = Path("/run/lock")
-# A rig waits for its turn to claim processors for this time at most.
+# Longest time that a rig waits for its turn to claim processors [s].
 _TURN_WAIT_S = 1.0
-# The lock of the turn is tried at this interval.
+# Interval between attempts to get the lock of the turn [s].
 _TURN_LOOK_S = 0.005
-# A pipe that another user puts there must not keep a rig from starting.
+# O_NONBLOCK: opening a pipe that another user placed there must not block the start of a rig.
 _OPEN = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
@@ -37,17 +37,17 @@ def permitted() -> set[int]:
 
 
 def claim(count: int, usable: Collection[int], folder: Path) -> dict[int, int]:
-    """Lock this many of some processors, the last ones first, or none where fewer are free.
+    """Lock `count` of the usable processors, highest numbers first, or none if fewer are free.
 
-    The first processors tend to serve the machine's interrupts.
+    The highest come first because the first processors tend to serve the machine's interrupts.
 
     Args:
-        count: How many the rig needs.
+        count: The number of processors that the rig needs.
         usable: The processors to choose from.
         folder: The folder of the locks.
 
     Returns:
-        A descriptor for each processor; the lock lasts until all copies of it are closed.
+        A descriptor for each processor; its lock lasts until all copies of the descriptor are closed. Empty if none.
     """
     locks: dict[int, int] = {}
     with _turn(folder):
@@ -61,28 +61,28 @@ def claim(count: int, usable: Collection[int], folder: Path) -> dict[int, int]:
 
 
 def claim_these(wanted: Collection[int], folder: Path) -> dict[int, int]:
-    """Lock those of some processors that are free; a descriptor for each, as by `claim`."""
+    """Lock those of the wanted processors that are free; return a descriptor for each, as `claim` does."""
     with _turn(folder):
         locks = {processor: _locked(_file(folder, processor)) for processor in sorted(set(wanted))}
     return {processor: descriptor for processor, descriptor in locks.items() if descriptor is not None}
 
 
 def held(numbers: Collection[int], folder: Path) -> tuple[int, ...]:
-    """Return which of some processors rigs hold now."""
+    """Return those of some processors that rigs hold now, sorted."""
     free = claim_these(numbers, folder)
     release(free)
     return tuple(sorted(set(numbers) - set(free)))
 
 
 def fits_text(free: int) -> str:
-    """Return in words how many rigs a number of free processors is enough for, and what a further one gets."""
+    """Return a sentence with the number of further rigs for which the free processors suffice."""
     rigs = free // FOR_A_RIG
     beyond = "a further rig shares processors with them, and may not reach its rate"
     return f"{free} free, enough for {rigs} more rig{'' if rigs == 1 else 's'}" + ("" if rigs else f": {beyond}")
 
 
 def release(claimed: Mapping[int, int]) -> None:
-    """Let processors go."""
+    """Release the locks of processors by closing their descriptors."""
     for descriptor in claimed.values():
         os.close(descriptor)
 
@@ -93,9 +93,12 @@ def _file(folder: Path, processor: int) -> Path:
 
 @contextlib.contextmanager
 def _turn(folder: Path) -> Iterator[None]:
-    """Keep other rigs from claiming while the block runs: of two that start at once, each would get a part."""
+    """Let only one rig claim at a time; otherwise two that start together could each get only a part.
+
+    After `_TURN_WAIT_S` the block runs without the lock.
+    """
     descriptor, end_s = None, time.monotonic() + _TURN_WAIT_S
-    # A process of another user that keeps the turn must not keep a rig from starting.
+    # The wait is limited, so that a process of another user that keeps the lock cannot prevent the start of a rig.
     while (descriptor := _locked(folder / "telenano-processors.lock")) is None and time.monotonic() < end_s:
         time.sleep(_TURN_LOOK_S)
     try:
@@ -106,9 +109,9 @@ def _turn(folder: Path) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int | None:
-    """Return a descriptor that holds the lock of a file; None where another process holds it, or it cannot be had."""
+    """Return a descriptor that holds the lock of a file; None if another process holds it or it cannot be opened."""
     try:
-        # The check comes before opening, which a device may answer by an action.
+        # Check the type before opening, because opening a device file may cause an action of the device.
         if path.exists() and not path.is_file():
             return None
         descriptor = _opened(path)
@@ -123,12 +126,15 @@ def _locked(path: Path) -> int | None:
 
 
 def _opened(path: Path) -> int:
-    """Open a file that any user may have made: in a folder of all users the kernel refuses to make it again."""
+    """Open a lock file, creating it if absent.
+
+    Another user may own it; in a shared folder the kernel then refuses an open with O_CREAT, so it is tried without.
+    """
     with contextlib.suppress(FileNotFoundError):
         return os.open(path, _OPEN)
     with contextlib.suppress(FileExistsError):
         descriptor = os.open(path, _OPEN | os.O_CREAT | os.O_EXCL, 0o644)
-        # Whatever the mask of this user is, the others have to be able to open it.
+        # All users have to be able to open it, independent of the umask of this one.
         os.fchmod(descriptor, 0o644)
         return descriptor
     return os.open(path, _OPEN)

@@ -1,4 +1,4 @@
-"""When a rig is ready: every node reports it and receives its inputs."""
+"""Readiness of a rig: it is ready when every node reports that it is and receives its inputs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,15 +11,15 @@ _LOOP_RATE_HZ = 100.0
 
 
 def silent_inputs(health: NodeHealth) -> list[str]:
-    """Return the topics sent at a declared rate of which a node has received nothing at any of its sockets, sorted."""
+    """Return the topics with a declared rate of which a node has received no message at any of its sockets, sorted."""
     received = {row.topic for row in health.inputs if row.age_valid}
     return sorted({row.topic for row in health.inputs if row.topic not in received and _rate_hz(row.topic) > 0.0})
 
 
 def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: bool = True) -> dict[str, str]:
-    """Return for each node that is not ready what it waits for, in words; empty when the rig is ready.
+    """Return for each node that is not ready the reason, in words; empty if all are ready.
 
-    Without `inputs` a node is ready that receives nothing yet.
+    With `inputs` false, a node counts as ready even if it does not receive its inputs yet.
     """
     waiting: dict[str, str] = {}
     for node in nodes:
@@ -34,16 +34,16 @@ def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: boo
 
 
 class ReadinessGate:
-    """Which nodes have to become ready, and by when.
+    """Time limits within which the nodes of a rig have to become ready.
 
-    Each own node has a limit. Nodes that run elsewhere are waited for without one, unless a limit is given; as long as
-    one of them is missing, own nodes may lack inputs that only it could send.
+    Each own node has a limit of 60 s. The wait for nodes elsewhere is unlimited unless `wait_s` is given; as long as
+    one of them is missing, own nodes may lack inputs, because only it might send them.
     """
 
     def __init__(
         self, clock: Clock, own: Sequence[str], others: Sequence[str] = (), wait_s: float | None = None
     ) -> None:
-        """Begin to wait for own nodes and for others, for these up to `wait_s` [s], None for no limit."""
+        """Begin to wait for the own nodes, and for the others up to `wait_s` [s], without a limit if None."""
         self._clock = clock
         self._own = tuple(own)
         self._others = tuple(others)
@@ -52,22 +52,25 @@ class ReadinessGate:
 
     def reset(self) -> None:
         self._begun_ns = self._clock.monotonic_ns()
-        # Each own node has not been ready since this time, through no fault of another one.
+        # Time since which each own node has been unready through no fault of another node [ns].
         self._not_ready_since_ns = dict.fromkeys(self._own, self._begun_ns)
 
     def waiting(self, health: Mapping[str, NodeHealth]) -> dict[str, str]:
-        """Return for each node that is not ready what it waits for."""
+        """Return for each node that is not ready the reason, in words."""
         return unmet((*self._own, *self._others), health)
 
     def causes(self, health: Mapping[str, NodeHealth]) -> dict[str, str]:
-        """Return what `waiting` does, without inputs that a node lacks only because another one is missing."""
+        """Return the reasons of `waiting`, without missing inputs that a missing node elsewhere may explain."""
         return {**unmet(self._own, health, inputs=self._others_present(health)), **unmet(self._others, health)}
 
     def _others_present(self, health: Mapping[str, NodeHealth]) -> bool:
         return all(node in health for node in self._others)
 
     def overdue(self, health: Mapping[str, NodeHealth]) -> tuple[float, dict[str, str]]:
-        """Return the limit that was exceeded [s] and what the late nodes wait for; none while there is time."""
+        """Return the exceeded limit [s] and the reasons of the late nodes; no nodes while there is time.
+
+        It has to be called regularly, because it also updates the times since which nodes have been unready.
+        """
         now = self._clock.monotonic_ns()
         not_ready = unmet(self._own, health, inputs=self._others_present(health))
         since_ns = self._not_ready_since_ns
@@ -82,20 +85,20 @@ class ReadinessGate:
 
 
 def oldest_input_s(health: NodeHealth) -> float | None:
-    """Return the age of the oldest input of the loop [s]; None when nothing was received.
+    """Return the age of the oldest input of the loop [s]; None if nothing was received.
 
-    Reports, at 2 Hz, are left out: their age would hide that of everything else.
+    Topics below 100 Hz, such as reports at 2 Hz, are left out, because their age would hide that of all others.
     """
     return max(input_ages_s(health).values(), default=None)
 
 
 def input_ages_s(health: NodeHealth) -> dict[tuple[str, str], float]:
-    """Return by topic and source the ages of the inputs of the loop [s], of those that were received."""
+    """Return the ages of the received inputs of the loop, of at least 100 Hz [s], by topic and source."""
     fast = (row for row in health.inputs if row.age_valid and _rate_hz(row.topic) >= _LOOP_RATE_HZ)
     return {(row.topic, row.src): row.age_s for row in fast}
 
 
 def _rate_hz(topic: str) -> float:
-    """Return the declared rate [Hz]; 0 for topics sent on change, and for those that this version does not know."""
+    """Return the declared rate of a topic [Hz]; 0 for topics sent on change, and for unknown topics."""
     row = row_of(topic)
     return row.rate_hz or 0.0 if row else 0.0

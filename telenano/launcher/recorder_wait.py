@@ -1,4 +1,4 @@
-"""A recorder that is behind at the end of a session: by how much, how long it is waited for, and what never came."""
+"""Waits at the end of a session for a recorder that is behind, and states which messages it never received."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -9,25 +9,26 @@ from telenano.wire.messages import NodeHealth
 
 Report = Callable[[str], None]
 
-# A recorder that keeps up is behind by milliseconds; this is more than a flush and a report of its health.
+# Least lag at which a recorder counts as behind [s]. One that keeps up lags by milliseconds; a flush and the interval
+# of its reports take less than this.
 BEHIND_S = 1.0
 _LIMIT_S = 20.0
 _REPORT_NS = 1_000_000_000
-# Messages that the other site sends this long after the end of a session still belong to it: the answers to the last
+# Time after the end of a session for which messages of the other site still belong to it [ns]: they answer the last
 # samples.
 _TAIL_NS = 500_000_000
 
 
 def has_last(recorder: NodeHealth, ends_ns: Mapping[str, int]) -> bool:
-    """Return whether a recorder has the last messages of publishers, of those that it receives.
+    """Return whether a recorder has the last message of each publisher that it receives.
 
     Args:
-        recorder: The newest report of the recorder. The stamps of a publisher are of that one's clock there as well.
-        ends_ns: The stamp of the last message of each publisher, a session/event [ns].
+        recorder: The newest report of the recorder. The ages in it follow the clock of each publisher.
+        ends_ns: The stamp of the last message of each publisher, a session/event [ns], by that publisher's clock.
     """
     events = {row.src: row for row in recorder.inputs if row.topic == "session/event" and row.age_valid}
     received = {row.src for row in recorder.inputs if row.received}
-    # The age is a number of seconds, whose digits end below a microsecond.
+    # The age is a float of seconds, so the stamp computed from it may be off by rounding: allow 1 us.
     return all(
         src in events and recorder.t_ns - round(events[src].age_s * 1e9) >= end_ns - 1000
         for src, end_ns in ends_ns.items()
@@ -36,10 +37,10 @@ def has_last(recorder: NodeHealth, ends_ns: Mapping[str, int]) -> bool:
 
 
 class RecorderWait:
-    """Determines whether the recorder of a rig that continues has what was sent in a session, within a limit.
+    """Waits, up to a limit, until the recorder of a rig that keeps running has all messages of a session.
 
-    The command to begin a new file reaches it before what still waits of the session, which would then be in the file
-    after the session's.
+    Without the wait, the command to begin a new file would overtake queued messages of the session, which would then be
+    written to the next file.
     """
 
     def __init__(self, clock: Clock, recorder: str, publishes: Callable[[str], bool], report: Report) -> None:
@@ -47,10 +48,10 @@ class RecorderWait:
 
         Args:
             clock: The clock of the rig.
-            recorder: The recorder that is waited for.
-            publishes: Whether a node is at work now. The last message of any other node grows old without a fault of
-                the recorder.
-            report: Called with the lines of progress.
+            recorder: The recorder to wait for.
+            publishes: Returns whether a node is publishing now. The messages of any other node grow old without a fault
+                of the recorder.
+            report: Called with lines on the progress.
         """
         self.recorder = recorder
         self._publishes = publishes
@@ -62,24 +63,24 @@ class RecorderWait:
         self._report_ns = 0
 
     def record(self, health: NodeHealth) -> None:
-        """Take note of how old the newest inputs of the recorder are."""
+        """Record the age of the newest inputs from a report of the recorder; other reports are ignored."""
         if health.src == self.recorder:
             self._received_ns = self._clock.monotonic_ns()
             ages = (age_s for (_, src), age_s in input_ages_s(health).items() if self._publishes(src))
             self._lag_s = max(ages, default=0.0)
 
     def behind_s(self) -> float:
-        """Return how far the recorder is behind [s]; 0 for one that was never received or keeps up."""
+        """Return the lag of the recorder [s]; 0 if it never reported or keeps up."""
         if self._received_ns is None:
             return 0.0
         silence_s = (self._clock.monotonic_ns() - self._received_ns) * 1e-9
         if silence_s >= NODE_TIMEOUT_S:
-            # The recorder writes nothing either.
+            # A recorder that does not report does not write either.
             return silence_s
         return self._lag_s if self._lag_s >= BEHIND_S else 0.0
 
     def over(self) -> bool:
-        """Return whether there is no more to wait for; report once a second what it waits for."""
+        """Return whether the wait is over, by catching up or after 20 s; report once a second while it is not."""
         now = self._clock.monotonic_ns()
         if self._until_ns is None:
             self._until_ns, self._report_ns = now + round(_LIMIT_S * 1e9), now
@@ -101,11 +102,11 @@ class RecorderWait:
 
 
 class LastMessages:
-    """Determines whether a recorder has what the nodes of another site sent until the end of a session.
+    """Waits until a recorder has the messages that the nodes of another site sent until the end of a session.
 
-    Those nodes run on and publish no last message. Their reports reach this process as well: the first one that was
-    sent after the session has to reach the recorder, and so has everything before it, which comes on the same
-    connection. All stamps of a node are of its own clock, whatever that is.
+    Those nodes keep running, so no message marks their last one. Instead, the first health report that a node sent
+    after the session has to reach the recorder; all earlier messages precede it on the same connection. All stamps of a
+    node are compared by that node's own clock.
     """
 
     def __init__(
@@ -115,13 +116,13 @@ class LastMessages:
 
         Args:
             clock: The clock of the rig.
-            recorder: The recorder that is waited for.
+            recorder: The recorder to wait for.
             senders: The nodes of the other site.
-            alive: Whether a node is at work now.
-            report: Called with the lines of progress.
+            alive: Returns whether a node is publishing now.
+            report: Called with lines on the progress.
         """
         self.recorder = recorder
-        # sentences on what the recorder lacks, once the wait is over
+        # Sentences on the messages that the recorder lacks, once the wait is over.
         self.missing: list[str] = []
         self._senders = tuple(senders)
         self._clock = clock
@@ -129,15 +130,15 @@ class LastMessages:
         self._report = report
         self._end_ns: int | None = None
         self._until_ns = self._report_ns = 0
-        # For each sender: the least time from sending to reception, across two clocks; its uptime; the stamp of its
-        # first report after the session; the stamp of the newest report that the recorder has.
+        # For each sender: least difference of reception and sending, by two clocks [ns]; uptime [s]; stamp of its first
+        # report after the session [ns]; stamp of its newest report that the recorder has [ns].
         self._least_lag_ns: dict[str, int] = {}
         self._uptime_s: dict[str, float] = {}
         self._due_ns: dict[str, int] = {}
         self._recorded_ns: dict[str, int] = {}
 
     def record(self, health: NodeHealth) -> None:
-        """Take note of a report of the recorder or of a sender."""
+        """Record a report of the recorder or of a sender; others are ignored."""
         if health.src == self.recorder:
             reports = [row for row in health.inputs if row.topic == "node/health" and row.age_valid]
             self._recorded_ns = {row.src: health.t_ns - round(row.age_s * 1e9) for row in reports}
@@ -145,7 +146,7 @@ class LastMessages:
             self._record_sender(health)
 
     def over(self) -> bool:
-        """Return whether there is no more to wait for; report once a second what it waits for."""
+        """Return whether the wait is over, which then determines `missing`; report once a second while it is not."""
         now = self._clock.monotonic_ns()
         if self._end_ns is None:
             self._end_ns = self._clock.now_ns()
@@ -175,7 +176,7 @@ class LastMessages:
     def _record_sender(self, health: NodeHealth) -> None:
         src, lag_ns = health.src, self._clock.now_ns() - health.t_ns
         if health.uptime_s < self._uptime_s.get(src, 0.0):
-            # The node was started again, with a clock that may be another one.
+            # The node was restarted, perhaps with another clock.
             self._least_lag_ns.pop(src, None)
         self._uptime_s[src] = health.uptime_s
         least_ns = self._least_lag_ns[src] = min(self._least_lag_ns.get(src, lag_ns), lag_ns)
@@ -183,7 +184,7 @@ class LastMessages:
             self._due_ns.setdefault(src, health.t_ns)
 
     def _outstanding(self) -> list[str]:
-        """Return the senders at work, of those that the recorder receives, whose last messages it lacks."""
+        """Return the publishing senders that the recorder receives, and whose last messages it lacks."""
         return [
             node
             for node in self._senders

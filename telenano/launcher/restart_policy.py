@@ -1,4 +1,7 @@
-"""When a node whose process ended is started again, and when the rig is given up: decisions only, no processes."""
+"""Restart policy: when a node whose process ended is restarted, and when the rig is given up.
+
+It only decides, on an injected clock; the supervisor acts on processes.
+"""
 
 import signal
 from collections import deque
@@ -10,20 +13,24 @@ from telenano.runtime.wiring.main import EXIT_BAD_START
 from telenano.timing.clock import Clock
 
 _EXITS_KEPT = 8
-# The delay of a restart doubles from this one on.
+# First delay before a restart, which then doubles [s].
 FIRST_DELAY_S = 0.1
-# The delay of a restart grows no longer than this.
+# Greatest delay before a restart [s].
 MAX_DELAY_S = 5.0
-# A life of a node that is as long as this resets the delay.
+# A node that ran for at least this time before it ended is restarted after the first delay again [s].
 HEALTHY_LIFE_S = 10.0
-# A node that ends this many times within CRASH_LOOP_WINDOW_S is given up, and the rig with it.
+# Number of ends within CRASH_LOOP_WINDOW_S at which a node is given up, and the rig with it.
 CRASH_LOOP_EXITS = 5
 CRASH_LOOP_WINDOW_S = 30.0
 
 
 @dataclass(frozen=True)
 class ProcessExit:
-    """The end of a node's process and what follows from it; the exit code is as of subprocess, negative is a signal."""
+    """The end of a node's process with the decision: `restart_in_s` is the delay [s], None if the node is given up.
+
+    `exit_code` is that of subprocess, negative for a signal; `life_s`: run time of the process [s]; `verdict`: the
+    decision in words.
+    """
 
     node: str
     exit_code: int
@@ -33,7 +40,7 @@ class ProcessExit:
 
     @property
     def given_up(self) -> bool:
-        """Whether the node is not started again, which ends the rig."""
+        """Whether the node is not restarted, which ends the rig."""
         return self.restart_in_s is None
 
 
@@ -48,10 +55,10 @@ class _History:
 
 
 class RestartTracker:
-    """Starts and exits of every node, and when it is due to be started again."""
+    """Records starts and exits of every node, and decides when each is restarted."""
 
     def __init__(self, clock: Clock, nodes: Iterable[str], *, beside: Collection[str] = ()) -> None:
-        """Keep track of `nodes`, and of those `beside` the rig, which are started again however often they end."""
+        """Track `nodes`, and those `beside` the rig, which are restarted however often they end."""
         self._clock, self._beside = clock, beside
         self._histories = {node: _History() for node in (*nodes, *beside)}
 
@@ -64,7 +71,7 @@ class RestartTracker:
         history.restart_ns = None
 
     def record_exit(self, node: str, exit_code: int) -> ProcessExit:
-        """Record an exit (code as of subprocess: negative is a signal) and decide what follows."""
+        """Record an exit (code as of subprocess: negative is a signal), decide on the restart, and return both."""
         process_exit = self._decide(node, self._histories[node], exit_code)
         self._histories[node].exits.append(process_exit)
         return process_exit

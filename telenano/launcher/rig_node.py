@@ -1,4 +1,4 @@
-"""The launcher as a node of the bus: the state of a rig as it sees it, and the processes that it keeps running."""
+"""The launcher as a node of the bus: it keeps the processes of a rig running and tracks the state of all its nodes."""
 
 from abc import abstractmethod
 from collections import deque
@@ -26,9 +26,9 @@ Phase = Literal["starting", "arming", "running", "ending", "over"]
 
 TICK_S = 0.05
 _EVENTS_KEPT = 8
-# Each node looks at its paths twice a second, and all of them are named together.
+# Delay before removed sockets are reported [ns]; each node checks its paths twice a second, so all have noticed then.
 _TOGETHER_NS = 700_000_000
-# The operator has to do this when a lost device is back; {at} is the option for the site, where there are two.
+# Instructions for the operator when a lost device is back; {at} is the option for the site if there are two.
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
     HAND: "a haptic device that was restarted stays off until `telenano session arm --target haptic_node{at}`, "
@@ -37,7 +37,7 @@ _RECOVERY_HINTS = {
 
 
 class RigNode(Node):
-    """A rig as its launcher sees it: own processes, which are kept running, and nodes that run elsewhere."""
+    """A rig as its launcher sees it: own processes, which it keeps running, and nodes that run elsewhere."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/event", "node/health")
     period_s = TICK_S
@@ -55,9 +55,9 @@ class RigNode(Node):
         Args:
             context: The context of the node.
             supervisor: Supervises the nodes of this launcher.
-            liveness: Watches the nodes whose silence is reported.
+            liveness: Monitors the nodes whose silence is reported.
             others: The nodes that run elsewhere.
-            site: The site of this launcher; empty where one launcher runs both.
+            site: The site of this launcher; empty if one launcher runs both.
         """
         super().__init__(context)
         self.supervisor = supervisor
@@ -66,19 +66,19 @@ class RigNode(Node):
         self.nodes = [*supervisor.nodes, *others]
         self.health: dict[str, NodeHealth] = {}
         self.events: deque[SessionEvent] = deque(maxlen=_EVENTS_KEPT)
-        # sentences for the view, which removes what it has shown
+        # Sentences for the view, which removes those that it has shown.
         self.reports: deque[str] = deque(maxlen=64)
         self.phase: Phase = "starting"
         self.interrupted = False
-        # why recorders have stopped recording, by node
+        # Reasons why recorders have stopped recording, by node.
         self.recording_faults: dict[str, str] = {}
-        # Recorders tell of files that were removed while they were written.
+        # Sentences of recorders on files that were removed while they were written.
         self.removed_recordings: list[str] = []
-        # the stamp of the last message of each publisher that has ended [ns]
+        # Stamp of the last message of each publisher that has ended [ns].
         self.ended: dict[str, int] = {}
         self._recorder_states: dict[str, Scalar] = {}
         self.observe: Callable[[RigNode], None] = lambda node: None
-        # What packages advise the person who runs the session; None where nothing is looked at.
+        # Advisers that warn the person who runs the session; None if there are none.
         self.advisers: Advisers | None = None
         self._places = _RemovedPaths()
         self.state = "starting"
@@ -94,24 +94,24 @@ class RigNode(Node):
 
     @property
     def failure(self) -> str:
-        """Why the rig cannot continue; empty while it can."""
+        """The reason why the rig cannot continue; empty while it can."""
         return self.supervisor.failure or self._failure
 
     @abstractmethod
     def waiting(self) -> dict[str, str]:
-        """Return for each node that is not ready what it waits for."""
+        """Return for each node that is not ready the reason, in words."""
 
     def causes(self) -> dict[str, str]:
-        """Return what `waiting` does, without nodes that wait only for another one."""
+        """Return the reasons of `waiting`, without those that only follow from another missing node."""
         return self.waiting()
 
     @abstractmethod
     def status_line(self) -> str:
-        """Return a line about what the rig is doing."""
+        """Return a line on the present activity of the rig."""
 
     @property
     def progress(self) -> tuple[float, float] | None:
-        """Elapsed time and whole length of the session [s]; None while none is running."""
+        """Elapsed time and whole length of the session [s]; None if none has been started."""
         return None
 
     @abstractmethod
@@ -158,13 +158,13 @@ class RigNode(Node):
         self.observe(self)
 
     def on_place(self, notice: PlaceNotice) -> None:
-        """Publish what has become of a path of the launcher; a person is told of all nodes at once."""
+        """Publish the state of a path of the launcher; the view gets one sentence for all nodes."""
         super().on_place(notice)
         facts = {"path": notice.path, "state": notice.state}
         self._places.note(self.context.key, facts, notice.text, self.clock.monotonic_ns())
 
     def _look_after_places(self, now_ns: int) -> None:
-        """Tell what has become of sockets, and end the rig when no command reaches it any more.
+        """Report removed sockets, and end the rig if its own socket is lost, because no command can reach it any more.
 
         The devices are then made safe, as at any end.
         """
@@ -176,17 +176,17 @@ class RigNode(Node):
             self.report("error", self._failure)
 
     def make_safe(self) -> None:
-        """Stop own nodes in order; also when the launcher itself failed."""
+        """Stop the own nodes in order, even if the launcher itself failed."""
         self.supervisor.stop(_Ending(self))
         self.phase = "over"
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
-        """Report about the rig: as an event, and as a line for the view."""
+        """Report about the rig, as an event and as a line for the view."""
         self.reports.append(text)
         self.event("node", level, text, answer_to="", **data)
 
     def _note_recording(self, event: SessionEvent) -> None:
-        """Report what happens to a recording once; a recorder repeats it for readers that come later."""
+        """Report a change of a recorder's state once; the recorder repeats the event for readers that connect later."""
         state = event.data.get("state", "")
         is_unchanged = self._recorder_states.get(event.src) == state and state != "draining"
         self._recorder_states[event.src] = state
@@ -211,7 +211,7 @@ class RigNode(Node):
 
     def _report_change(self, change: Change) -> None:
         if change.silent:
-            # the last report of a silent node is no longer valid
+            # The last report of a silent node is no longer valid.
             for node in change.nodes:
                 self.health.pop(node, None)
             at = datetime.fromtimestamp(change.since_ns * 1e-9).astimezone()
@@ -229,7 +229,7 @@ class RigNode(Node):
 
 
 class _RemovedPaths:
-    """Which nodes have lost their sockets, in one sentence for a person: a folder is removed for all at once."""
+    """Reports the nodes that have lost their sockets in one sentence, because a removed folder affects them all."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, str] = {}
@@ -237,7 +237,7 @@ class _RemovedPaths:
         self._due_ns = 0
 
     def note(self, node: str, facts: Mapping[str, Scalar], text: str, now_ns: int) -> None:
-        """Note what a node said of a path of its own, with its `facts`."""
+        """Record the report of a node on one of its paths: `facts` with `path` and `state`, and its text."""
         if facts.get("state") == "lost":
             self._lost.append(f"{node}: {text}")
         elif facts.get("state") == "made_again":
@@ -245,7 +245,7 @@ class _RemovedPaths:
             self._nodes[node] = str(facts["path"])
 
     def take(self, now_ns: int) -> list[str]:
-        """Return what is to be told now."""
+        """Return the sentences that are due, and clear them."""
         told, self._lost = self._lost, []
         if self._nodes and now_ns >= self._due_ns:
             folder = Path(next(iter(self._nodes.values()))).parent
@@ -256,7 +256,7 @@ class _RemovedPaths:
 
 
 class _Ending(StopObserver):
-    """Receives from the nodes while they are stopped, and reports what takes its time."""
+    """Receives messages of the nodes while they are stopped, and reports once a second which are waited for."""
 
     def __init__(self, rig: RigNode) -> None:
         self._rig = rig

@@ -1,4 +1,4 @@
-"""The state of a running rig, from the messages of a moment: a summary of each node, and its problems."""
+"""State of a running rig for `telenano status`: summaries and problems of its nodes, from received messages."""
 
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
@@ -25,7 +25,7 @@ from telenano.wire.sequence import total
 
 M = TypeVar("M", bound=Message)
 
-# The messages of the law are for the age of the loop by its parts.
+# The topics of the loop (STAGES) serve to split the age of the loop into its parts.
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "session/event", "link/delay", *STAGES)
 _LINK = "delay_node@master"
 _HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
@@ -36,7 +36,7 @@ _EVENT_FACTS = ("src", "kind", "level", "text")
 
 
 class RigStatus:
-    """The messages received of a rig: of each source the newest of a kind, of each node also its first health."""
+    """Messages received from a rig: the newest of each source and kind, all events, and each node's first health."""
 
     def __init__(self) -> None:
         self.first: dict[str, NodeHealth] = {}
@@ -46,7 +46,7 @@ class RigStatus:
         self._newest: dict[tuple[str, type[Message]], Message] = {}
 
     def record(self, message: Message) -> None:
-        """Record a message, which may be the link's copy of one that is known."""
+        """Record a message; an older one, such as a copy that the link brings, does not replace a newer one."""
         key = (message.src, type(message))
         newest = self._newest.get(key)
         if newest is None or message.t_ns > newest.t_ns:
@@ -57,12 +57,12 @@ class RigStatus:
             self.events[message.src, message.seq] = message
 
     def newest(self, kind: type[M]) -> dict[str, M]:
-        """Return by source the newest message of a kind."""
+        """Return the newest messages of a kind, by source."""
         return {src: message for (src, _), message in self._newest.items() if isinstance(message, kind)}
 
 
 def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str]:
-    """Return the nodes of a site file that report their health while a rig runs, and can be received here.
+    """Return the nodes of a site file that report their health while a rig runs, and whose reports reach this machine.
 
     Args:
         nodes: The nodes of the site file.
@@ -73,7 +73,7 @@ def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str
 
 
 def listen(observer: Observer, duration_s: float) -> RigStatus:
-    """Listen to a rig for a time [s]; RigError if no node reports, with what is known of its processes."""
+    """Listen to a rig for `duration_s` [s]; RigError if no node reports, with the known facts on its processes."""
     status = RigStatus()
     for observed in observer.listen(duration_s):
         message = observed.received.message
@@ -86,7 +86,7 @@ def listen(observer: Observer, duration_s: float) -> RigStatus:
 
 
 def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
-    """Return for each node with a problem what it is, in words."""
+    """Return the problem of each node that has one, in words."""
     health = status.newest(NodeHealth)
     judged = [*expected, *sorted(node for node in health if node not in expected and not is_visitor(node))]
     problems = unmet(judged, health)
@@ -105,9 +105,9 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
 
 
 def recording_fault(status: RigStatus, health: NodeHealth) -> str:
-    """Return why a recorder does not record, or soon will not; empty for any other node, and while all is well.
+    """Return the reason why a recorder does not record or soon will not; empty for other nodes and without a fault.
 
-    It repeats what is wrong every second.
+    A recorder repeats its fault every second, so its newest event is sufficient.
     """
     if name_of(health.src) != name_of(RECORDER):
         return ""
@@ -121,9 +121,9 @@ def recording_fault(status: RigStatus, health: NodeHealth) -> str:
 
 
 def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:
-    """Return the topics of which a node received nothing between two reports, for longer than the topic allows.
+    """Return the topics of which a node received nothing between two reports that lie further apart than the deadline.
 
-    Counts are compared and not ages, which would need the clocks of both sites to agree.
+    Counts are compared, because ages would need the clocks of both sites to agree.
     """
     if first.pid != newest.pid:
         return []
@@ -145,7 +145,7 @@ def _received(health: NodeHealth) -> dict[str, int]:
 
 
 def document_of(status: RigStatus, expected: Sequence[str]) -> dict[str, Any]:
-    """Return the state of a rig as JSON can hold it, SI units in the names."""
+    """Return the state of a rig as values for JSON, with SI units in the names."""
     problems = problems_of(status, expected)
     health = status.newest(NodeHealth)
     shown = [*expected, *sorted(health.keys() - set(expected))]
@@ -169,7 +169,7 @@ def _facts(message: Message, names: Iterable[str]) -> dict[str, Any]:
 
 
 def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
-    """Return the health of a node as JSON can hold it; without any, only that there is none."""
+    """Return the health of a node as values for JSON; only name and problem, with `heard` false, if there is none."""
     facts: dict[str, Any] = {"node": node, "heard": health is not None, "problem": problem}
     if health is None:
         return facts

@@ -1,7 +1,7 @@
-"""Rigs side by side: each has a name, a folder of its own for its sockets, and processors of its own.
+"""Several rigs on one machine: each has its own name, its own folder for sockets, and its own processors.
 
-A name and a processor are locks of the kernel, which the processes of the rig inherit: they are free again when the
-last of these has ended, however it ended.
+Names and processors are reserved by file locks of the kernel, which the processes of the rig inherit. They are free
+again when the last of these processes has ended, even if it was killed.
 """
 
 import contextlib
@@ -36,25 +36,25 @@ from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.nodes import site_of
 
 if TYPE_CHECKING:
-    # A command that only asks which rigs run needs no models of nodes.
+    # The import is for types only, because a command that lists running rigs does not need the models of nodes.
     from telenano.launcher.plan import Plan
 
 fcntl = optional_module("fcntl")
 _NAMES = (FIRST_RIG, *map(str, range(2, 100)))
-# A rig whose launcher was killed has this time to end; its nodes make their devices safe.
+# Longest wait for the nodes of a killed launcher to end [s]; they make their devices safe meanwhile.
 _ENDING_S = 15.0
-# A command that only looks at the name of a rig, or tidies up, has this time to end.
+# Longest wait for another command that only inspects or cleans up the name of a rig [s].
 _GLANCE_S = 1.0
-# The lock of a name is tried at this interval.
+# Interval between attempts to lock a name [s].
 _LOOK_S = 0.1
 _LOCK = "rig@"
 _NEEDED = {"slave": 1}
 
 
 class RigFacts(NamedTuple):
-    """A rig that runs: `about` is what its launcher wrote of itself, its process alone where that cannot be read.
+    """A running rig: `about` is the description written by its launcher, or only its process id if that is unreadable.
 
-    `folder` is that of the sockets of its user's rigs, empty where it is the one of this process.
+    `folder` is the runtime directory with the folders of its user's rigs, empty if it is that of this process.
     """
 
     name: str
@@ -67,7 +67,7 @@ class RigName:
     """The lock of the name of a rig, and the file beside it in which the rig describes itself."""
 
     def __init__(self, name: str, lock: EndpointLock, plan: "Plan", about: Mapping[str, Any]) -> None:
-        """Write the file; RigError where that is not possible."""
+        """Write the file; RigError if that fails."""
         self._file, self._lock, self._about = _about_file(name, site_of(plan.launcher)), lock, dict(about)
         self._pin = self._written()
 
@@ -80,7 +80,7 @@ class RigName:
         self._rewrite()
 
     def note(self, **facts: str) -> None:
-        """Add facts to what the rig says of itself, as they are at present; RigError where that is not possible."""
+        """Add or update facts in the description of the rig; RigError if the file cannot be written."""
         if any(self._about.get(name) != value for name, value in facts.items()):
             self._about |= facts
             self._rewrite()
@@ -90,7 +90,7 @@ class RigName:
         before.close()
 
     def remove(self) -> None:
-        """Remove the file, if it is still that of this rig."""
+        """Remove the file if it is still that of this rig."""
         self._pin.remove()
 
     def _written(self) -> Pin:
@@ -102,9 +102,9 @@ class RigName:
 
 
 class Own(NamedTuple):
-    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit.
+    """The name and the processors that this rig has reserved, and the descriptors that its processes inherit.
 
-    `place` is the lock of the name, which the launcher makes again where somebody removes it.
+    `place` is the lock of the name, which the launcher restores if it is removed.
     """
 
     name: str
@@ -115,22 +115,23 @@ class Own(NamedTuple):
 
 @contextlib.contextmanager
 def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None = None) -> Iterator[Own]:
-    """Take a name and processors for a rig while the block runs; its processes find both in their environment.
+    """Reserve a name and processors for a rig while the block runs; its processes find both in their environment.
 
     Args:
-        plan: The planned rig. One with nodes on other machines, or in folders of its site file, is not moved aside.
-        show: Called with what a person has to know: another name than the first one, or processors that are not free.
-        lock_folder: The folder of the locks of processors; the machine's own if None.
+        plan: The planned rig. With nodes on other machines it only takes the given or the first name, and with sockets
+            in the folders of its site file no name at all.
+        show: Called with sentences for the user: another name than the first one, or processors that are not free.
+        lock_folder: The folder of the locks of processors; that of the machine if None.
 
     Yields:
-        What the rig has for itself.
+        The reserved name, processors and descriptors.
 
     Raises:
         RigError: A rig of the given name runs.
         ConfigError: The folder of the rig cannot be used.
     """
     if plan.attach:
-        # Its nodes run already, in the folder and on the processors that they were given.
+        # The nodes run already, with the folder and the processors of their own launcher.
         yield Own(os.environ.get(RIG_VARIABLE, FIRST_RIG))
         return
     with contextlib.ExitStack() as stack:
@@ -140,7 +141,7 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
         if plan.book.uses_runtime_directory:
             name, lock = _named(plan, show)
             stack.callback(_leave, name, lock)
-            # Its path is longer than that of the first rig, which was checked with the site file.
+            # Check the site file again, because the paths of sockets are longer than for the first rig.
             AddressBook.load(plan.site_file)
             held = lock.descriptors
             _remove_stale_folders(name, plan.launcher)
@@ -168,9 +169,9 @@ def _environment_kept() -> Iterator[None]:
 
 
 def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]:
-    """Lock the name that was given, or else the first free one, and make it that of this process."""
+    """Lock the given name, or else the first free one, and set it in the environment of this process."""
     named = os.environ.get(RIG_VARIABLE, "")
-    # Where others connect over a network, the ports are those of the site file, whatever the folder is.
+    # A rig that spans machines keeps its name, because the ports of its site file are the same under any name.
     may_move = not named and not plan.book.spans_machines
     names, begun_s = iter(_NAMES if may_move else (named or FIRST_RIG,)), time.monotonic()
     passed, name = "", next(names)
@@ -180,7 +181,7 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
         try:
             lock = EndpointLock(f"ipc://{rig_directory(name)}/{_LOCK}{site_of(plan.launcher)}")
         except EndpointInUseError as error:
-            # Another command may only be looking at a name, or tidying up after one that was killed.
+            # The holder may be a command that only inspects the name or cleans up after a killed rig: wait briefly.
             runs = may_move and str(about_rig(name, site_of(plan.launcher)).get("process")) == error.holder
             patience_s = _ENDING_S if _has_ended(error.holder) else 0.0 if runs else _GLANCE_S
             if time.monotonic() - begun_s < patience_s:
@@ -198,7 +199,7 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
 
 
 def _has_ended(holder: str) -> bool:
-    """Return whether the launcher that took a lock is gone, whose nodes then hold it until they have ended."""
+    """Return whether the launcher that took a lock is gone; its nodes then hold the lock until they end."""
     try:
         os.kill(int(holder), 0)
     except ProcessLookupError:
@@ -209,7 +210,7 @@ def _has_ended(holder: str) -> bool:
 
 
 def _leave(name: str, lock: EndpointLock) -> None:
-    """Remove what only the running rig needs, and let the name go."""
+    """Release the name, and remove the folder of the rig unless it is that of the first."""
     lock.release()
     if name != FIRST_RIG:
         with contextlib.suppress(OSError):
@@ -217,7 +218,11 @@ def _leave(name: str, lock: EndpointLock) -> None:
 
 
 def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict[int, int], bool]:
-    """Lock processors for the nodes of the loop, and tell them by the environment; also whether they come behind."""
+    """Lock processors for the nodes of the loop and set them in the environment.
+
+    Returns:
+        The locks by processor, and whether the rig runs behind other rigs, on the processor time that they leave.
+    """
     os.environ.pop(PROCESSORS_VARIABLE, None)
     config = plan.scenario.realtime_in_force()
     permitted = processors.permitted()
@@ -247,7 +252,7 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
 
 
 def _wants_fifo(config: RealtimeConfig) -> bool:
-    """Return whether the nodes will stay on a processor: without SCHED_FIFO they have to be free to leave it."""
+    """Return whether the nodes run under SCHED_FIFO; without it they are not bound to processors."""
     return config.scheduler != "normal" and may_use_fifo(config.priority)
 
 
@@ -260,7 +265,7 @@ def _about_file(name: str, site: str) -> Path:
 
 
 def _described(plan: "Plan", claimed: tuple[int, ...], *, behind: bool) -> dict[str, Any]:
-    """Return what `telenano status` says of this rig."""
+    """Return the description of this rig that `telenano status` shows."""
     return {
         "process": os.getpid(),
         "scenario": plan.scenario.name,
@@ -274,20 +279,20 @@ def _described(plan: "Plan", claimed: tuple[int, ...], *, behind: bool) -> dict[
 def running_rigs() -> list[RigFacts]:
     """Return the rigs of this user that run on this machine, one for each launcher.
 
-    They are those of the folder that TELENANO_RUNTIME_DIR names, or else of all folders. A rig is known by the lock of
-    its name, which its processes hold whether or not the file is still in its folder.
+    If TELENANO_RUNTIME_DIR is set, only those of that folder are listed, else those of all folders. A rig is detected
+    by the lock of its name, which its processes hold even if the lock file was removed.
     """
     here, elsewhere = _rigs_by_folder()
     return [*here, *elsewhere] if lists_all_folders() else here
 
 
 def lists_all_folders() -> bool:
-    """Return whether the rigs of this user are listed whatever their folder is, because this process names none."""
+    """Return whether rigs in all folders are listed, because TELENANO_RUNTIME_DIR is not set for this process."""
     return not os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
 
 
 def rigs_elsewhere() -> list[RigFacts]:
-    """Return the rigs of this user whose sockets are in other folders than those of this process."""
+    """Return the rigs of this user whose runtime directory is not that of this process."""
     return _rigs_by_folder()[1]
 
 
@@ -315,7 +320,7 @@ def _rigs_by_folder() -> tuple[list[RigFacts], list[RigFacts]]:
 
 
 def about_rig(name: str, site: str = "master") -> dict[str, Any]:
-    """Return what the launcher of a rig wrote of itself; empty where none runs."""
+    """Return the description that the launcher of a rig wrote; empty if none can be read."""
     return _read_about(_about_file(name, site))
 
 
@@ -330,7 +335,7 @@ def _read_about(file: Path) -> dict[str, Any]:
 def _is_held(lock: Path) -> bool:
     try:
         with lock.open() as file:
-            # It is shared, so that two that look do not see each other.
+            # The lock is shared, so that two processes that inspect it do not mistake each other for a rig.
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -340,7 +345,7 @@ def _is_held(lock: Path) -> bool:
 
 
 def _remove_stale_folders(own: str, launcher: str) -> None:
-    """Remove the folders of rigs that were killed: nothing of them runs, nor will it ever."""
+    """Remove the folders of killed rigs of which no process runs any more."""
     for name in rigs_with_folders():
         if name not in (own, FIRST_RIG):
             _remove_if_stale(rig_directory(name), f"{_LOCK}{site_of(launcher)}")
@@ -348,14 +353,14 @@ def _remove_stale_folders(own: str, launcher: str) -> None:
 
 def _remove_if_stale(folder: Path, first: str) -> None:
     with contextlib.suppress(EndpointError, ConfigError, OSError):
-        # Its name is held meanwhile, so that no rig begins there.
+        # Hold the name meanwhile, so that no rig starts in the folder.
         name = EndpointLock(f"ipc://{folder / first}")
         try:
             if any(_is_held(lock) for lock in folder.glob("*.lock") if lock.name != f"{first}.lock"):
                 return
             own, runs = os.getpid(), folder_identity(folder)
             if any(each.process != own and folder_identity(each.folder) == runs for each in look().holders):
-                # Its locks were removed, and it runs all the same.
+                # The rig still runs, although its lock files were removed.
                 return
             for path in folder.iterdir():
                 if path.name != f"{first}.lock":

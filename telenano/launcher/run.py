@@ -1,4 +1,4 @@
-"""`telenano up`: from a sound plan to a recording, a figure and a summary."""
+"""Execution of `telenano up`: run a planned rig, and make figure and summary from its recording."""
 
 import contextlib
 import io
@@ -44,13 +44,13 @@ from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigEr
 from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, RELAY, STOP_ORDER, TIP, name_of
 from telenano.wire.printable import quoted
 
-# A node begins with its standard streams, the pair by which a signal wakes it, and what is held for it: the table, site
-# file and scenario.
+# Descriptors that a node has open at its start: the standard streams, the pair by which a signal wakes it, and the held
+# table, site file and scenario.
 _OPEN_AT_START = 8
 Observer = Callable[[RigNode], None]
-# A recording of a minute has so much: its report takes seconds.
+# Size of recordings from which the user is told that the report takes some time [bytes]: about a minute of a session.
 _LONG_BYTES = 20_000_000
-# A whole rig records so much in a second, by compression; the figures are measured, with a margin of a fifth.
+# Data rate of the recording of a whole rig by compression [bytes/s], measured, with a margin of a fifth.
 _BYTES_PER_S = {"zstd": 600_000, "lz4": 1_200_000, "none": 3_500_000}
 
 
@@ -58,10 +58,10 @@ _BYTES_PER_S = {"zstd": 600_000, "lz4": 1_200_000, "none": 3_500_000}
 class Outcome:
     """How a session ended.
 
-    `recordings` are the files of the session, in the order of their numbers, none where none can be read from here;
-    `note` is then the reason, and where they are. `restarts` counts how often each own node was started again.
-    `missing` has a sentence for each part of the recording that is known to be missing. `bad_start`: a node cannot
-    start as it is configured, which is the failure.
+    `recordings`: the files of the session in the order of their numbers, empty if none can be read on this machine;
+    `note` then has the reason and their place. `restarts`: number of restarts of each own node. `missing`: a sentence
+    for each part of the recording that is known to be missing. `bad_start`: the failure is a node that cannot start
+    with its configuration.
     """
 
     failure: str
@@ -72,12 +72,15 @@ class Outcome:
     restarts: dict[str, int]
     missing: tuple[str, ...] = ()
     bad_start: bool = False
-    # What recorders have told of files that were removed while they were written.
+    # Sentences of recorders on files that were removed while they were written.
     removed: tuple[str, ...] = ()
 
     @contextlib.contextmanager
     def report_later(self, plan: Plan) -> Iterator[None]:
-        """Let an interruption of what follows a session say how its report is made; RigError has it."""
+        """Turn Ctrl-C during the block into a RigError with the command that makes the report later.
+
+        Without a recording of a session the KeyboardInterrupt is raised unchanged.
+        """
         try:
             yield
         except KeyboardInterrupt as error:
@@ -88,15 +91,15 @@ class Outcome:
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
-    """Return the folder of a session that none was named for: scenario and local time."""
+    """Return the default folder of a session, named by scenario and local time."""
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
 @contextlib.contextmanager
 def reserved_folder(scenario: str, now: datetime) -> Iterator[Path]:
-    """Make the folder of a session that none was named for, and remove it again where nothing was written to it.
+    """Create the default folder of a session, yield it, and remove it afterwards if it is empty.
 
-    Of two rigs that start in the same second each has its own.
+    Rigs that start in the same second get different folders.
     """
     first = default_folder(scenario, now)
     for named in (first, *(first.with_name(f"{first.name}-{number}") for number in range(2, 100))):
@@ -105,7 +108,7 @@ def reserved_folder(scenario: str, now: datetime) -> Iterator[Path]:
         except FileExistsError:
             continue
         except OSError:
-            # What writes to it first reports why that is not possible.
+            # The first write to the folder will report the reason.
             pass
         break
     try:
@@ -127,11 +130,11 @@ def run_rig(
 
     Args:
         plan: The planned rig.
-        observe: Called with the node of the launcher whenever there may be something new to show.
+        observe: Called with the node of the launcher at each tick, and while nodes are stopped, to update the view.
         show: Called with each line for the user.
-        beside: What further processes inherit, by node. They run with the rig, which continues without them.
+        beside: The inheritance of further processes, by node. They run with the rig, which continues without them.
         held: Descriptors that every process inherits: the name and the processors of the rig (`own_rig`).
-        name: The lock of the name, which is made again where somebody removes it (`own_rig`).
+        name: The lock of the name, which is restored if it is removed (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
     nodes = (*plan.nodes, *beside)
@@ -140,7 +143,7 @@ def run_rig(
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(Participant.open(plan.launcher, plan.book, signals.descriptor))
-        # The endpoint is bound first: if another process has it, a rig runs already, whose files must not be touched.
+        # Bind the endpoint first: if another process has it, a rig runs already, and its files must not be changed.
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         if name is not None:
             participant.network.places.add(name)
@@ -179,7 +182,7 @@ def run_rig(
         rig.observe = observe
         rig.advisers = _advisers(plan, participant, name)
         if plan.site != "slave":
-            # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
+            # Only here is the session surely new: a slave's site may be restarted in the middle of a session.
             forget_stops(plan)
         stack.callback(_forget_own_stops, plan, participant.network.places)
         _run(rig, bus, signals)
@@ -187,16 +190,16 @@ def run_rig(
 
 
 def _end_of_relay(plan: Plan) -> dict[str, Inheritance]:
-    """Return what runs beside the nodes of a site that reaches the other one through a relay."""
+    """Return the process of the relay's end at this site, with its inheritance; empty without a relay."""
     if not (plan.book.relay and plan.nodes and plan.site):
         return {}
     return {f"{RELAY}@{plan.site}": Inheritance()}
 
 
 def forget_stops(plan: Plan) -> None:
-    """Keep no emergency stop for the devices of a rig that is started, or has been ended, as a whole.
+    """Delete the stored emergency stops of the devices of a rig that is started, or has ended, as a whole.
 
-    One that the link keeps for an instrument at another site stays: that may run, and has not obeyed it.
+    A stop that the link keeps for an instrument at another site remains, because that may run without having obeyed it.
     """
     nodes = set(plan.nodes) & set(KEEPERS if TIP in plan.nodes else DEVICES)
     for node in nodes:
@@ -205,13 +208,13 @@ def forget_stops(plan: Plan) -> None:
 
 
 def _forget_own_stops(plan: Plan, places: Places) -> None:
-    """Keep no stop at the end of a rig; what stands in a folder that another rig has by now is left to that one."""
+    """Delete the stored stops at the end of a rig, unless the folder belongs to another rig by now."""
     if places.are_kept():
         forget_stops(plan)
 
 
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
-    """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
+    """Return the node of the launcher, which supervises the processes and, except at the slave's site, the session."""
     if plan.site == "slave":
         transport = fetching_transport()
         return SiteNode(context, supervisor, plan.out, None if transport is None else transport.sender)
@@ -231,7 +234,11 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
 
 
 def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]:
-    """Return what the transport of the link judges the line by; without one nothing is measured over TCP."""
+    """Return the function that makes the check of the line between two machines, as the link's transport does it.
+
+    It makes None unless this launcher starts the nodes of the master's site, the slave's is on another machine, and the
+    transport is installed.
+    """
     if plan.site == "master" and not plan.attach and plan.book.spans_machines:
         with contextlib.suppress(ConfigError):
             return link_transport(plan.book.link.transport).line_check
@@ -239,7 +246,7 @@ def line_check_of(plan: Plan) -> Callable[[Callable[[], int]], LineCheck | None]
 
 
 def _advisers(plan: Plan, participant: Participant, name: RigName | None) -> Advisers | None:
-    """Return what advises of a session; None where its settings are not known."""
+    """Return the advisers of a session; None if the launcher does not know its settings."""
     if plan.attach:
         return None
     try:
@@ -257,9 +264,9 @@ def _advisers(plan: Plan, participant: Participant, name: RigName | None) -> Adv
 
 
 def advised_of(book: AddressBook, launcher: str, inputs: Collection[str]) -> dict[str, list[str]]:
-    """Return where advisers hear topics: as an observer, so of both sites where the machine reaches their nodes.
+    """Return the topics to subscribe to at each node for the advisers, as an observer of all reachable nodes does.
 
-    The launcher itself is at one site, to which the link brings the samples of neither device of the other one.
+    The launcher's own subscriptions do not suffice: the link does not bring the other site's device samples to it.
     """
     heard = {node: [topic for topic in topics if topic in inputs] for node, topics in book.observed(launcher).items()}
     return {node: topics for node, topics in heard.items() if topics and node != launcher}
@@ -277,7 +284,7 @@ def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
 
 
 def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
-    """Return how it ended, and where the recording is."""
+    """Return the outcome of a rig, with the files of its recording."""
     ran = isinstance(rig, SessionNode) and rig.ran
     note = ""
     missing = [f"{node}: {fault}" for node, fault in rig.recording_faults.items()]
@@ -314,15 +321,15 @@ def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tu
 
 
 class _OwnLog(io.TextIOBase):
-    """The launcher's own log, which is made again, with its folder, where somebody removes it."""
+    """The launcher's own log, which is created again, with its folder, if it is removed."""
 
     def __init__(self, path: Path) -> None:
-        """Begin an empty log; OSError where it cannot be written."""
+        """Begin an empty log; OSError if it cannot be written."""
         self._path = path
         self._file = path.open("w", encoding="utf-8")
 
     def write(self, text: str) -> int:
-        """Append a text; what cannot be made again is left, and written where it was."""
+        """Append a text; if a removed log cannot be created again, write to the deleted file."""
         with contextlib.suppress(OSError):
             if not self._is_in_place():
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -332,11 +339,11 @@ class _OwnLog(io.TextIOBase):
         return self._file.write(text)
 
     def flush(self) -> None:
-        """Hand what was written to the system."""
+        """Flush the buffer to the operating system."""
         self._file.flush()
 
     def fileno(self) -> int:
-        """Return the descriptor of the file that it writes now."""
+        """Return the descriptor of the present file."""
         return self._file.fileno()
 
     def close(self) -> None:
@@ -366,15 +373,16 @@ def own_log(path: Path) -> Iterator[None]:
             # Later steps, such as the report, have no log: their result is printed.
             logging.getLogger().handlers.clear()
     finally:
-        # on a full disk the last lines cannot be written
+        # On a full disk the last lines cannot be written.
         with contextlib.suppress(OSError):
             log.close()
 
 
 def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> Outcome:
-    """Return the outcome with the recording of both sites; what is missing of it, and how to have it, is said.
+    """Fetch the recording of the other site, and return the outcome with the joined recording of both.
 
-    A session whose fetch fails keeps the own recording, and a later fetch continues.
+    If the fetch fails or is interrupted, the outcome keeps the own recording, and `missing` names the command that
+    continues the fetch.
     """
     transport, session = fetching_transport(), SessionFolder(plan.out)
     if transport is None or not (plan.fetches and outcome.ran and outcome.recordings):
@@ -396,7 +404,7 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
 def report_of(
     outcome: Outcome, plan: Plan, show: Callable[[str], None], options: FigureOptions = ON_SCREEN
 ) -> dict[str, Any] | None:
-    """Make figure and summary of a session that ran; None where there is nothing to make them from.
+    """Make figure and summary of a session, and return the summary; None if it did not run or has no recording.
 
     Raises:
         RecordingError: A session that did not fail left a recording that cannot be reported.
@@ -407,21 +415,21 @@ def report_of(
         return None
     names = " ".join(map(quoted, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
-    # Who has pressed Ctrl-C waits for the terminal.
+    # After Ctrl-C the user waits for the terminal, so even a short report is announced.
     is_long = outcome.interrupted or sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
     if is_long:
         again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
         show(f"that takes some time; {again} leaves it to `telenano report {names} --out {quoted(plan.out)}`")
-    # matplotlib takes a second to import, which a running rig should not pay
+    # The import of matplotlib takes a second, so it is done only after the rig has ended.
     from telenano.analysis.report import write_report
 
     try:
         with outcome.report_later(plan):
             step = show if is_long else lambda step: None
-            # These files are of the session that this launcher has conducted.
+            # All these files belong to the session that this launcher has conducted.
             return write_report(recordings, plan.out, outcome.missing, options, step, same_session=True)
     except RecordingError as error:
-        # The failure of the rig is the cause, and is reported.
+        # The failure of the rig is the cause, and is reported elsewhere.
         if outcome.failure:
             return None
         if isinstance(error, ReportError) or not outcome.removed:
@@ -430,9 +438,10 @@ def report_of(
 
 
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:
-    """Return a sentence when the disk has less room than the recording of a session is expected to take; else empty.
+    """Return a warning if the disk has less room than the recording is expected to need; else an empty string.
 
-    None for a recorder that is set to record less: how much it will write is not known.
+    It is empty too if `topics` or `exclude` limit the recording, because its size is then unknown. `free` returns the
+    free space of the disk of a folder [bytes], or None.
     """
     recorders = [node for node in plan.nodes if node.startswith("recorder@")]
     config = plan.loaded.section("recorder", RecorderConfig)

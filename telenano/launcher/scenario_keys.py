@@ -1,4 +1,4 @@
-"""Every key of a scenario with its default, range and unit, and the JSON Schema of scenario and site files."""
+"""All keys of a scenario with default, range and description, and the JSON Schemas of scenario and site files."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +15,7 @@ from telenano.wire.nodes import SERVICES
 
 _KNOWN = re.compile(r"did you mean [^?]*\? Known are|known are")
 _UNKNOWN = re.compile(r"(?:^|: )([^\s:]+): (?:unknown key|.+ has no key )")
-# The paper's symbols, as docs/glossary.md has them, and the last word of the key.
+# The last part of the key for each of the paper's symbols, as in docs/glossary.md.
 _SYMBOLS = {
     "K_f": "force_gain",
     "M_v": "mass_kg",
@@ -28,14 +28,14 @@ _SYMBOLS = {
     "b": "impedance_n_s_per_m",
     "T_s": "period_s",
 }
-# The most keys that are named; a word like `delay_s` is in three sections.
+# Greatest number of keys in a suggestion; a word such as `delay_s` is in three sections.
 _MOST_MEANT = 4
 _NEAR = 0.8
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 class Key(NamedTuple):
-    """A key of a scenario; least and most are bounds in the unit that `about` names, None where there is none."""
+    """A key of a scenario; least and most are its bounds in the unit that `about` states, None without a bound."""
 
     name: str
     kind: str
@@ -46,7 +46,7 @@ class Key(NamedTuple):
 
 
 def scenario_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a scenario file, the sections of all nodes included."""
+    """Return the JSON Schema of a scenario file, including the sections of all nodes."""
     schema = Scenario.model_json_schema()
     definitions: dict[str, Any] = dict(schema.pop("$defs", {}))
     for name in SERVICES:
@@ -61,20 +61,20 @@ def scenario_schema() -> dict[str, Any]:
 def site_schema() -> dict[str, Any]:
     """Return the JSON Schema of a site file."""
     schema = AddressBook.model_json_schema()
-    # an entry may be given as its only endpoint
+    # An entry may be a string, which is its only endpoint.
     nodes = schema["properties"]["nodes"]
     nodes["additionalProperties"] = {"anyOf": [nodes.get("additionalProperties", True), {"type": "string"}]}
     return {**schema, "$schema": _DIALECT, "title": "Site file of telenano"}
 
 
 def all_keys() -> list[Key]:
-    """Return every key of a scenario that has a value of its own, in the order of its sections."""
+    """Return every key of a scenario that has a value and not only further keys, in the order of the sections."""
     schema = scenario_schema()
     return list(_keys(schema, "", schema["$defs"]))
 
 
 def first_keys(keys: Iterable[Key]) -> list[Key]:
-    """Return the keys that people change first: those at the top of a section, and what a packaged scenario changes."""
+    """Return the keys that people change first: those at the top of a section, and those in a packaged scenario."""
     changed = {name for path in scenarios().values() for name in _names(read_yaml(path))}
     return [key for key in keys if key.name.count(".") < 2 or key.name in changed]
 
@@ -102,7 +102,7 @@ def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]
 
 
 def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a part with what it refers to; of alternatives that with a model, or the first that is not null."""
+    """Return a part of a schema with its references resolved; of alternatives, the first that is not null."""
     resolved: dict[str, Any] = dict(part)
     if "$ref" in resolved:
         return {**_resolved(definitions[resolved["$ref"].removeprefix("#/$defs/")], definitions), **resolved}
@@ -126,7 +126,7 @@ def _bound(part: Mapping[str, Any], names: tuple[str, str]) -> float | None:
 
 
 def filled(loaded: LoadedScenario) -> dict[str, Any]:
-    """Return a scenario with every default in it; ConfigError names file and key at fault."""
+    """Return a scenario with all defaults filled in; ConfigError names file and key at fault."""
     sections = {
         name: loaded.section(name, node_kind(name).config).model_dump(mode="json", exclude_none=True)
         for name in SERVICES
@@ -135,12 +135,15 @@ def filled(loaded: LoadedScenario) -> dict[str, Any]:
 
 
 def with_meant(line: str) -> str:
-    """Return a line of an error with the key that was probably meant by one that it calls unknown, in all sections."""
+    """Return the line of an error with a suggestion from all sections for the key that it calls unknown.
+
+    The line is returned unchanged if it names no unknown key or none is similar.
+    """
     unknown = _UNKNOWN.search(line)
     if unknown is None:
         return line
     section, _, last = unknown[1].rpartition(".")
-    # All keys take most of a second, and are asked for only once one is unknown.
+    # Listing all keys takes most of a second, so it is done only for an unknown key.
     parts = [key.name.split(".") for key in all_keys()]
     names = list(dict.fromkeys(".".join(each[:count]) for each in parts for count in range(2, len(each) + 1)))
     word = _SYMBOLS.get(last, last)
@@ -159,7 +162,10 @@ def with_meant(line: str) -> str:
 
 
 def keys_named(word: str) -> list[str]:
-    """Return the keys whose last part has a word, as `force_gain` has `gain`; those that people change first, alone."""
+    """Return the keys whose last part contains a word or a symbol of the paper, as `force_gain` contains `gain`.
+
+    Keys that people change first are preferred, then exact matches, then matches at the end.
+    """
     word = _SYMBOLS.get(word, word.replace("-", "_").lower())
     keys = all_keys()
     for among in (first_keys(keys), keys):
@@ -172,7 +178,7 @@ def keys_named(word: str) -> list[str]:
 
 
 def value_at(document: Mapping[str, Any], key: str) -> Any:
-    """Return what a dotted key has; ConfigError names the keys that there are at the point where it is wrong."""
+    """Return the value of a dotted key; ConfigError lists the known keys at the point where it is wrong."""
     value: Any = document
     seen: list[str] = []
     for part in key.split("."):

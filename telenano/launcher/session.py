@@ -1,4 +1,4 @@
-"""The session of a rig, as the launcher conducts it: wait, arm, start, run, stop."""
+"""The node of the launcher that conducts a session: wait for the nodes, arm the devices, start, run, stop."""
 
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -17,13 +17,13 @@ from telenano.wire.messages import NodeHealth, Scalar, SessionEvent
 from telenano.wire.nodes import HAND, RECORDER, TIP, name_of
 from telenano.wire.received import Received
 
-# A rig that stops waits this long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
+# Longest wait for the answer to `stop` at the end [ns]; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000
-# A refused command is repeated for this time.
+# Time for which a refused command is repeated [ns].
 _REFUSAL_RETRY_NS = 5_000_000_000
 
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
-# Where the nodes keep running without a session, the tip must not stay on the sample without an operator.
+# Sent if the nodes keep running after the session: the tip must not stay on the sample without an operator.
 WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
 
 
@@ -54,13 +54,13 @@ class SessionNode(RigNode):
             supervisor: Supervises the nodes of this launcher.
             duration_s: The length of the session [s].
             others: The nodes that run elsewhere and that the session needs too.
-            site: The site of this launcher; empty where one launcher runs both.
-            other_site: The site of the others if all of them are beyond the link.
-            wait_s: The longest time to wait until they are ready [s]; None is without a limit.
-            recording: The recording of a recorder that runs elsewhere; None where the own one records.
-            far: The recording of the other site's recorder, beside the own one; None where there is none.
-            on_far: Called with the files of the session there whenever they are known again.
-            line_check: Returns what judges the line between the sites; None where nothing does.
+            site: The site of this launcher; empty if one launcher runs both.
+            other_site: The site of the others if all of them are beyond the link; else empty.
+            wait_s: The longest wait for the others to be ready [s]; None for no limit.
+            recording: The recording of a recorder that runs elsewhere; None if the own recorder records.
+            far: The additional recording by the other site's recorder; None if there is none.
+            on_far: Called with the files of `far` after the start and at the end of the session.
+            line_check: Returns the check of the line between the sites for a clock [ns]; None if there is none.
         """
         optional = (recording.recorder,) if recording is not None else ()
         seen = (*optional, *others)
@@ -76,10 +76,10 @@ class SessionNode(RigNode):
         self._wait_s = wait_s
         self._readiness = ReadinessGate(context.clock, supervisor.nodes, others, wait_s)
         self._commands: CommandClient | None = None
-        # a person has asked for the session, and so for all that it arms, by starting this process
+        # Time of the order [ns]: by starting this process, a person has ordered the session and all that it arms.
         self._wished_ns = context.clock.monotonic_ns()
         self._is_ordered = False
-        # The device whose earlier emergency stop is waited for, and since when.
+        # Device in an earlier emergency stop that a person has to release, and the start of this wait [ns].
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
@@ -91,7 +91,7 @@ class SessionNode(RigNode):
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the operator's force profile started [s]; 0 before that."""
+        """Time since the start of the operator's force profile [s]; 0 before that."""
         if self._running_ns is None:
             return 0.0
         return (self.clock.monotonic_ns() - self._running_ns) * 1e-9
@@ -111,7 +111,7 @@ class SessionNode(RigNode):
 
     @property
     def not_recorded(self) -> tuple[str, ...]:
-        """What the recorder was found to lack at the end, in sentences."""
+        """Sentences on messages that the recorder lacked at the end."""
         return tuple(self._last_messages.missing)
 
     @property
@@ -123,7 +123,7 @@ class SessionNode(RigNode):
         return self._readiness.waiting(self.health)
 
     def causes(self) -> dict[str, str]:
-        """Return what `waiting` does, without inputs that are missing because nodes that run elsewhere are."""
+        """Return the reasons of `waiting`, without inputs that are missing because a node elsewhere is."""
         return self._readiness.causes(self.health)
 
     def status_line(self) -> str:
@@ -153,18 +153,18 @@ class SessionNode(RigNode):
             for recording in self._external:
                 recording.on_health(received.message)
         if self.phase == "arming":
-            # A person waits for the session: each command follows the answer to the one before, and not the next tick.
+            # A person waits, so each command is sent at the answer to the one before, and not at the next tick.
             self.advance()
 
     def on_event(self, event: SessionEvent) -> None:
         for recording in self._external:
             recording.on_event(event)
-        # Warnings of a device while it is armed are for the person who starts the session.
+        # Show the warnings of devices during arming to the person who starts the session.
         if self.phase == "arming" and (event.kind, event.level) == ("fault", "warning"):
             self.reports.append(f"{event.src}: {event.text}")
         if self._commands is not None:
             self._commands.on_event(event)
-        # To start the session is a person's order to place the tip, once.
+        # The start of a session orders the placing of the tip once; the acknowledgement uses that order up.
         is_answer = (event.src, event.kind, event.data.get("command")) == (TIP, "ack", "arm")
         self._is_ordered |= is_answer and self.phase == "arming"
 
@@ -204,7 +204,7 @@ class SessionNode(RigNode):
             self._fail("\n".join([f"the rig was not ready within {limit_s:g} s: {reasons}", *own]))
 
     def _line_permits(self) -> bool:
-        """Return whether the line between the sites was measured; say what becomes of a session on a narrow one."""
+        """Return whether the line between the sites is measured or needs no check; report advice on a slow one."""
         if self._line is None:
             return True
         if not self._line.settled():
@@ -223,21 +223,22 @@ class SessionNode(RigNode):
             steps,
             retry_ns=_REFUSAL_RETRY_NS,
             issued_ns=self._wished_ns,
-            # A supervisor may have started this launcher, and another user its nodes.
+            # A start is no person's order to release a stop: a supervisor may have started this launcher, and another
+            # user its nodes.
             releases_stops=False,
             token=self.context.machine.token,
         )
         self._advance_arming()
 
     def _first_steps(self) -> list[Command]:
-        """Return the commands that begin the session; a stand-in for the hand gets those that the hand would get."""
+        """Return the commands that begin the session; a stand-in for the hand gets the commands of the hand."""
         of_hand = [ARM_HAND, START] if HAND in self._needed else [for_stand_in(step) for step in (ARM_HAND, START)]
         arm_tip = ARM_TIP if self._is_ordered else PLACE_TIP
         return [of_hand[0], *([arm_tip] if TIP in self._needed else []), of_hand[1]]
 
     def _advance_arming(self) -> None:
         if any(node not in self.health for node in self.others):
-            # A node was lost while the devices were armed, and is waited for as at the start.
+            # A node was lost during arming: wait for it as at the start.
             self.phase, self._commands = "starting", None
             self._readiness.reset()
             if self._is_ordered:
@@ -253,7 +254,10 @@ class SessionNode(RigNode):
                 self._run(commands)
 
     def _await_release(self, latched: str) -> None:
-        """Report once that a device is in emergency stop from before the session; wait for a person to release it."""
+        """Report once that a device is in emergency stop from before the session, and wait until a person releases it.
+
+        After `wait_s`, if given, the session fails.
+        """
         now_ns = self.clock.monotonic_ns()
         if latched and latched != self._latched:
             self._latched, self._latched_ns = latched, now_ns
@@ -283,16 +287,16 @@ class SessionNode(RigNode):
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
 
     def _end(self) -> None:
-        """Command the end of the operator's force profile, where one is running and can still be commanded."""
+        """Begin to end the session: stop the force profile if it runs, complete its files, withdraw a tip if needed."""
         was_arming = self.phase == "arming"
         self.phase = "ending"
         withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []
-        # the tip may have been armed when something else failed
+        # The tip may already have been armed when another command failed.
         steps: list[Command] = withdraw if was_arming else []
         if self.ran and not self.failure:
             end = [END] if set(END.expected) <= set(self._needed) else []
             split = list(self.recording.end_steps()) if self.recording is not None else []
-            # The file of the session is whole before any other command, but no tip waits for a recorder.
+            # Complete the session's file before the tip is withdrawn; but the tip does not wait for a late recorder.
             steps = [*end, *split, *withdraw]
             if self.attached and self._wait.behind_s():
                 steps, self._last_steps = [*end, *withdraw], split
@@ -311,7 +315,7 @@ class SessionNode(RigNode):
         if self.ran and not self.failure and not self._last_messages.over():
             return
         if self.ran and self.far is not None and not self._is_far_ended:
-            # What was sent until now is in the file of the session there, which is whole then.
+            # Complete the session's file of the other site: it has all messages sent until now.
             self._is_far_ended = True
             files = list(self.far.files)
             self._commands = self._client(self.far.end_steps())
@@ -327,12 +331,12 @@ class SessionNode(RigNode):
         return CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS, token=token)
 
     def _publishes(self, node: str) -> bool:
-        """Return whether a node is at work and sends with stamps of now."""
+        """Return whether a node has reported, is not stopping, and is not a replay, whose stamps are old."""
         health = self.health.get(node)
         return health is not None and health.state != "stopping" and not health.replay
 
     def interrupt(self) -> None:
-        """Request an early end; while the recorder is waited for, the end of the wait."""
+        """Request an early end; while the recorder is waited for, end that wait."""
         if self.phase == "ending":
             self._wait.skip()
             self._last_messages.skip()

@@ -1,4 +1,4 @@
-"""The site of the slave, whose nodes are kept running for a session that is conducted at the master's."""
+"""The launcher of the slave's site: it keeps the nodes there running for a session that the master's conducts."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,12 +19,12 @@ from telenano.wire.received import Received
 
 
 class SiteNode(RigNode):
-    """Keeps the nodes of the slave's site running for a session that the master's conducts; arms and starts nothing.
+    """Keeps the nodes of the slave's site running; the master's launcher conducts the session, arms and starts it.
 
     On request it sends the recording of its site, in pieces.
     """
 
-    # clock/ping comes from the link itself, past its impairments: the heartbeat of the master's machine
+    # The link sends clock/ping without its impairments, so it serves as the heartbeat of the master's machine.
     inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping", "session/control")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
 
@@ -39,9 +39,9 @@ class SiteNode(RigNode):
 
         Args:
             context: The context of the node.
-            supervisor: Has the nodes of this launcher.
-            folder: The folder that the recorder of this site records to.
-            sender: Returns what sends the recording; None where no package has it.
+            supervisor: Supervises the nodes of this launcher.
+            folder: The folder in which the recorder of this site writes.
+            sender: Returns the sender of recordings from a folder and a publish function; None if no package has it.
         """
         liveness = LivenessMonitor(context.clock, (f"{LINK}@slave",), "master")
         super().__init__(context, supervisor, liveness, (), "slave")
@@ -49,7 +49,7 @@ class SiteNode(RigNode):
         self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
 
     def waiting(self) -> dict[str, str]:
-        """Return for each node that is not ready what it waits for, but for inputs: the other site may send those."""
+        """Return the reason for each node that is not ready, except missing inputs, which the other site may send."""
         return unmet(self.nodes, self.health, inputs=False)
 
     def status_line(self) -> str:
@@ -74,7 +74,7 @@ class SiteNode(RigNode):
             self._pieces.send_due(now_ns)
 
     def on_control(self, control: SessionControl) -> str:
-        """Send a part of the recording of this site; RefusedError says what is wrong with the command."""
+        """Begin to send a part of the recording of this site; RefusedError states the fault of the command."""
         if control.command != "set":
             return super().on_control(control)
         if not control.parameters:
@@ -90,11 +90,11 @@ class SiteNode(RigNode):
         super().make_safe()
 
     def _hints(self, *nodes: str) -> str:
-        # The tip is at this site, whichever side was lost.
+        # The tip is at this site, so only its hint is useful here, whichever node was lost.
         return super()._hints(TIP)
 
     def advance(self) -> None:
-        """End when interrupted or when a node cannot be kept running; change to running when all nodes are ready."""
+        """End if interrupted or if a node cannot be kept running; change to running when all nodes are ready."""
         if self.phase in ("starting", "running") and (self.failure or self.interrupted):
             self.phase = "ending"
             self.event("node", "info", "the site is stopped", answer_to="", interrupted=self.interrupted)

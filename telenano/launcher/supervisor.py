@@ -1,4 +1,4 @@
-"""Supervises the processes of this machine: starts them, reports exits, and starts again what died."""
+"""Supervision of the processes of a rig on this machine: start, reports of exits and hangs, restarts, and stop."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,12 +9,12 @@ from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from telenano.timing.clock import Clock
 from telenano.wire.messages import NodeHealth, Scalar
 
-# level, sentence, and the facts of a session/event
+# Called with level, sentence, and the facts of a session/event.
 Report = Callable[..., None]
 
 
 class Supervisor:
-    """The nodes that are children of this process; `failure`: why the rig cannot continue, empty while it can."""
+    """Supervises the child processes; `failure`: the reason why the rig cannot continue, empty while it can."""
 
     def __init__(
         self,
@@ -24,18 +24,18 @@ class Supervisor:
         watchdog: Watchdog | None = None,
         beside: Sequence[str] = (),
     ) -> None:
-        """Supervise `nodes`, in the order of their start; none where all of them run elsewhere.
+        """Prepare to supervise; nothing is started yet.
 
         Args:
             clock: The clock of the rig.
-            nodes: The nodes in the order of their start.
+            nodes: The nodes in the order of their start; none if all of them run elsewhere.
             children: Starts and ends processes.
-            watchdog: Finds nodes that hang; without it only processes that end are started again.
+            watchdog: Detects nodes that hang; without it only processes that end are restarted.
             beside: Further processes without which the rig continues, such as the operator's page.
         """
         self.nodes = tuple(nodes)
         self.failure = ""
-        # It is true if the failure was that of a node which cannot start as it is configured.
+        # Whether the failure is a node that cannot start with its configuration.
         self.bad_start = False
         self._beside = tuple(beside)
         self._tracker = RestartTracker(clock, nodes, beside=beside)
@@ -43,12 +43,12 @@ class Supervisor:
         self._watchdog = watchdog
 
     def launch(self, report: Report) -> None:
-        """Start all processes; OSError where one of the rig cannot be started."""
+        """Start all processes; OSError if one of the nodes cannot be started."""
         for node in (*self.nodes, *self._beside):
             self._start(node, report, is_first=True)
 
     def handle_exits(self, report: Report) -> list[str]:
-        """Collect the processes that ended, report what follows for each, and return their nodes."""
+        """Collect the processes that ended, report the decision for each, and return their nodes."""
         ended = self._children.reap()
         if self._watchdog is not None:
             self._watchdog.forget(ended)
@@ -57,13 +57,13 @@ class Supervisor:
         return list(ended)
 
     def record_health(self, health: NodeHealth, report: Report) -> None:
-        """Record a report of a node, whose silence ends with it."""
+        """Record a report of a node; the end of a reported silence is reported too."""
         if self._watchdog is not None:
             is_stopping = health.state == "stopping"
             _tell(self._watchdog.record_report(health.src, health.pid, is_stopping=is_stopping), report)
 
     def handle_hangs(self, report: Report) -> None:
-        """Report nodes that are silent, and kill those that hang: they are started again like any that died."""
+        """Report silent nodes, and kill those that hang; they are then restarted like any that died."""
         if self._watchdog is not None:
             hung = self._watchdog.check()
             _tell(hung, report)
@@ -72,7 +72,7 @@ class Supervisor:
                     self._children.kill(finding.node)
 
     def restart_due(self, report: Report) -> None:
-        """Start the nodes whose restart is due; a device comes back in its safe state."""
+        """Start the nodes whose restart is due; a restarted device node begins in its safe state."""
         for node in self._tracker.due():
             if (process_id := self._start(node, report)) is not None:
                 report("warning", f"{node} was started again", about_node=node, pid=process_id)
@@ -81,18 +81,18 @@ class Supervisor:
         return {node: self._tracker.restarts(node) for node in self.nodes}
 
     def log_tail_of(self, node: str) -> str:
-        """Return the last lines of a node's log, and where the rest of it is."""
+        """Return the last lines of a node's log with the path of the file."""
         tail = self._children.log_tail(node) or "(it wrote nothing)"
         return f"last lines of {node}, from {self._children.log_path(node)}:\n{tail}"
 
     def stop(self, observer: StopObserver | None = None) -> None:
-        """Stop all nodes while an observer looks on."""
+        """Stop all nodes and report the progress to an observer, if any."""
         self._children.stop(observer or StopObserver())
 
     def _start(self, node: str, report: Report, *, is_first: bool = False) -> int | None:
-        """Start a process and return its id; None where it cannot be started, which is reported and tried again.
+        """Start a process and return its id; if that fails, report it, schedule another attempt, and return None.
 
-        A node that cannot be started at the first time is an error: there is no rig yet.
+        The first start of a node raises OSError instead, because there is no rig yet.
         """
         self._tracker.record_start(node)
         try:
@@ -114,7 +114,7 @@ class Supervisor:
         self._note_exit(ended, text, report, exit_code=ended.exit_code, life_s=ended.life_s)
 
     def _note_exit(self, ended: ProcessExit, text: str, report: Report, **facts: Scalar) -> None:
-        """Report the end of a process, or a start that failed; the first one that is given up ends the rig."""
+        """Report the end of a process or a failed start; the first node that is given up ends the rig."""
         report("error" if ended.given_up else "warning", text, about_node=ended.node, **facts)
         if ended.given_up and not self.failure and ended.node not in self._beside:
             # The first failure is the cause; later ones are its consequences.
@@ -122,7 +122,7 @@ class Supervisor:
             self.failure = "\n".join([text, *self._history(ended), self.log_tail_of(ended.node)])
 
     def _history(self, ended: ProcessExit) -> list[str]:
-        """Return how the node ended before, and which others did: a common cause shows in several."""
+        """Return lines on earlier ends of the node, and on other restarted nodes, which point to a common cause."""
         exits = self._tracker.exits(ended.node)
         lines = [f"its last {len(exits)} exits: {', '.join(map(_exit_text, exits))}"] if len(exits) > 1 else []
         others = [f"{node} ({count})" for node, count in self.restarts().items() if count and node != ended.node]

@@ -1,11 +1,11 @@
-"""Which of the processes of this machine hang: decisions on a clock, and what the kernel says of a process.
+"""Watchdog of the launcher: detects processes of this machine that hang, from their reports and their processor time.
 
-A node that hangs and one that was not let run are both silent. What tells them apart is the processor time that they
-take: a loop that never comes back to its messages takes all that it gets, a process that is stopped, or that waits for
-a processor, takes none. Only the first is ended; the others are only reported, and continue where they stood still.
+A node that hangs and one that does not get a processor are both silent. Their processor time distinguishes them: a loop
+that never returns to its messages uses all it can get, and a process that is stopped or waits for a processor uses
+none. Only a hanging process is killed; the others are reported, and continue when they can.
 
-The limit that the nodes of the loop set themselves (`telenano/runtime/loop/hang_guard.py`) cannot replace it: recorder
-and page have none, and a node that is stopped or starved takes no processor time and so never reaches one.
+The limit that the nodes of the loop set themselves (`telenano/runtime/loop/hang_guard.py`) cannot replace the watchdog:
+recorder and page have none, and a stopped or starved node uses no processor time and so never reaches it.
 """
 
 import os
@@ -17,17 +17,17 @@ from typing import Literal, NamedTuple, Protocol
 from telenano.timing.clock import Clock
 from telenano.wire.nodes import RECORDER, name_of
 
-# node/health comes twice a second
+# Silence after which a node is judged [s]; it publishes node/health twice a second.
 SILENCE_S = 2.0
-# A recorder writes the index of a long file in one go, on a disk that may be slow.
+# Busy time after which a silent recorder counts as hung [s]; it writes the index of a long file without reporting.
 RECORDER_BUSY_S = 120.0
-# A hanging process uses at least this share of the wall time; below it something kept the processor from it.
+# Least share of the wall time that a hanging process uses; below it, the process did not get the processor.
 BUSY_SHARE = 0.8
-# A silent process is examined at this interval: the kernel counts in hundredths of a second.
+# Interval of samples of a process [s]; the kernel counts in hundredths of a second.
 LOOK_S = 0.25
-# These states of proc(5) mean that a signal or a debugger has stopped the process.
+# States of proc(5) in which a signal or a debugger has stopped the process.
 _STOPPED = ("T", "t")
-# The fields have these places in /proc/PID/stat behind the name in parentheses.
+# Indices of fields in /proc/PID/stat behind the name in parentheses.
 _STATE = 0
 _USER_TICKS = 11
 _SYSTEM_TICKS = 12
@@ -36,30 +36,30 @@ Kind = Literal["hung", "stopped", "starved", "unknown", "paused", "back"]
 
 
 class ProcessSample(NamedTuple):
-    """What the kernel says of a process: its state in one letter, and the processor time it has taken [s]."""
+    """State of a process in one letter, as in proc(5), and the processor time that it has used [s]."""
 
     state: str
     cpu_s: float
 
 
 class ProcessTimes(Protocol):
-    """What a watchdog asks about processes."""
+    """Source of samples of processes for a watchdog."""
 
     def read(self, process_id: int) -> ProcessSample:
-        """Return the sample of a process; OSError or ValueError where there is none."""
+        """Return the present sample of a process; OSError or ValueError if there is none."""
 
 
 class ProcFiles:
-    """The samples of /proc, which Linux gives for the processes of the same user."""
+    """Samples from /proc on Linux, for processes of the same user."""
 
     def __init__(self, folder: Path = Path("/proc")) -> None:
         self._folder = folder
         self._tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
 
     def read(self, process_id: int) -> ProcessSample:
-        """Return the sample of a process; OSError or ValueError where there is none."""
+        """Return the present sample of a process; OSError or ValueError if there is none."""
         text = (self._folder / str(process_id) / "stat").read_text()
-        # The name may hold anything, parentheses and spaces too.
+        # The name may contain any character, even parentheses and spaces.
         fields = text.rpartition(")")[2].split()
         if len(fields) <= _SYSTEM_TICKS:
             raise ValueError(f"{self._folder}/{process_id}/stat has {len(fields)} fields behind the name")
@@ -69,9 +69,9 @@ class ProcFiles:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a watchdog has found of a node; `text` is a sentence about it, `silence_s` since its last report.
+    """A finding on a node; `text` is a sentence on it, and `silence_s` the time since its last report [s].
 
-    `paused` is about the machine, or the launcher on it, and names no node.
+    The kind `paused` concerns the launcher or the whole machine, and has an empty node.
     """
 
     node: str
@@ -81,23 +81,23 @@ class Finding:
 
 
 class _Watched:
-    """A process since its start, and since its last report."""
+    """Observations of a process since its last report."""
 
     def __init__(self, process_id: int) -> None:
         self.process_id = process_id
         self.reported: Kind | None = None
-        # None before the first report: anything before it may take any time.
+        # None before the first report, because the start of a process may take any time.
         self.last_ns: int | None = None
         self.looked_ns = 0
         self.sample: ProcessSample | None = None
         self.why_not = ""
-        # The part of the silence during which the launcher was awake, and how long the node has been using a processor
-        # now [s].
+        # Part of the silence during which the launcher was running, and time for which the process has been using a
+        # processor without a pause [s].
         self.silence_s = self.busy_s = 0.0
 
 
 class Watchdog:
-    """Finds own nodes that have been silent for two seconds, and tells those that hang from those that wait."""
+    """Detects own nodes that are silent for two seconds, and distinguishes those that hang from those that wait."""
 
     def __init__(self, clock: Clock, times: ProcessTimes) -> None:
         self._clock, self._times = clock, times
@@ -105,19 +105,19 @@ class Watchdog:
         self._checked_ns = clock.monotonic_ns()
 
     def record_start(self, node: str, process_id: int) -> None:
-        """Record the process of a node; it is watched from its first report on."""
+        """Record the process of a node; it is judged from its first report on."""
         self._watched[node] = _Watched(process_id)
 
     def record_report(self, node: str, process_id: int, *, is_stopping: bool) -> list[Finding]:
-        """Record node/health; return the end of a silence that was reported.
+        """Record node/health; return the end of a silence if that was reported.
 
-        What a process that is gone, or somebody else, says under the name of the node does not count.
+        Reports of another process id, such as that of an ended process of the node, are ignored.
         """
         watched = self._watched.get(node)
         if watched is None or watched.process_id != process_id:
             return []
         now, last = self._clock.monotonic_ns(), watched.last_ns
-        # A process that stops may take its time: it has sent its last message.
+        # A stopping process has sent its last report, so its silence is not judged.
         self._watched[node] = row = _Watched(process_id)
         row.last_ns = None if is_stopping else now
         row.looked_ns = now
@@ -133,10 +133,10 @@ class Watchdog:
             self._watched.pop(node, None)
 
     def check(self) -> list[Finding]:
-        """Return what was found since the last call: each silence once, and once more if it turns out to be a hang."""
+        """Return the findings since the last call: each silence once, and again if it turns out to be a hang."""
         now = self._clock.monotonic_ns()
         elapsed_s = (now - self._checked_ns) * 1e-9
-        # Where the launcher, or the whole machine, stood still, no node could be heard.
+        # While the launcher or the whole machine stood still, no report could be received, so that time does not count.
         awake_s = min(elapsed_s, LOOK_S)
         self._checked_ns = now
         hangs = []
@@ -158,7 +158,7 @@ class Watchdog:
         return hangs
 
     def _look(self, watched: _Watched, now_ns: int) -> None:
-        """Take a sample, and add the time since the last one to what the process was busy for, or begin again."""
+        """Take a sample; add the time since the last one to the busy time, or reset it if the process was idle."""
         before, elapsed_s = watched.sample, (now_ns - watched.looked_ns) * 1e-9
         watched.looked_ns = now_ns
         try:
@@ -181,7 +181,7 @@ def _judged(watched: _Watched, longest_busy_s: float) -> Kind | None:
         return "stopped"
     if watched.busy_s == 0.0:
         return "starved"
-    # A process that was not let run for a while is given as long to catch up as one that was.
+    # The limit counts busy time, so a process that did not get a processor has the same time to catch up as any other.
     return "hung" if watched.busy_s >= longest_busy_s else None
 
 

@@ -1,4 +1,4 @@
-"""Teleoperation laws as two-ports: their steps, the timing of both halves, force clamp, x and y.
+"""Teleoperation laws as two-ports: their steps, the timing of both halves, the force clamp, and the lateral path.
 
 Their settings and the table of laws are in `telenano.sections`.
 """

@@ -2,10 +2,11 @@
 
     x_s' <= (max(F_m, 0) + F_0 - F_s) / B_g   at the hand's scale
 
-towards the sample; away from it nothing is limited. It is a local force servo to F_m(t - T), closed by the instrument
-with the force that it measures, so no loop of it passes the link. What it costs: where the hand's own arm relaxes, the
-force follows, and the positions of hand and tip part. `passivity`, `model_mediated` and `wave` have it in their own
-slave half, because they count what it refuses; the others get it here, behind theirs.
+towards the sample; motion away from it is not limited. The clamp is a local force servo of F_m(t - T), closed at the
+instrument with the measured force, so its loop does not pass through the link. The price: if the operator's arm
+relaxes, the force follows, and the positions of hand and tip separate. `passivity`, `model_mediated` and `wave` have
+the clamp in their own slave half, because they account for the motion that it refuses; for the other laws it is applied
+here, after their slave half.
 """
 
 from typing import NamedTuple
@@ -13,12 +14,12 @@ from typing import NamedTuple
 from telenano.extend.laws import PortSignal, SlaveReference, TipMeasurement
 from telenano.numerics.compiler import compiled
 
-# the margin of a clamp that is off [N]
+# Margin of a clamp that is switched off [N].
 NO_LIMIT_N = 1e9
 
 
 class ClampParams(NamedTuple):
-    """Whether it acts, and on what: reach_m_per_n, way of the base in a period for a newton at the hand [m/N]."""
+    """Constants of the clamp: reach_m_per_n, motion of the base in a period per newton at the hand's scale [m/N]."""
 
     enabled: bool
     force_scale: float
@@ -28,7 +29,7 @@ class ClampParams(NamedTuple):
 
 @compiled
 def clamped(params: ClampParams, wanted: SlaveReference, signal: PortSignal, tip: TipMeasurement) -> SlaveReference:
-    """Return the reference of the base that the clamp lets through in a period."""
+    """Return the wanted reference of the base, limited to the motion that the clamp allows in a period."""
     if not (params.enabled and tip.following and signal.active):
         return wanted
     allowed = max(params.force_scale * signal.force_n, 0.0) + params.margin_n - params.force_scale * tip.force_n

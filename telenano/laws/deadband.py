@@ -1,16 +1,17 @@
 """Perceptual dead band: a signal is sent when it differs perceptibly from the last one sent, else the receiver holds.
 
 Force, velocity and wave are compared by Weber's law, |y - y_sent| > max(w |y_sent|, floor): people do not feel changes
-of less than about a tenth. A position is not perceived by its ratio to an arbitrary origin, so it has a resolution
-instead. Changes of contact or activity are always sent, and so is one after a time without any: by silence (50 ms) the
-other side detects a dead link. Source: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss,
-"Perception-based data reduction and transmission of haptic data", IEEE Trans. Signal Processing 56 (2008).
+of less than about a tenth. A position has no natural origin to which a change could be related, so it has a fixed
+resolution instead. Changes of contact or activity are always sent. A signal is also sent after a time without any,
+because the other side takes a silence (50 ms) for a dead link. Source: P. Hinterseer, S. Hirche, S. Chaudhuri,
+E. Steinbach, M. Buss, "Perception-based data reduction and transmission of haptic data", IEEE Trans. Signal Processing
+56 (2008).
 
-Passivity. The receiver holds the last value. For a force F held while it changes by at most w |F| the channel can make
-energy at the rate w |F v|, as a negative damper of w |F / v| would: laws without an energy account (virtual impedance,
-position-force, Smith) lose that much margin. Wave variables and passivity control send counters of what has passed, so
-what is held back is not lost, only late, and cannot be spent before: they stay passive. The local model of the
-model-mediated law is not in the channel at all.
+Passivity. The receiver holds the last value. While a force F is held, which may change by up to w |F|, the channel can
+generate energy at the rate w |F v|, like a negative damper of w |F / v|; laws without an energy account (virtual
+impedance, position-force, Smith) lose that much margin. Wave variables and passivity control send cumulative counters,
+so a value that is held back is only late, and its energy cannot be spent before it arrives: they stay passive. The
+local model of the model-mediated law does not pass through the channel at all.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from telenano.numerics.compiler import compiled
 
 
 class DeadbandParams(NamedTuple):
-    """Constants of the codec."""
+    """Constants of the dead band: Weber fraction, smallest perceptible changes, and longest time without a signal."""
 
     enabled: bool
     weber_fraction: float
@@ -32,7 +33,7 @@ class DeadbandParams(NamedTuple):
 
 
 class DeadbandState(NamedTuple):
-    """The signal last sent, the time since [s] (negative: none was), and how many were offered and sent."""
+    """The signal last sent, the time since then [s] (negative before the first), and the numbers offered and sent."""
 
     last: PortSignal
     since_s: float
@@ -42,7 +43,7 @@ class DeadbandState(NamedTuple):
 
 @compiled
 def initial_deadband_state(signal: PortSignal) -> DeadbandState:
-    """Return the state in which the next signal is always sent; `signal` gives the type."""
+    """Return a state after which the next signal is always sent; `signal` serves for its type only."""
     return DeadbandState(signal, -1.0, 0, 0)
 
 
@@ -53,13 +54,13 @@ def _differs(value: float, last: float, weber_fraction: float, floor: float) -> 
 
 @compiled
 def deadband(params: DeadbandParams, state: DeadbandState, signal: PortSignal, dt: float) -> tuple[DeadbandState, bool]:
-    """Return whether a signal is to be sent, dt [s] after the one before."""
+    """Return the next state, and whether to send a signal, dt [s] after the previous one was offered."""
     last, w = state.last, params.weber_fraction
     since_s = state.since_s + dt
     send = (
         not params.enabled
         or state.since_s < 0.0
-        # Rounding in a sum of periods must not cost a period.
+        # The tolerance is for rounding in a sum of periods, which must not delay the signal by a period.
         or since_s >= params.keep_alive_s * (1.0 - 1e-9)
         or signal.active != last.active
         or signal.in_contact != last.in_contact

@@ -1,17 +1,17 @@
-"""The periods of the hand between its samples, counted by the time stamps that they carry."""
+"""Number of periods of the hand between its samples, from their time stamps."""
 
 from typing import NamedTuple
 
 from telenano.numerics.compiler import inlined
 
-# `periods_to` returns this where the sequence of samples begins, or begins again.
+# Returned by `periods_to` if the sequence of samples begins, or begins again.
 RESTARTED = -1
-# a sample moves the grid by this share of what it is off, because even the first one may have been late
+# A sample moves the grid by 1/_SHARE of its deviation, because even the sample that set the grid may have been late.
 _SHARE = 64
 
 
 class HandClock(NamedTuple):
-    """The time stamp of the newest sample [ns], -1 before the first one, and the place of the hand's grid [ns]."""
+    """Time stamp of the newest sample [ns], -1 before the first, and the newest point of the hand's time grid [ns]."""
 
     sampled_ns: int
     grid_ns: int
@@ -25,14 +25,14 @@ def no_sample() -> HandClock:
 
 @inlined
 def periods_to(clock: HandClock, sampled_ns: int, period_ns: int, longest: int) -> tuple[HandClock, int]:
-    """Return the clock at a sample, and the periods since the sample before it; ANEW past the longest pause.
+    """Return the clock at a sample, and the periods since the previous sample; RESTARTED past the longest pause.
 
-    The hand's grid is absolute, so its stamps differ from whole periods by its lateness only, and no period is counted
-    twice. To round each difference of two stamps by itself would count 2, 1, 1 periods for the three from 0 by 1.6 and
-    2.4 to 3.0 ms. After a sample that was late by more than half a period the next one is none later: 0.
+    The hand samples on an absolute grid, so the stamps deviate from it only by their lateness, and no period is counted
+    twice. Rounding each difference of two stamps instead would count 2, 1 and 1 periods between stamps at 0, 1.6, 2.4
+    and 3.0 ms. If a sample was late by more than half a period, the next one is 0 periods later.
 
     Args:
-        clock: The clock at the sample before.
+        clock: The clock at the previous sample.
         sampled_ns: The stamp of the sample [ns].
         period_ns: The period of the hand [ns].
         longest: The longest pause that is bridged [periods].

@@ -1,26 +1,27 @@
 """The hand moves the tip across the sample, feels the lateral force there, and is guided by virtual fixtures.
 
-*Rate*: the displacement of the hand from where it took hold is the velocity of the tip, v = g (|e| - e_0) e / |e|, at
-most that of Eq. 14. No loop passes through the place of the hand then: once a particle moves, its force does not depend
-on that. *Position*: what the hand moves, the tip moves at a scale; with the clutch released it moves freely. The
-reference of the tip is the sum of these ways. It goes to the slave's half, which adds them to where the stage is
-(`lateral_slave_step`): what was not sent, or came after a silence, is no way, so the tip never catches up blindly.
+*Rate*: the displacement e of the hand from the point where it engaged commands the velocity of the tip,
+v = g (|e| - e_0) e / |e|, limited to that of Eq. 14. Then no loop passes through the position of the hand, because the
+force of a moving particle does not depend on it. *Position*: the tip moves by the scaled motion of the hand; with the
+clutch released, the hand moves freely. The reference of the tip is the sum of these motions. The slave's half adds its
+changes to the position of the stage (`lateral_slave_step`). Motion that was not sent, or that arrived after a silence,
+is dropped, so the tip never catches up blindly.
 
-The force across at the hand is that of the tip (scaled, at most F_max, slewed), a spring to the middle (rate), a
-damper, a pulse of 20 ms when a particle is met or lost, and the fixtures. A fixture is a spring between the hand and
-the place where it is to be: in mode position that at which the tip is on the line, or outside of the disc; in mode
-rate the displacement that brings the tip there with a time constant of 1 s. The hold of the depth is a force on the
-law's axis.
+The lateral force at the hand is the sum of the force of the tip (scaled, limited to F_max, slew-rate limited), a spring
+to the centre (rate), a damper, a pulse of 20 ms when a particle is met or lost, and the fixtures. A fixture is a spring
+between the hand and its target: in mode position the point at which the tip is on the line, or outside the disc; in
+mode rate the displacement that brings the tip there with a time constant of 1 s. The depth hold is a force on the law's
+axis.
 
-**Energy.** What this module shows to the hand comes out of two stores, one for the plane and one for the depth. Each
-holds what the hand has put in, as it is counted from sample to sample, and half of what is granted at the start. A
-force F is reduced where the hand could take more until the next sample, F v T + |F| a T^2 with a hand that
-accelerates by a = 20 m/s^2 at most. So neither gives out more than is granted, whatever the delay and however the
-fixtures are moved, and the law keeps what it promises along its axis. The stage is a source at the slave: it is
-bounded by speed and by the guard's lateral limit.
+**Energy.** The forces of this module are paid from two stores, one for the plane and one for the depth. Each holds the
+work of the hand, summed from sample to sample, and half of the energy granted at the start. Before the next sample the
+hand can take at most F v T + |F| a T^2 from a force F, with an acceleration of at most a = 20 m/s^2; a force that the
+store cannot pay is reduced. So neither store gives out more than was granted, for any delay and any motion of the
+fixtures, and the law keeps its promise along its own axis. The stage is a motion source at the slave, limited by its
+speed and by the guard's lateral limit.
 
-What the spring to the middle has taken, k e^2 / 2, is kept for that spring. A particle that pushes the hand back would
-otherwise spend it, nothing would bring a hand back that was let go, and by rate the tip would continue for ever.
+The energy of the spring to the centre, k e^2 / 2, is reserved for that spring. Otherwise a particle that pushes the
+hand back could spend it, no force would bring a released hand back, and in mode rate the tip would never stop.
 """
 
 import math
@@ -28,43 +29,43 @@ from typing import NamedTuple
 
 from telenano.numerics.compiler import compiled
 
-# The modes in which the hand moves the tip.
+# Modes in which the hand moves the tip.
 DIRECT = 0
 RATE = 1
 POSITION = 2
-# The results of a step for a particle.
+# News of a particle that a step can have.
 NO_NEWS = 0
 MET = 1
 LOST = 2
 
 _HAND_ACCELERATION_M_PER_S2 = 20.0
-# The fixtures bring the tip to its place in mode rate with this time constant.
+# Time constant with which fixtures bring the tip to its target in mode rate [s].
 _GUIDED_S = 1.0
-# The fixtures displace the hand by no more than this.
+# Greatest displacement of the hand by fixtures in mode rate [m].
 _MOST_GUIDED_M = 5e-3
-# A particle is met after this number of steps above the noise.
+# Number of successive steps above the noise at which a particle counts as met.
 _MET_STEPS = 3
-# A particle is lost below this share of the plateau.
+# Share of the plateau below which the force counts as that of a lost particle.
 _LOST_SHARE = 0.3
-# A step is above the noise by this number of standard deviations.
+# Number of standard deviations by which a force is above the noise.
 _DEVIATIONS = 3.0
-# The noise is that of some 50 steps: a step enters it with this share.
+# Weight of a step in the running mean and variance of the noise, which thus extend over some 50 steps.
 _NOISE_SHARE = 0.02
-# The plateau is the mean over this way.
+# Distance of the tip over which the plateau is averaged [m].
 _PLATEAU_WAY_M = 7e-9
-# The place of the reference over the sample is taken again when the tip has stood for this time.
+# Time at rest after which the origin of the reference over the sample is measured again [s].
 _STILL_S = 1.0
-# A signal brings no more way than that of this time.
+# Longest time for which one signal may bring motion [s].
 _LONGEST_WAY_S = 0.02
-# The stage is asked for no more than the way of this time ahead of it, and _LEAD_M.
+# The stage's reference leads its position by at most the motion of _LEAD_S [s] at full speed, plus _LEAD_M [m].
 _LEAD_S = 0.1
 _LEAD_M = 1e-9
-# The stage belongs to the hand until it has stood for this time.
+# Time without motion of the hand after which it no longer controls the stage [s].
 _IDLE_S = 0.2
 
 
 class MotionParams(NamedTuple):
-    """Mode; whether the clutch is engaged; tip for hand [1/s] or [1]; dead zone [m]; fastest tip [m/s]."""
+    """Mode, whether the clutch is engaged, gain (rate: [1/s], position: [1]), dead zone [m], speed limit [m/s]."""
 
     mode: int
     engaged: bool
@@ -80,7 +81,7 @@ class MotionParams(NamedTuple):
         shown_n: tuple[float, float],
         speed_m_per_s: tuple[float, float],
     ) -> tuple[float, float]:
-        """Return the force of a person [N] who steers, as the function of this module."""
+        """Return the force of a person who steers [N], as `steering_force_n` of this module does."""
         return steering_force_n(self, stiffness_n_per_m, place_m, neutral_m, shown_n, speed_m_per_s)
 
 
@@ -93,18 +94,18 @@ def steering_force_n(
     shown_n: tuple[float, float],
     speed_m_per_s: tuple[float, float],
 ) -> tuple[float, float]:
-    """Return the force of a person [N] who brings the stylus to where mode rate gives the tip a speed [m/s].
+    """Return the force [N] of a person who wants a velocity of the tip [m/s] in mode rate.
 
-    An arm pulls it there like a spring, and holds against the force that the stylus shows. At a speed of 0 that is
-    where it took hold.
+    The arm is a spring that pulls the stylus to the displacement for that velocity, and opposes the displayed force.
+    For velocity 0 that is the point where the stylus engaged.
 
     Args:
         motion: The constants of the motion of the tip.
-        stiffness_n_per_m: The spring of the arm [N/m].
-        place_m: Where the stylus is [m].
-        neutral_m: Where it took hold [m].
-        shown_n: The force that it shows [N].
-        speed_m_per_s: The speed of the tip [m/s].
+        stiffness_n_per_m: The stiffness of the arm [N/m].
+        place_m: The position of the stylus [m].
+        neutral_m: The position at which it engaged [m].
+        shown_n: The force that it displays [N].
+        speed_m_per_s: The wanted velocity of the tip [m/s].
     """
     v_x, v_y = speed_m_per_s
     speed = math.sqrt(v_x * v_x + v_y * v_y)
@@ -114,7 +115,7 @@ def steering_force_n(
 
 
 class FeelParams(NamedTuple):
-    """What the hand feels across, and how much energy may leave (`LateralConfig`)."""
+    """Constants of the lateral force at the hand, and its energy limits (`LateralConfig`)."""
 
     force_scale: float
     max_force_n: float
@@ -130,7 +131,7 @@ class FeelParams(NamedTuple):
 
 
 class GuideParams(NamedTuple):
-    """A line over the sample."""
+    """Constants of a line over the sample that guides the hand."""
 
     enabled: bool
     x0_m: float
@@ -142,7 +143,7 @@ class GuideParams(NamedTuple):
 
 
 class DiscParams(NamedTuple):
-    """A disc over the sample."""
+    """Constants of a disc over the sample that the hand is kept out of."""
 
     enabled: bool
     x_m: float
@@ -153,7 +154,7 @@ class DiscParams(NamedTuple):
 
 
 class DepthParams(NamedTuple):
-    """A depth of the hand."""
+    """Constants of the hold of the hand's depth."""
 
     enabled: bool
     stiffness_n_per_m: float
@@ -172,7 +173,7 @@ class LateralParams(NamedTuple):
 
 
 class LateralHand(NamedTuple):
-    """A sample of the hand: place across and along the law's axis [m], velocities [m/s], whether it follows."""
+    """A sample of the hand: position across and along the law's axis (z) [m], velocities [m/s], whether it follows."""
 
     x_m: float
     y_m: float
@@ -184,7 +185,7 @@ class LateralHand(NamedTuple):
 
 
 class LateralFar(NamedTuple):
-    """What the slave's half has sent: lateral force on the tip [N], place of the stage [m]; known: it is not silent."""
+    """Values from the slave's half: lateral force on the tip [N], position of the stage [m]; known: they are recent."""
 
     force_x_n: float
     force_y_n: float
@@ -194,7 +195,12 @@ class LateralFar(NamedTuple):
 
 
 class ContactDetector(NamedTuple):
-    """What tells a particle by its force: mean and variance without it, steps above, plateau [N], way without."""
+    """Detects a particle by its force.
+
+    mean_n, variance_n2: of the force without a particle [N, N^2]; steps: successive steps above the noise; plateau_n:
+    mean force of the particle [N]; faint_m: distance moved with a force far below it [m]; x_m, y_m: last position of
+    the stage [m].
+    """
 
     mean_n: float
     variance_n2: float
@@ -206,9 +212,9 @@ class ContactDetector(NamedTuple):
 
 
 class Clutch(NamedTuple):
-    """The hand at its last sample [m] with mode and clutch as they were then; live: whether it followed.
+    """The hand at its last sample: position [m], mode and clutch; live: whether it followed.
 
-    neutral: where it took hold [m]; depth_m: at which it is held, where it holds.
+    neutral_x_m, neutral_y_m: position at which it engaged [m]; depth_m: depth at which it is held, if `holds` [m].
     """
 
     live: bool
@@ -224,7 +230,7 @@ class Clutch(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Sum of the ways of the tip [m]; where over the sample that is 0, once placed [m]; time since it moved [s]."""
+    """Sum of the motions of the tip [m], its origin over the sample [m] if `placed`, time since the last motion [s]."""
 
     x_m: float
     y_m: float
@@ -235,7 +241,7 @@ class Path(NamedTuple):
 
 
 class RenderedForce(NamedTuple):
-    """The force of the tip as it is rendered at the hand [N]; time left of a pulse [s], and its direction."""
+    """The force of the tip as rendered at the hand [N], and the remaining time [s] and direction of a pulse."""
 
     x_n: float
     y_n: float
@@ -245,7 +251,7 @@ class RenderedForce(NamedTuple):
 
 
 class EnergyTank(NamedTuple):
-    """Energy that has entered across [J]; what is left of it, and of the work of the depth; what was dissipated [J]."""
+    """Energy that entered laterally, stored lateral energy, stored energy of the depth, and dissipated energy [J]."""
 
     entered_j: float
     left_j: float
@@ -257,9 +263,9 @@ NO_ENERGY = EnergyTank(0.0, 0.0, 0.0, 0.0)
 
 
 class LateralMasterState(NamedTuple):
-    """The master's half of the lateral path, under the names that its parts have in recordings.
+    """State of the master's half of the lateral path; recordings use these names of its parts.
 
-    force_n: what is shown to the hand across and along the law's axis [N]; news: what became of a particle.
+    force_n: force displayed at the hand, across and along the law's axis [N]; news: whether a particle was met or lost.
     """
 
     held: Clutch
@@ -299,7 +305,7 @@ def _clipped(x: float, y: float, most: float) -> tuple[float, float]:
 
 @compiled
 def _clutched(params: LateralParams, before: Clutch, hand: LateralHand) -> Clutch:
-    """Return the hand at a sample; it takes hold where it begins, and where mode or clutch let it."""
+    """Return the hand at a sample; it engages anew at its start, and after a change of mode or of the clutch."""
     motion = params.motion
     takes_hold = not (before.live and before.engaged and before.mode == motion.mode)
     holds = params.depth.enabled and hand.following
@@ -319,7 +325,7 @@ def _clutched(params: LateralParams, before: Clutch, hand: LateralHand) -> Clutc
 
 @compiled
 def _tank_after(feel: FeelParams, state: LateralMasterState, hand: LateralHand) -> EnergyTank:
-    """Return the energy after the work of the force that was shown since the last sample."""
+    """Return the energy after the work of the force that was displayed since the last sample."""
     before, tank = state.held, state.store
     if not before.live:
         return tank
@@ -332,7 +338,7 @@ def _tank_after(feel: FeelParams, state: LateralMasterState, hand: LateralHand) 
 
 @compiled
 def _step_m(params: LateralParams, before: Clutch, clutch: Clutch, path: Path, dt: float) -> tuple[float, float]:
-    """Return the way of the tip in a step [m]."""
+    """Return the motion of the tip in a step of dt [s] in x and y [m]."""
     motion, disc = params.motion, params.disc
     if motion.mode == POSITION:
         if not before.live:
@@ -347,7 +353,7 @@ def _step_m(params: LateralParams, before: Clutch, clutch: Clutch, path: Path, d
     size = _length(out_x, out_y)
     if not (disc.enabled and path.placed and 0.0 < size < disc.radius_m):
         return x, y
-    # In the disc the tip goes outwards and along its edge only.
+    # Within the disc the tip may move only outwards or tangentially.
     inwards = min((x * out_x + y * out_y) / size, 0.0)
     return x - inwards * out_x / size, y - inwards * out_y / size
 
@@ -363,12 +369,12 @@ def _path_after(path: Path, way: tuple[float, float], far: LateralFar, dt: float
 
 @compiled
 def _displacement_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
-    """Return by how much the hand is to move along a normal [m] for the tip to go aside_m [m] along it.
+    """Return the motion of the hand along a normal [m] that brings the tip `aside_m` [m] along it.
 
     Args:
         motion: The constants of the motion.
         e_n: Displacement of the hand along the normal [m].
-        aside_m: How far the tip has to go along it, or, where negative, how far it may go against it.
+        aside_m: The distance from tip to target along the normal [m]; negative if the target is behind it.
     """
     if motion.mode == POSITION:
         return aside_m / motion.gain
@@ -377,7 +383,7 @@ def _displacement_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
 
 @compiled
 def _fixtures(params: LateralParams, clutch: Clutch, path: Path) -> tuple[float, float]:
-    """Return the force of guide and disc on the hand [N]."""
+    """Return the force of guide and disc on the hand in x and y [N]; zero while released or without a known origin."""
     force_x, force_y = 0.0, 0.0
     if not (path.placed and clutch.engaged):
         return force_x, force_y
@@ -404,7 +410,7 @@ def _fixtures(params: LateralParams, clutch: Clutch, path: Path) -> tuple[float,
 
 @compiled
 def _detect_contact(feel: FeelParams, contact: ContactDetector, far: LateralFar) -> tuple[ContactDetector, int]:
-    """Return what is known of a particle after what was felt, and whether it was met or lost just now."""
+    """Return the detector after a lateral force of the tip, and whether a particle was met or lost by it."""
     size, way = _length(far.force_x_n, far.force_y_n), _length(far.x_m - contact.x_m, far.y_m - contact.y_m)
     mean, variance, steps, plateau, faint = (
         contact.mean_n,
@@ -435,7 +441,10 @@ def _detect_contact(feel: FeelParams, contact: ContactDetector, far: LateralFar)
 def _rendered(
     feel: FeelParams, rendered: RenderedForce, far: LateralFar, news: int, way: tuple[float, float], dt: float
 ) -> RenderedForce:
-    """Return the force of the tip as it is felt, which goes to nothing in a silence, and the pulse."""
+    """Return the rendered force of the tip, which fades to zero during a silence, and the pulse.
+
+    A new pulse acts against the motion `way` of the tip [m].
+    """
     scale = feel.force_scale if far.known else 0.0
     x, y = _clipped(scale * far.force_x_n, scale * far.force_y_n, feel.max_force_n)
     x, y = _clipped(x - rendered.x_n, y - rendered.y_n, feel.force_rate_n_per_s * dt)
@@ -458,7 +467,7 @@ def _force_n(
     hand: LateralHand,
     dt: float,
 ) -> tuple[float, float, float]:
-    """Return the force that the hand is shown until the next sample [N], as much of it as there is energy for."""
+    """Return the force displayed until the next sample, in x, y and z [N], reduced to the energy in the stores."""
     feel, depth = params.feel, params.depth
     v_x, v_y, v_z = hand.speed_x_m_per_s, hand.speed_y_m_per_s, hand.speed_z_m_per_s
     drawn_x, drawn_y = _fixtures(params, clutch, path)
@@ -479,7 +488,7 @@ def _force_n(
     left_j, back_j = tank.left_j + granted, _most_j(_length(back_x, back_y), back_x * v_x + back_y * v_y, dt)
     share = _affordable(back_j, left_j)
     back_x, back_y = share * back_x, share * back_y
-    # What the spring to the middle has taken is kept for it: it has to bring back a hand that was let go.
+    # The energy of the spring to the centre is reserved for it, because it has to bring back a released hand.
     kept_j = max(0.5 * spring * (e_x * e_x + e_y * e_y), share * back_j)
     share = _affordable(_most_j(_length(f_x, f_y), f_x * v_x + f_y * v_y, dt), left_j - kept_j)
     share_z = _affordable(_most_j(abs(f_z), f_z * v_z, dt), tank.left_z_j + granted)
@@ -488,13 +497,13 @@ def _force_n(
 
 @compiled
 def _most_j(force_n: float, power_w: float, dt: float) -> float:
-    """Return the most that the hand can take in dt [s] from a force [N] with a power [W]."""
+    """Return the greatest energy [J] that the hand can take in dt [s] from a force [N], at its present power [W]."""
     return (power_w + force_n * _HAND_ACCELERATION_M_PER_S2 * dt) * dt
 
 
 @compiled
 def _affordable(most_j: float, left_j: float) -> float:
-    """Return the share of a force from which the hand can take at most most_j [J], so that it takes what is left."""
+    """Return the share of a force that left_j pays, if the hand can take at most most_j from the whole force [J]."""
     left = max(left_j, 0.0)
     return left / most_j if most_j > left else 1.0
 
@@ -503,13 +512,13 @@ def _affordable(most_j: float, left_j: float) -> float:
 def lateral_master_step(
     params: LateralParams, state: LateralMasterState, hand: LateralHand, far: LateralFar, dt: float
 ) -> LateralMasterState:
-    """Return the state after a sample of the hand, dt [s] after the one before: reference, forces, energy, news.
+    """Return the state after a sample of the hand: reference, forces, energy, and news of a particle.
 
     Args:
         params: The constants, of mode rate or position.
-        state: The state at the sample before.
+        state: The state at the previous sample.
         hand: The sample.
-        far: What the slave's half has sent.
+        far: The values from the slave's half.
         dt: The time between the two samples [s].
     """
     clutch, tank = _clutched(params, state.held, hand), _tank_after(params.feel, state, hand)
@@ -523,9 +532,9 @@ def lateral_master_step(
 
 
 class LateralSlaveState(NamedTuple):
-    """The slave's half: whether the stage belongs to the hand, its newest reference, and where the stage is to be [m].
+    """State of the slave's half: newest reference of the hand [m], and target of the stage [m].
 
-    live: a reference came before; idle_s: since the hand moved it.
+    live: there is a previous reference to continue from; idle_s: time since the hand moved the stage [s].
     """
 
     live: bool
@@ -544,7 +553,7 @@ def lateral_slave_at_rest() -> LateralSlaveState:
 
 @compiled
 def hand_moves(state: LateralSlaveState) -> bool:
-    """Return whether the stage is to go where the hand wants it."""
+    """Return whether the hand controls the stage."""
     return state.live and state.idle_s < _IDLE_S
 
 
@@ -557,15 +566,15 @@ def lateral_slave_step(
     continues: bool,
     dt: float,
 ) -> LateralSlaveState:
-    """Return the state after a signal with a reference [m], dt [s] after the one before; the stage is at place_m [m].
+    """Return the state after a signal with a reference [m], dt [s] after the previous one; the stage is at place_m [m].
 
-    continues: the instrument follows, and the signal follows the one before: no silence, no restart.
+    continues: the instrument follows, and neither a silence nor a restart lies between this signal and the previous.
     """
     x, y = reference_m
     if not (state.live and continues):
         return LateralSlaveState(continues, x, y, place_m[0], place_m[1], _IDLE_S)
     speed = params.motion.speed_m_per_s
-    # Half as much again, because signals come in bursts.
+    # The limit is 1.5 times the speed, because signals come in bursts.
     way = _clipped(x - state.reference_x_m, y - state.reference_y_m, 1.5 * speed * min(dt, _LONGEST_WAY_S))
     idle = 0.0 if way[0] != 0.0 or way[1] != 0.0 else state.idle_s + dt
     from_x, from_y = (state.x_m, state.y_m) if state.idle_s < _IDLE_S else place_m

@@ -1,67 +1,67 @@
 """Time-domain passivity control with a store of energy on each side that the hand's damper fills: it does not tire.
 
-What it cannot do. A round trip T over a sample that the hand feels as K acts like a damper of -K sin(w T) / w, and the
-hand feels what makes up for it: up to 375 N s/m on a stiff sample at 300 ms and 0.5 Hz. From about K T = 2 B_v on a
-swing is answered with up to 1.5 times its size. A motion at v against F needs F v T in the stores, of which each holds
-5 mJ at most and 1 mJ as a rule: what is faster is followed late. A hand of constant force comes to rest with
-B_v / (alpha_f alpha_p K), which is 6.7 s on 0.1 N/m. Samples stiffer than `stiffness_limit_n_per_m`, 800 N/m, are
-beyond the loop of the base: what it makes there comes out of the store, and it jumps.
+Limits. A round trip T over a sample that the hand feels as stiffness K acts like a damper of -K sin(w T) / w, and the
+hand feels the damping that compensates it: up to 375 N s/m on a stiff sample at 300 ms and 0.5 Hz. From about
+K T = 2 B_v on, the response to a swing is up to 1.5 times its size. A motion at v against F needs F v T in the stores,
+each of which holds 5 mJ at most and 1 mJ as a rule: faster motions are followed late. A hand of constant force comes to
+rest with the time constant B_v / (alpha_f alpha_p K), which is 6.7 s on 0.1 N/m. Samples stiffer than
+`stiffness_limit_n_per_m`, 800 N/m, are too stiff for the loop of the base: the store pays the energy that the loop
+generates, and the base jumps.
 
 The channel carries velocity forward and the computed force of the slave's controller backward (the position-computed
-force architecture). The slave's controller is a spring K_c that draws the base after the reference x_d, and the base
+force architecture). The slave's controller is a spring K_c that draws the base to the reference x_d, and the base
 moves as if through a damper B_c: F_c = K_c (x_d - x_s), B_c x_s' = F_c - F_s. The master's mass feels F_c, delayed.
 
 Each side has a store S >= 0 of energy that it may spend, and sends a counter that only grows (`energy_j`). In a period
 
-    master:  S += received + damper,  F d > 0 is sent;   F d < 0 is paid from S, and what S cannot pay is not moved
-    slave:   S += received + damper,  what K_c gives at x_d is sent;  what K_c needs there is paid from S
+    master:  S += received + damper,  F d > 0 is sent;   F d < 0 is paid from S, and motion that S cannot pay is cut
+    slave:   S += received + damper,  work of K_c into x_d is sent;  work that K_c needs there is paid from S
     both:    a share Ts / tau_e of S is sent to the other side
 
-Nothing is spent that was not granted, received or taken from a damper, so for the sum of both sides and of what is on
-its way, at all times, E_in - E_out + E_granted >= 0. Sources: J.-H. Ryu, J. Artigas, C. Preusche, "A passive bilateral
-control scheme for a teleoperator with time-varying communication delay", Mechatronics 20 (2010), for the accounts by
-port and direction; M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, "Bilateral telemanipulation with time
-delays: a two-layer approach combining passivity and transparency", IEEE Trans. Robotics 27 (2011), for a store that a
-damper at the hand keeps at its level.
+Each side spends only energy that was granted, received or taken from a damper. So for the sum of both sides and of the
+energy in transit, at all times, E_in - E_out + E_granted >= 0. Sources: J.-H. Ryu, J. Artigas, C. Preusche, "A passive
+bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20 (2010), for the
+accounts by port and direction; M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, "Bilateral
+telemanipulation with time delays: a two-layer approach combining passivity and transparency", IEEE Trans. Robotics 27
+(2011), for a store that a damper at the hand keeps at its level.
 
-Why stores: a force that comes T late does work on a hand that swings. Each cycle takes that from the account, nobody
-gives it back, and what E_0 had is spent after seconds or minutes; then the channel stands. Here the damper at the hand
-is B_t (1 - S / E_0) while S < E_0: it takes from the hand what the delay makes, and no more, and the exchange takes
-half of it to the side where it is missing.
+Why stores: a force that arrives T late does work on a hand that swings. Each cycle takes that work from the account
+without a return, so E_0 alone would be spent after seconds or minutes, and the channel would stand still. Here the
+damper at the hand is B_t (1 - S / E_0) while S < E_0: it takes from the hand only the energy that the delay generates,
+and the exchange moves half of it to the side that lacks it.
 
 Both devices are position sources, so both controllers act on motion and not on force (admittance type). The port gives
 energy out in a period when F d < 0 at the master (the force drives the hand back) and F d > 0 at the slave. The motion
-itself is cut to what the energy pays for, |F d'| = S. It needs no division by a small velocity, so there is nothing to
-cap and no force spike; the strongest it can do is to stand still.
+is then cut to the part that the energy pays, |F d'| = S. This needs no division by a small velocity, so it cannot cause
+a force spike; its strongest effect is that the device stands still.
 
-- At the slave the motion that was cut remains due, x_ref - x_d, and is made up when energy arrives, no faster than a
-  speed limit: so positions do not drift apart, and the make-up is itself inside the account.
-- At the master a cut would also hold an operator who pulls back by himself. Motion that the mass makes without
+- At the slave the motion that was cut remains due, x_ref - x_d, and is made up when energy arrives, within a speed
+  limit. So the positions do not drift apart, and the account includes the make-up motion.
+- At the master a cut would also hold back an operator who pulls away himself. Motion that the mass would make without
   the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
-- The base's damper is measured and not assumed: what the spring lost over the base's way and the sample did not get.
-  It is negative where a sample is too stiff for the loop, and then the store pays; a base whose store is overdrawn
-  presses no further. The base continues from where it is: messages of a burst that it has not followed yet move it no
-  further than one of them.
-- The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0 (the
-  force clamp, which can be switched off). Without that, a channel that has run out of energy would hold hand and tip
-  where they are, pressed together, after the hand has let go. Giving way is motion at the port like any other: it is
-  counted, and returns the contact's energy. The limit follows a falling F_m with a time constant tau_c only, while the
-  hand presses at all. At once, the hand would feel exactly its own force whenever it presses less than before, nothing
-  would bring it back, and with each swing it would walk on; it returns if tau_c is longer than B_v over the stiffness
-  it feels, and the round trip. For a hand that no longer presses it is 0.2 s.
-- A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
-  the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back. That
-  energy, F_s^2 / 2 K_c, is granted in the account.
-- A device that is off for a moment, because its guard misses a command, stands, and the coupling continues: to join
-hand
-  and tip again would leave them apart by what they moved, and over jitter and loss that happens all the time.
-- E_0 is granted at the start, and again to a tip that has to be armed. While the tip is retracted each side has E_0, no
-  more and no less, so that what follows an arming does not depend on what was before.
-- S is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
+- The dissipation of the base's damper is measured and not assumed: the energy that the spring lost over the base's
+  motion and the sample did not get. It is negative if a sample is too stiff for the loop, and then the store pays; a
+  base whose store is overdrawn presses no further. The base continues from its position: the messages of a burst that
+  it has not followed yet move it no further than one of them.
+- The slave presses at most as hard as the hand by the last signal, plus a margin: F_c <= max(F_m, 0) + F_0 (the force
+  clamp, which can be switched off). Without it, a channel without energy would hold hand and tip pressed together after
+  the hand has been released. Giving way is motion at the port like any other: it is counted, and returns the contact's
+  energy. While the hand presses at all, the limit follows a falling F_m only with a time constant tau_c. If it followed
+  at once, a hand that presses less than before would feel exactly its own force, nothing would bring it back, and it
+  would advance with each swing. It returns if tau_c is longer than the round trip and than B_v over the stiffness that
+  it feels. For a hand that no longer presses the time constant is 0.2 s.
+- A half that begins while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps the
+  stretch as an offset between x_d and x_ref: so the tip is not released when the law or a hand comes back. That energy,
+  F_s^2 / 2 K_c, is granted in the account.
+- A device that is off for a moment, because its guard misses a command, stands still, and the coupling continues. A new
+  coupling would leave hand and tip separated by their motion meanwhile, and jitter and loss often cause such moments.
+- E_0 is granted at the start, and again to a tip that has to be armed. While the tip is retracted each side has exactly
+  E_0, so that the behaviour after an arming does not depend on earlier events.
+- S is capped (the rest is dissipated): a large store, gathered long ago, would let an instability grow first.
 
-The counters only grow, so all this holds under constant and varying delay, loss, reordering and repetition alike: what
-has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing arrives the reference stands,
-and the coupling continues against the force that the instrument measures.
+The counters only grow, so the bound holds under constant and varying delay, loss, reordering and repetition: energy
+that has not arrived cannot be spent. Loss and jitter cost motion, not stability: while no signal arrives the reference
+stands, and the coupling continues against the force that the instrument measures.
 """
 
 import math
@@ -104,10 +104,10 @@ from telenano.numerics.compiler import compiled
 
 
 class PassivityParams(NamedTuple):
-    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period.
+    """Constants of the law; `relaxed` is the share of its distance to equilibrium that the base moves in a period.
 
-    Shares of a period as well: `release` and `let_go`, by which the clamp's limit follows a hand that presses less or
-    no longer; `shared`, the part of the store that goes to the other side.
+    Further shares of a period: `release` and `let_go`, with which the clamp's limit follows a hand that presses less,
+    or no longer; `shared`, the part of the store that is sent to the other side.
     """
 
     mass: MassParams
@@ -125,9 +125,10 @@ class PassivityParams(NamedTuple):
 
 
 class Account(NamedTuple):
-    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted.
+    """Energy of one port [J]: put into the channel, received from the other side, left to spend, dissipated, granted.
 
-    received_j is `NOTHING_HEARD` until the first signal: what the other side had put in before belongs to nobody here.
+    received_j is `NOTHING_HEARD` until the first signal, because energy that the other side sent before that does not
+    count here.
     """
 
     in_j: float
@@ -138,7 +139,7 @@ class Account(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The mass and the account of its port; stood_s: for how long the hand has stood, its device being off [s]."""
+    """The mass and the account of its port; stood_s: time for which the device of the hand has been off [s]."""
 
     mass: Mass
     account: Account
@@ -147,10 +148,11 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """The base reference [m], the coupling's stretch x_d - x_s and offset x_d - x_ref [m, hand's scale], and more.
+    """State of the slave half: reference of the base [m], coupling, clamp, last measurement and account.
 
-    limit_n: the clamp's limit without its margin [N]; last_m, last_n: where the base was when it was measured last [m],
-    and the force there, at the hand's scale [N].
+    stretch_m, lead_m: stretch x_d - x_s and offset x_d - x_ref of the coupling at the hand's scale [m]; limit_n: the
+    clamp's limit without its margin [N]; last_m, last_n: last measured position of the base [m] and the force there at
+    the hand's scale [N].
     """
 
     position_m: float
@@ -165,7 +167,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
-    """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
+    """Add the energy that the other side has sent since its last signal; the part above the cap is dissipated [J]."""
     if account.received_j < 0.0:
         return recount_received(account, energy_j, True)
     added_j = max(energy_j - account.received_j, 0.0)
@@ -176,7 +178,7 @@ def credited(account: Account, energy_j: float, cap_j: float) -> Account:
 
 @compiled
 def charged(account: Account, work_j: float, lost_j: float) -> Account:
-    """Charge the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
+    """Book work done on the channel (positive) or by it (negative), and energy dissipated by the controller [J]."""
     put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
     left = account.remaining_j - spent
     return Account(account.in_j + put_in, account.received_j, left, account.lost_j + lost_j, account.granted_j)
@@ -184,9 +186,10 @@ def charged(account: Account, work_j: float, lost_j: float) -> Account:
 
 @compiled
 def taken(account: Account, energy_j: float, cap_j: float) -> Account:
-    """Keep what a damper of this side has taken; what goes beyond the cap stays dissipated.
+    """Add the energy [J] that a damper of this side has taken to the store; the part above the cap stays dissipated.
 
-    Below zero the damper has given energy, as a loop of samples does that is too stiff for it: the store pays.
+    It is negative if the damper generated energy, as on a sample that is too stiff for the discrete loop; the store
+    then pays it.
     """
     left = account.remaining_j + energy_j
     if energy_j > 0.0:
@@ -197,7 +200,7 @@ def taken(account: Account, energy_j: float, cap_j: float) -> Account:
 
 @compiled
 def shared_out(account: Account, share: float) -> Account:
-    """Send a share of the store to the other side."""
+    """Move a share of the store to the counter of energy sent to the other side."""
     out = share * max(account.remaining_j, 0.0)
     left = account.remaining_j - out
     return Account(account.in_j + out, account.received_j, left, account.lost_j, account.granted_j)
@@ -205,15 +208,15 @@ def shared_out(account: Account, share: float) -> Account:
 
 @compiled
 def granted(account: Account, energy_j: float) -> Account:
-    """Count energy that is there without having been received: that of a coupling which begins stretched."""
+    """Book granted energy [J], such as that of a coupling which begins stretched; the store does not change."""
     return Account(account.in_j, account.received_j, account.remaining_j, account.lost_j, account.granted_j + energy_j)
 
 
 @compiled
 def recount_received(account: Account, energy_j: float, received: bool) -> Account:
-    """Start counting the other side's energy at a signal; what is left to spend stays.
+    """Restart the count of the other side's energy at the counter `energy_j` [J] of a signal; the store stays.
 
-    Where none is received nothing changes: to begin at zero would credit all that was received once more.
+    Without a recent signal (`received` false) nothing changes: a restart at zero would credit all energy again.
     """
     received_j = energy_j if received else account.received_j
     return Account(account.in_j, received_j, account.remaining_j, account.lost_j, account.granted_j)
@@ -221,15 +224,15 @@ def recount_received(account: Account, energy_j: float, received: bool) -> Accou
 
 @compiled
 def opened(start_j: float) -> Account:
-    """Start to count, with the energy E_0 [J] to spend."""
+    """Return a new account with the energy E_0 [J] in its store."""
     return Account(0.0, NOTHING_HEARD, start_j, 0.0, start_j)
 
 
 @compiled
 def reopen(account: Account, start_j: float, sent_j: float) -> Account:
-    """Let the port begin with E_0 [J] once more; what is left beyond it is dissipated, what is missing granted.
+    """Set the store to E_0 [J] again; an excess is dissipated, and a deficit granted.
 
-    sent_j: what was sent of what was put in, as a hand has paid for it [J].
+    sent_j: counter of energy sent to the other side [J], which excludes the part that the hand has not paid.
     """
     missing = start_j - account.remaining_j
     lost, granted = account.lost_j + max(-missing, 0.0), account.granted_j + max(missing, 0.0)
@@ -238,14 +241,14 @@ def reopen(account: Account, start_j: float, sent_j: float) -> Account:
 
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
-    """Start with the virtual mass at rest at the hand's position."""
+    """Return the virtual mass at rest at the hand's position, with a new account."""
     port = HandPort(hand.position_m, 0.0, 0.0, 0.0)
     return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port)
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Continue with the hand's motion and the tip's reference."""
+    """Return the virtual mass with the hand's motion, such that the tip's reference stays, with a new account."""
     mass, port = resumed(params.mass, hand, tip_reference_m), HandPort(hand.position_m, 0.0, 0.0, 0.0)
     return MasterState(mass, opened(params.start_j), 0.0, port)
 
@@ -254,16 +257,16 @@ def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: fl
 def master_send(
     params: PassivityParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return the slave's reference and the energy that has gone into the channel."""
+    """Return the tip's reference and the counter of energy sent."""
     return state, mass_signal(params.mass, state.mass, hand, state.port.sent_j, state.mass.coupled)
 
 
 @compiled
 def paid_motion(motion_m: float, own_m: float, force_n: float, remaining_j: float) -> tuple[float, float]:
-    """Limit a motion [m] of the hand to the energy left; return it with the work [J] done on the channel.
+    """Limit a motion [m] of the hand to the energy left [J]; return it with the work [J] done on the channel.
 
-    motion_m: what the mass would do under hand and channel, own_m: without the channel's force F [N]. Into the channel
-    (F d >= 0) nothing is cut.
+    motion_m: motion of the mass under the forces of hand and channel; own_m: motion without the channel's force F [N].
+    Motion into the channel (F d >= 0) is not cut.
     """
     if force_n * motion_m >= -remaining_j:
         return motion_m, force_n * motion_m
@@ -276,7 +279,7 @@ def paid_motion(motion_m: float, own_m: float, force_n: float, remaining_j: floa
 
 @compiled
 def charged_or_granted(account: Account, work_j: float) -> Account:
-    """Charge the work of a motion that cannot be cut; what the store lacks for it is granted."""
+    """Book the work [J] of a motion that cannot be cut; the part that the store cannot pay is granted."""
     return granted(charged(account, max(work_j, -account.remaining_j), 0.0), max(-work_j - account.remaining_j, 0.0))
 
 
@@ -286,7 +289,7 @@ def moved_by_what_is_paid(
 ) -> tuple[Mass, Account, HandPort]:
     """Move the mass by a period under the hand's force and the channel's [N]; return it with the account and the port.
 
-    The damper that fills the store is solved with the mean velocity of the period, so what it takes is exact.
+    The damper that fills the store acts on the mean velocity of the period, so the energy that it takes is exact.
     """
     p = params.mass
     damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j, 0.0), 1.0)
@@ -316,7 +319,7 @@ def moved_by_what_is_paid(
 def master_receive(
     params: PassivityParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] under the force received last, within the energy that the channel has."""
+    """Move the virtual mass over dt [s] under the force received last, within the energy of the store."""
     p, mass = params.mass, state.mass
     force = p.force_scale * signal.force_n
     may = at_hand(p, hand, signal, mass.coupled, state.stood_s, dt, True)
@@ -332,7 +335,7 @@ def master_receive(
     if not mass.coupled:
         account = granted(account, 0.5 * force * force / params.coupling_n_per_m)
     if may.stands:
-        # A device that is off for a moment stands still: the lead of its reference is undone, and paid like a motion.
+        # A device that is off for a moment stands still: set the reference back to it, and book that like a motion.
         back_j = force * (hand.position_m - mass.position_m)
         account = shared_out(charged_or_granted(account, back_j), params.shared)
         mass, port = placed(mass, hand.position_m, 0.0), put_in(port, back_j, account.in_j)
@@ -344,13 +347,13 @@ def master_receive(
 
 @compiled
 def slave_start(params: PassivityParams, tip: TipMeasurement) -> SlaveState:
-    """Start at the position of the base."""
+    """Return the state at the position of the base, with a new account."""
     return _standing(params, tip.base_position_m, tip, opened(params.start_j))
 
 
 @compiled
 def _standing(params: PassivityParams, position_m: float, tip: TipMeasurement, account: Account) -> SlaveState:
-    """Return the state of a half that is not coupled: the coupling holds the force of a tip that follows."""
+    """Return the state of an uncoupled half; if the tip follows, the coupling is stretched by its force."""
     force = params.mass.force_scale * tip.force_n
     stretch = force / params.coupling_n_per_m if tip.following else 0.0
     return SlaveState(
@@ -369,9 +372,10 @@ def _standing(params: PassivityParams, position_m: float, tip: TipMeasurement, a
 def slave_receive(
     params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Make the base follow the reference for a period, within the energy that the channel has.
+    """Move the base towards the reference for a period, within the energy of the store.
 
-    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    While the tip does not follow, the base's reference is the master's; while the master does not follow, the base
+    stays.
     """
     p, k = params.mass, params.coupling_n_per_m
     may = at_tip(p, signal, tip, state.position_m, state.coupled)
@@ -383,11 +387,11 @@ def slave_receive(
     force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)
     if not state.coupled:
-        # The base may have come a long way since its last measurement, and the coupling did none of that.
+        # The base may have moved far since its last measurement, and the coupling caused none of that motion.
         state = _standing(params, state.position_m, tip, account)
         account = granted(account, 0.5 * k * state.stretch_m * state.stretch_m)
-    # The damper of the base dissipated the energy that the coupling gave when the base moved and that the sample did
-    # not get.
+    # The damper of the base dissipated the work of the coupling over the motion of the base, minus the work on the
+    # sample.
     slid = (tip.base_position_m - state.last_m) / p.position_scale
     stretch = state.stretch_m - slid
     spring_n, tip_n = 0.5 * k * (state.stretch_m + stretch), 0.5 * (force + state.last_n)
@@ -402,10 +406,10 @@ def slave_receive(
     refused = k * wanted * (stretch + 0.5 * wanted) + work
     account = shared_out(charged(account, work, refused if motion != wanted else 0.0), params.shared)
     stretch += motion
-    # The way goes from the base to where the coupling balances the force that was measured there.
+    # The base moves towards the position at which the coupling balances the measured force.
     way = params.relaxed * (k * stretch - force) / k
     if account.remaining_j < 0.0:
-        # The coupling has given more than it had: it presses no further, and gives way by small steps.
+        # The store is overdrawn: the base presses no further, and gives way by a quarter of its step.
         way = 0.0 if way * force > 0.0 else 0.25 * way
     base = followed(p, state.position_m, tip) + p.position_scale * way
     state = SlaveState(
@@ -425,14 +429,14 @@ def slave_receive(
 def slave_send(
     params: PassivityParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Send the force of the coupling back, and the energy that has gone into the channel here."""
+    """Return the force of the coupling, and the counter of energy sent by this side."""
     force = params.coupling_n_per_m * state.stretch_m / params.mass.force_scale
     return state, tip_signal(tip, tip.base_position_m, force, energy_j=state.account.in_j)
 
 
 @compiled
 def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
+    """Keep the tip's reference constant when alpha_p changes, and limit the store to the new cap."""
     a = state.account
     account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j, a.granted_j)
     return MasterState(rescaled(old.mass, new.mass, state.mass), account, state.stood_s, state.port)
@@ -440,7 +444,10 @@ def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> Ma
 
 @compiled
 def slave_retune(old: PassivityParams, new: PassivityParams, state: SlaveState) -> SlaveState:
-    """Keep the force of the coupling when K_c changes: its energy changes with its stretch, and is charged."""
+    """Keep the force of the coupling constant when K_c changes, and book the change of its stored energy.
+
+    A rise is paid from the store or else granted; a fall counts as dissipated.
+    """
     longer = old.mass.position_scale / new.mass.position_scale
     stronger = new.mass.force_scale / old.mass.force_scale
     stretch = state.stretch_m * (old.coupling_n_per_m / new.coupling_n_per_m) * stronger
@@ -465,12 +472,12 @@ def slave_retune(old: PassivityParams, new: PassivityParams, state: SlaveState) 
 
 @compiled
 def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
-    """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
+    """Return the store, the dissipated energy, and the energy granted to both ports."""
     granted_j = 2.0 * state.account.granted_j + state.port.granted_j
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, granted_j)
 
 
 @compiled
 def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAccount:
-    """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
+    """Return the store, the dissipated energy, and the energy granted to both ports."""
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)

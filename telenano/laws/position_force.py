@@ -4,11 +4,11 @@
 
 Source: the position-force architecture of Sheridan's and Lawrence's surveys (D. A. Lawrence, IEEE Trans. Robotics and
 Automation 9, 1993: the four-channel scheme with C2 = C1 = 1 and the other two channels off), here with an admittance
-as master. It rests where F_m = alpha_f F_s.
+as master. At rest F_m = alpha_f F_s.
 
-Loop gain on a spring K: L(s) = alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s). It promises nothing about passivity:
-with delay the channel gives energy out, and past the phase margin of L it oscillates. Varying delay and loss act as the
-present delay, with the last force and position held.
+Loop gain on a spring K: L(s) = alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s). The law is not passive: with delay the
+channel gives out energy, and beyond the phase margin of L the loop oscillates. Under varying delay and loss the last
+force and position are held, so the present delay is decisive.
 """
 
 from typing import NamedTuple
@@ -37,19 +37,19 @@ class PositionForceParams(NamedTuple):
 
 @compiled
 def master_start(params: PositionForceParams, hand: HandSample) -> Mass:
-    """Start with the virtual mass at rest at the hand's position."""
+    """Return the virtual mass at rest at the hand's position."""
     return at_rest(hand.position_m)
 
 
 @compiled
 def master_resume(params: PositionForceParams, hand: HandSample, tip_reference_m: float) -> Mass:
-    """Continue with the hand's motion and the tip's reference."""
+    """Return the virtual mass with the hand's motion, such that the tip's reference stays."""
     return resumed(params.mass, hand, tip_reference_m)
 
 
 @compiled
 def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: float) -> tuple[Mass, PortSignal]:
-    """Return the slave's reference, and the hand's force for the record."""
+    """Return the tip's reference, and the hand's force, which only the recording uses."""
     p = params.mass
     position, velocity = tip_reference(p, state), p.position_scale * state.velocity_m_per_s
     force = hand.force_n / p.force_scale
@@ -61,7 +61,7 @@ def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: 
 def master_receive(
     params: PositionForceParams, state: Mass, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[Mass, MasterReference]:
-    """Move the virtual mass over dt [s] against the force received last."""
+    """Move the virtual mass over dt [s] against the force received last; it is released unless tip and hand follow."""
     p = params.mass
     force = p.force_scale * signal.force_n
     may = at_hand(p, hand, signal, state.coupled, 0.0, dt, False)

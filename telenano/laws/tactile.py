@@ -2,17 +2,16 @@
 
     x_m = x_m0 + (x_tip - x_tip0) / alpha_p,   x_tip = x_s - zeta,   zeta = F_s / k,
 
-both along the paper's axis: where the surface rises the tip goes up by it, and so does the hand. With a base that
-stands this is the paper's x_m = alpha_p zeta (its alpha_p is the inverse of ours); with a feedback that moves the base
-it is the surface all the same. x_tip0 is taken when the tip first touches, so that the approach moves no hand.
+both along the paper's axis: if the surface rises, tip and hand rise with it. With a base at rest this is the paper's
+x_m = alpha_p zeta (its alpha_p is the inverse of ours); if a feedback moves the base, the hand still follows the
+surface. x_tip0 is the position at the first contact, so the approach does not move the hand.
 
-The force of the contact is shown beside it for a device that renders forces: scaled linearly (Eq. 12), or by impedance
-(Eq. 13),
+A device that renders forces also gets the contact force, scaled linearly (Eq. 12) or by impedance (Eq. 13),
 
     F* = alpha^4 m zeta'' + alpha^2 b zeta' + alpha^2 k zeta,
 
-with mass, damping and stiffness of the cantilever, and alpha the scale of lengths from nano to macro. Nothing that the
-operator does reaches the instrument, so there is no loop that delay could make unstable.
+with mass, damping and stiffness of the cantilever, and alpha the scale of lengths from nano to macro. No motion of the
+operator reaches the instrument, so there is no loop that a delay could make unstable.
 """
 
 from typing import NamedTuple
@@ -35,7 +34,7 @@ from telenano.extend.virtual_mass import (
 )
 from telenano.numerics.compiler import compiled
 
-# The wire can carry so much [N].
+# Greatest force that a message can carry [N].
 _MOST_N = 1e6
 
 
@@ -51,7 +50,7 @@ def impedance_scaled(
 
 
 class TactileParams(NamedTuple):
-    """Scales and limits; stiffness of the cantilever [N/m]; factors of zeta'', zeta' and zeta in Eq. 13, SI units."""
+    """Scales and limits; stiffness of the cantilever [N/m]; factors of zeta'', zeta' and zeta in Eq. 13 (SI units)."""
 
     position_scale: float
     force_scale: float
@@ -65,7 +64,7 @@ class TactileParams(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """Origins of hand and tip [m]; whether they are known; zeta of the last two signals [m] and the force shown [N]."""
+    """Origins of hand and tip [m], whether the tip has touched, zeta [m] and its rate [m/s], displayed force [N]."""
 
     hand_m: float
     tip_m: float
@@ -82,13 +81,13 @@ def _untouched(hand: HandSample) -> MasterState:
 
 @compiled
 def master_start(params: TactileParams, hand: HandSample) -> MasterState:
-    """Start with the hand where it is, until the tip touches."""
+    """Return the state before the first contact, with the hand at its position."""
     return _untouched(hand)
 
 
 @compiled
 def master_resume(params: TactileParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Continue with the hand where it is."""
+    """Return the state before the first contact, with the hand at its position."""
     return _untouched(hand)
 
 
@@ -96,7 +95,7 @@ def master_resume(params: TactileParams, hand: HandSample, tip_reference_m: floa
 def master_send(
     params: TactileParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Return a signal that moves nothing; it only says that the hand is there."""
+    """Return a signal without motion, which only states whether the hand follows."""
     return state, port_signal(position_m=0.0, active=hand.following)
 
 
@@ -104,13 +103,13 @@ def master_send(
 def master_receive(
     params: TactileParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins again."""
+    """Return the hand's reference, which follows the surface; the hand is released unless it and the tip follow."""
     may = at_hand(params, hand, signal, False, 0.0, dt, False)
     if not may.acts:
         return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
     zeta = signal.force_n / params.stiffness_n_per_m
     if params.by_impedance:
-        # The newest signal may be that of the tick before, and then nothing has moved.
+        # The newest signal may still be that of the previous tick; the rate is then zero.
         speed = (zeta - state.zeta_m) / dt
         shown = params.inertia_kg * (speed - state.speed_m_per_s) / dt
         shown += params.damping_n_s_per_m * speed + params.spring_n_per_m * zeta
@@ -133,7 +132,7 @@ def master_receive(
 def slave_receive(
     params: TactileParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Leave the base where it is: the instrument moves it by a program of its own."""
+    """Keep the base's reference; a program of the instrument moves the base."""
     return state, SlaveReference(state.position_m, True)
 
 
@@ -141,12 +140,12 @@ def slave_receive(
 def slave_send(
     params: TactileParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Send the place of the tip, x_s - zeta, and the force on it."""
+    """Return the position of the tip, x_s - zeta, and the force on it."""
     place = tip.base_position_m - tip.force_n / params.stiffness_n_per_m
     return state, tip_signal(tip, place, tip.force_n)
 
 
 @compiled
 def retune(old: TactileParams, new: TactileParams, state: MasterState) -> MasterState:
-    """Continue where the hand is: a changed scale counts from the point of the first touch."""
+    """Return the state unchanged: a changed scale applies to the distance from the point of first contact."""
     return state

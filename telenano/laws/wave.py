@@ -6,39 +6,41 @@ At either port with the power F v, at the hand's scale,
     F v = u^2 / 2 - w^2 / 2.
 
 The master's mass feels F_e = b v - sqrt(2 b) w, and the wave that leaves it is u = sqrt(2 b) v - w. At the slave the
-base is a position source and F_s is measured: v = (sqrt(2 b) u - F_s) / b, and back goes w = (b v - F_s) / sqrt(2 b).
-B_v = b ends the line at the master in its own impedance, so that what comes back is not sent out again.
+base is a position source and F_s is measured: v = (sqrt(2 b) u - F_s) / b, and the returned wave is
+w = (b v - F_s) / sqrt(2 b). B_v = b terminates the line at the master in its own impedance, so that this wave is not
+reflected.
 Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE J. Oceanic Eng. 16 (1991), and
 "Telemanipulation with time delays", Int. J. Robotics Research 23 (2004), for waves, matching and filter; the same,
 "Towards force-reflecting teleoperation over the Internet", ICRA 1998, for the integrals of wave and wave energy.
 
-A hand whose device is off for a moment, because its guard misses a command, stands: it is driven by a screw that does
-not turn back. For the line that is the port v = 0, F_e = -sqrt(2 b) w, which reflects all waves, u = -w, and needs no
-power. So the line continues through such gaps, of up to the silence limit, and what is in transit is not lost.
+A hand whose device is off for a moment, because its guard misses a command, stands still, because its drive is a screw
+that the hand cannot turn back. For the line this is the port v = 0, F_e = -sqrt(2 b) w, which reflects all waves,
+u = -w, and needs no power. So the line continues through such gaps, of up to the silence limit, and waves in transit
+are not lost.
 
-A line that is taken up for the first time while the tip presses begins under the force F_0 that it finds: both halves
-take F - F_0 for F, and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law comes into
-force. The energy of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free,
-and after a silence of the link nothing is granted again. A half that comes back alone takes no F_0, because the other
-one has none: the energy that the other one has sent tells it so.
+If a line begins for the first time while the tip presses, it begins with the present force F_0: both halves use
+F - F_0 for F, and F_0 fades with the time constant tau_0 as the waves replace it. So the tip is not released when the
+law comes into force. The line is granted the energy of F_0 (its work at the two ports), which is zero if the tip starts
+free; after a silence of the link no energy is granted again. A half that restarts alone uses no F_0, because the other
+half has none; it recognises this case by the energy that the other half has sent.
 
-What crosses the link are counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
-E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from what is still due,
+The link carries cumulative counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
+E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from the part that is still due,
 
     |u| = min( U / tau_f, 2 D / U ),   U = sqrt(b/2) |X received - X taken|,   D = E received - E taken.
 
-The first is at once the wave filter, a first-order low-pass of time constant tau_f, and the cure for drift: every metre
-that was sent arrives. The second spreads what is due so that way and energy run out together; then u^2/2 Ts <= D
-always, and each half is passive on samples up to the limit of its line:
+The first term is the wave filter, a first-order low-pass of time constant tau_f, and also prevents drift, because every
+metre that was sent is applied. The second spreads the due wave so that motion and energy run out together. Then
+u^2/2 Ts <= D always, and each half is passive on samples up to the stiffness limit of its line:
 
-- constant delay T each way: lossless but for the filter. At rest F_m = alpha_f F_s and x - x_s/alpha_p is about
+- constant delay T each way: lossless except for the filter. At rest F_m = alpha_f F_s and x - x_s/alpha_p is about
   F (T + tau_f) / b: the line is a spring of stiffness b / (T + tau_f).
-- varying delay, loss, reordering, repetition: nothing new means that the wave dies out with tau_f, and what arrives
-  later is spread as its energy allows. The wave that leaves the other end is then uneven, and its energy with it:
-  jitter shows as dissipation, a force below the hand's while the hand moves on.
+- varying delay, loss, reordering, repetition: without new signals the wave decays with tau_f, and a part that arrives
+  later is spread as its energy allows. The wave that leaves the other end is then uneven, and so is its energy: jitter
+  acts as dissipation, with a force below the hand's while the hand moves on.
 
-The half at the slave also pays for what holding F_s over a period costs (K Ts d^2 / 2): the wave that it sends back is
-cut to the energy that it really has left, measured with the mean force over the motion. So for each half, at any time,
+The half at the slave also pays the energy K Ts d^2 / 2 that holding F_s over a period generates: the returned wave is
+limited to the energy that is left, measured with the mean force over the motion. So for each half, at any time,
 
     energy sent + energy given out at the port <= energy received,
 
@@ -96,7 +98,7 @@ class WaveParams(NamedTuple):
 
 
 class Inbox(NamedTuple):
-    """Counters of the incoming wave, at the hand's scale: received and taken, sqrt(2/b) int u dt [m] and energy [J]."""
+    """Counters of the incoming wave at the hand's scale, received and applied: sqrt(2/b) int u dt [m], energy [J]."""
 
     received_m: float
     taken_m: float
@@ -105,9 +107,9 @@ class Inbox(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J].
+    """Mass, incoming wave, counters of the outgoing one (int F_e dt / b [m], energy [J]), F_0 [N], its work [J].
 
-    `up`: the line is taken up; `stood_s`: for how long the hand has stood, because its device was off [s].
+    `begun`: the line has run before; `up`: the line runs; `stood_s`: time for which the hand's device has been off [s].
     """
 
     mass: Mass
@@ -124,10 +126,11 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """Base reference [m], incoming wave, what has left, what there is to send, and the last sample.
+    """Base reference [m], incoming wave, counters of the outgoing wave, energy left, and the last measurement.
 
-    `sent_m`: sqrt(2/b) int w dt [m]; `reserve_j`: energy received and neither given to the environment nor sent back;
-    `last_m`, `last_n`: tip's position [m] at the tip's scale and force [N] at the hand's; F_0 [N] and its work [J].
+    `anchor_m`: base reference at the start of the line [m]; `sent_m`: sqrt(2/b) int w dt [m]; `sent_j`: its energy [J];
+    `reserve_j`: energy received and neither given to the environment nor sent back [J]; `last_m`, `last_n`: base
+    position [m] at the tip's scale and force [N] at the hand's; `bias_n`, `granted_j`: F_0 [N] and its work [J].
     """
 
     position_m: float
@@ -147,7 +150,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
-    """Update the counters by a signal; one with less energy than was received already is an old one: ignore it."""
+    """Update the counters of the received wave [m, J]; a signal with less energy than before is old, so ignore it."""
     if energy_j < inbox.received_j:
         return inbox
     return Inbox(position_m, inbox.taken_m, energy_j, inbox.taken_j)
@@ -155,7 +158,7 @@ def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def drawn(inbox: Inbox, share: float, impedance_n_s_per_m: float, period_s: float) -> tuple[Inbox, float]:
-    """Return the wave [sqrt(W)] of the next period [s]: a share of what is due, within the energy that has arrived."""
+    """Return the inbox after a period [s] and its wave [sqrt(W)]: a share of the due wave, within its energy."""
     root = math.sqrt(0.5 * impedance_n_s_per_m)
     due = root * (inbox.received_m - inbox.taken_m)
     if due == 0.0:
@@ -168,7 +171,7 @@ def drawn(inbox: Inbox, share: float, impedance_n_s_per_m: float, period_s: floa
 
 @compiled
 def emptied(position_m: float, energy_j: float) -> Inbox:
-    """Start counting at a signal: what it represents counts as taken."""
+    """Return an inbox that starts at the counters of a signal [m, J]: all of it counts as applied."""
     return Inbox(position_m, position_m, energy_j, energy_j)
 
 
@@ -181,19 +184,19 @@ def _begun(mass: Mass) -> MasterState:
 
 @compiled
 def master_start(params: WaveParams, hand: HandSample) -> MasterState:
-    """Start with the virtual mass at rest at the hand's position."""
+    """Return the virtual mass at rest at the hand's position, without a line."""
     return _begun(at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: WaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Continue with the hand's motion and the tip's reference."""
+    """Return the virtual mass with the hand's motion, such that the tip's reference stays, without a line."""
     return _begun(resumed(params.mass, hand, tip_reference_m))
 
 
 @compiled
 def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
-    """Return the counters of wave and wave energy sent; while the hand is let go, that is the tip's reference."""
+    """Return the counters of the outgoing wave and its energy; without a line, the position is the tip's reference."""
     p, mass = params.mass, state.mass
     position = tip_reference(p, mass) + p.position_scale * state.impulse_m
     return state, port_signal(
@@ -210,7 +213,7 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
 def master_receive(
     params: WaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
+    """Move the virtual mass over dt [s] at the end of the line; it stands still while the device is briefly off."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
     may = at_hand(p, hand, signal, state.up, state.stood_s, dt, True)
@@ -230,10 +233,10 @@ def master_receive(
             port=begun_again(port, state.sent_j, may.renews),
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, may.coupled)
-    # Signals that were sent before the tip was felt are no waves, so counting starts here.
+    # Signals that were sent before the line began are no waves, so start counting at this one.
     inbox = state.inbox if state.up else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
-    # A tip's half that has sent energy was taken up before: then this one comes back alone, and gets no F_0.
+    # If the tip's half has sent energy, its line already runs and this half restarts alone, so it uses no F_0.
     again = state.begun or signal.energy_j > 0.0
     bias = state.bias_n if state.up else (0.0 if again else p.force_scale * signal.force_n)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
@@ -246,7 +249,7 @@ def master_receive(
         before = mass.position_m
         if may.acts:
             mass = kept_near(mass, moved(p, mass, hand.force_n - bias + root * wave), hand.position_m)
-        # the mean velocity gives the mean force of the damper b exactly, and never more energy than it took
+        # The mean velocity gives the mean force of the damper b exactly, and never more energy than the damper took.
         velocity = (mass.position_m - before) / period
         force = b * velocity - root * wave
         out = root * velocity - wave
@@ -274,7 +277,7 @@ def master_receive(
 
 @compiled
 def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
-    """Start at the position of the base."""
+    """Return the state at the position of the base, without a line."""
     base, force = tip.base_position_m, params.mass.force_scale * tip.force_n
     inbox = emptied(0.0, NOTHING_HEARD)
     return SlaveState(base, inbox, 0.0, 0.0, 0.0, 0.0, 0.0, base, force, 0.0, 0.0, False, False)
@@ -286,7 +289,7 @@ def slave_receive(
 ) -> tuple[SlaveState, SlaveReference]:
     """Move the base for dt [s], whole periods, with the incoming waves against the force measured last.
 
-    While the tip does not follow, the reference is the master's; while the master does not, it stays.
+    While the tip does not follow, the base's reference is the master's; while the master does not follow, it stays.
     """
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
@@ -308,12 +311,12 @@ def slave_receive(
             begun=state.begun,
         )
         return state, SlaveReference(may.base_m, True)
-    # An earlier reference of the master's own is no wave, so counting starts here.
+    # An earlier position of the master is a reference and no wave, so start counting at this signal.
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
-    # The hand's half begins as well if it was heard before it had sent energy; else this one comes back alone.
+    # If the first signal received from the hand's half has no energy, both halves begin; else this one restarts alone.
     heard_j = signal.energy_j if state.inbox.received_j == NOTHING_HEARD else state.inbox.received_j
     again = state.begun or heard_j > 0.0
     bias = state.bias_n if state.coupled else (0.0 if again else last_n)
@@ -326,16 +329,16 @@ def slave_receive(
         came_j += 0.5 * wave * wave * p.period_s
     way = (math.sqrt(2.0 * b) * (total / max(periods, 1)) - (last_n - bias)) / b * dt
     if signal.silence_s > params.bridge_s:
-        # All waves have died out; giving way to the force would let the tip off, so it stands.
+        # All waves have decayed; giving way to the force would release the tip, so the base stands still.
         way = 0.0
     elif params.clamped:
-        # The returned wave is made of the motion that there was, so the part that the clamp refuses is reflected.
+        # The returned wave is computed from the actual motion, so the part that the clamp refuses is reflected.
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
     if reserve < -OVERDRAWN_J and way * last_n > 0.0:
-        # A base that goes further than it is told, by steps of its own say, has taken more than has come: it presses no
-        # further until the next waves have paid.
+        # A base that moves further than its reference, for example in coarse steps, has used more energy than it has
+        # received: it presses no further until the next waves have paid.
         way = 0.0
     base = followed(p, state.position_m, tip) + p.position_scale * way
     state = SlaveState(
@@ -358,7 +361,7 @@ def slave_receive(
 
 @compiled
 def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Account for the work on the environment and send the remaining wave back."""
+    """Book the work on the environment over dt [s], and return the wave that the remaining energy allows."""
     p, b = params.mass, params.impedance_n_s_per_m
     force = p.force_scale * tip.force_n
     sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
@@ -396,10 +399,10 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
 
 @compiled
 def _retuned_inbox(old: WaveParams, new: WaveParams, inbox: Inbox) -> tuple[Inbox, float]:
-    """Return the counters under other parameters, such that the wave that is drawn stays, and the energy granted [J].
+    """Return the counters for other parameters, such that the next wave stays, and the energy granted for it [J].
 
-    A wave is a share of what is due and of what comes in its period, so what is left of that after a steady wave is
-    1 / share - 1 of it, and as much more or less is needed, and of its energy.
+    Each period a share of the due wave is applied, so for a steady wave the part that remains due is 1 / share - 1 of
+    it. Another share needs correspondingly more or less of the due wave and of its energy.
     """
     longer, more = old.mass.position_scale / new.mass.position_scale, 1.0
     if old.share < 1.0:
@@ -412,7 +415,7 @@ def _retuned_inbox(old: WaveParams, new: WaveParams, inbox: Inbox) -> tuple[Inbo
 
 @compiled
 def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference when alpha_p changes, force and energy of the line when b does, the wave with tau_f."""
+    """Keep the tip's reference if alpha_p changes, force and energy of the line if b does, the wave if tau_f does."""
     ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m * (old.mass.position_scale / new.mass.position_scale)
     mass = rescaled(old.mass, new.mass, state.mass)
     inbox, granted_j = _retuned_inbox(old, new, state.inbox)
@@ -433,7 +436,7 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
 
 @compiled
 def slave_retune(old: WaveParams, new: WaveParams, state: SlaveState) -> SlaveState:
-    """Keep what was sent, the measurement and the wave that is drawn under other scales and another tau_f."""
+    """Keep the sent wave, the measurement and the next incoming wave if the scales or tau_f change."""
     stronger = new.mass.force_scale / old.mass.force_scale
     inbox, granted_j = _retuned_inbox(old, new, state.inbox)
     return SlaveState(
@@ -455,7 +458,7 @@ def slave_retune(old: WaveParams, new: WaveParams, state: SlaveState) -> SlaveSt
 
 @compiled
 def master_energy_account(params: WaveParams, state: MasterState) -> EnergyAccount:
-    """Return the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
+    """Return the wave energy received and not yet applied, and the greatest energy that F_0 may have put in."""
     return EnergyAccount(
         state.inbox.received_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j + state.port.granted_j
     )
@@ -463,5 +466,5 @@ def master_energy_account(params: WaveParams, state: MasterState) -> EnergyAccou
 
 @compiled
 def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount:
-    """Return the energy that has arrived and was neither given to the environment nor sent back."""
+    """Return the energy received and neither given to the environment nor sent back, and the work of F_0."""
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
