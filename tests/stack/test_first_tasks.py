@@ -162,7 +162,7 @@ def test_a_first_operator_finds_the_softest_of_three_places_by_what_the_page_say
                 page.obeyed(lambda: page.click("#tip-go"))
                 hold(page)
                 read = []
-                for felt_n in (0.5, 1.5):
+                for felt_n in (0.5, 1.0):
                     press_until(page, "You feel", felt_n)
                     page.page.wait_for_timeout(1500.0)
                     read.append(shown(page, "Hand"))
