@@ -303,6 +303,10 @@ class Intake:
             self._open_gap(stream, received_ns)
         elif arrival is Arrival.LATE:
             self._fill_gap(stream, seq)
+        elif arrival is Arrival.RESTART:
+            # The numbers of the process before end here. Recorded later, its gaps could be read as those of the new
+            # one, whose numbers begin again.
+            self._record_gaps(received_ns, stream)
 
     def _open_gap(self, stream: Stream, received_ns: int) -> None:
         """Open a gap, which is recorded unless its messages arrive within `_LATE_NS`."""
@@ -318,10 +322,13 @@ class Intake:
                 self._count_missing(stream, -1)
                 return
 
-    def _record_gaps(self, until_ns: int) -> None:
-        """Record the missing numbers of the gaps that were noticed up to a time [ns]."""
-        while self._open_gaps and self._open_gaps[0].noticed_ns <= until_ns:
-            gap = self._open_gaps.pop(0)
+    def _record_gaps(self, until_ns: int, of: Stream | None = None) -> None:
+        """Record the missing numbers of the gaps that were noticed up to a time [ns], of one stream or of all."""
+        gaps, self._open_gaps = self._open_gaps, []
+        for gap in gaps:
+            if gap.noticed_ns > until_ns or (of is not None and gap.stream is not of):
+                self._open_gaps.append(gap)
+                continue
             for first, last in gap.missing():
                 self._write_gap(gap.stream, first, last)
 

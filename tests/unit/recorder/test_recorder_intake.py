@@ -15,6 +15,7 @@ from services.recorder.intake import Intake, Listener
 from telenano.recording.reader import Recording
 from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from telenano.recording.verify import verify
 from telenano.recording.writer import RecordingWriter
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.security.peer_connections import MessagePermissions
@@ -132,6 +133,23 @@ def test_what_comes_late_is_not_recorded_as_missing(intake: Intake, listen: Make
     assert (intake.gaps, intake.lost, intake.missing) == (1, 2, 2)
     assert [message.seq for message in found.messages(["haptic/state"])] == [0, 1, 8, 9, 2, 3, 3, 5, 4, 10, 11]
     assert found.info().missing == ("2 messages of haptic_node@master on haptic/state are missing",)
+
+
+def test_a_gap_of_a_console_that_has_ended_is_recorded_before_what_the_next_console_sends(
+    intake: Intake, listen: MakeListener
+) -> None:
+    """Of three consoles the second loses a number on the link, and the third ends with the number before it."""
+    listener = listen("delay_node@slave")
+    for place, seq in enumerate((0, 2, 0)):
+        control = sample("session/control", seq, src="console@master", t_ns=EPOCH_NS + place)
+        intake.record(listener, frames("session/control", control), EPOCH_NS + place)
+    path = recorded(intake).path
+    intake.finish()
+    assert Recording(path).info().missing == ()
+    topics = [message.topic for message in Recording(path).messages()]
+    assert topics == ["session/control", "session/control", GAP_TOPIC, "session/control"]
+    assert intake.missing == 0
+    assert verify([path]).sound
 
 
 def ended(src: str, seq: int, sent: dict[str, int], **forwarded: int) -> list[bytes]:
