@@ -61,7 +61,8 @@ SHORTEST_HOLD_S = 0.5
 STEADY_SHARE = 0.01
 # greatest force or trembling at the tip, as a multiple of the hand's [1]: an undamped spring reaches twice a step
 STRUCK_FORCES = 2.0
-# greatest distance between hand and tip at rest, at the hand's scale [m]: three times the way of 1 N on 20 N/m
+# greatest distance between hand and tip at rest, at the hand's scale [m]: three times the 0.33 mm by which 1 N moves
+# the hand on a sample of 20 N/m, which the default scales render as 3000 N/m
 PARTED_M = 1e-3
 # least lateness that is attributed to the machine or the link [s]: a fifth of the deadline of both devices
 LATE_S = 0.01

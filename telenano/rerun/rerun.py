@@ -259,7 +259,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         scenario_file=Path(recording.metadata.get("recording", {}).get("scenario_file", "")),
         clock=clock,
         log=_NoLog(key),
-        # Nothing is connected: a node with a journal uses only `bus` of its wiring.
+        # Nothing is connected: `_RerunWiring` overrides every method by which a node with a journal opens a socket.
         network=cast(Any, NoNetwork("")),
         wake_descriptor=-1,
         rerun_bus=bus,

@@ -93,8 +93,8 @@ def _as_entry(value: object) -> object:
 class AddressBook(Settings):
     """The address book of a rig.
 
-    `{runtime}` in an ipc endpoint represents the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint
-    for the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
+    `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, and `{NAME}` in a tcp endpoint
+    for the address of the machine NAME. A reader at one site reaches a publisher at the other only through the link, which
     republishes on a socket of its own at each site.
     """
 

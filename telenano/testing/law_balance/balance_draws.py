@@ -339,7 +339,7 @@ def _sample(rng: Random) -> SampleDraw:
         stiffness_n_per_m=stiffness,
         place_m=rng.choice((0.0, rng.uniform(-3e-9, 1e-9), rng.uniform(0.0, 2e-8))),
         drift_m_per_s=rng.choice((0.0, 5e-11, -5e-11, _MOST_DRIFT_M_PER_S, rng.uniform(-1, 1) * _MOST_DRIFT_M_PER_S)),
-        # At a force of 10 nN the tip then sinks at 0.1 to 100 nm/s through the damper alone.
+        # The damper and the spring of the sample then have a time constant of 1 to 100 ms.
         viscous_n_s_per_m=_log(rng, 1e-3, 1e-1) * stiffness if takes == "viscous" else 0.0,
         hysteresis=rng.uniform(0.1, 1.0) if takes == "hysteresis" else 0.0,
         adhesion_n=_log(rng, 1e-10, 1e-8) if takes == "adhesion" else 0.0,
