@@ -325,7 +325,7 @@ def _recording_at(path: Path) -> Path:
             raise NoRecordingError(f"{path}: is a pattern of names, which telenano.open_all takes; open takes one path")
         if str(path) in known_scenarios():
             raise NoRecordingError(
-                f"{path}: no recording has this name, and a scenario has: telenano.simulate({str(path)!r}) runs it"
+                f"{path}: no recording, but a scenario has this name: telenano.simulate({str(path)!r}) runs it"
             )
     paths = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if len(paths) != 1:

@@ -150,7 +150,7 @@ class AfmNode(DeviceNode):
         if not self._config.simulated:
             return None
         if self._other_spring:
-            raise ValueError("the stiffness of the sample was changed by a command: a re-run has to begin before that")
+            raise ValueError("the stiffness of the sample was changed by a command: a re-run must begin before that")
         parts = self.freshness.capture(), self._programs.capture(), part(self._driver.state)
         return AfmNodeState(self._memory, *parts)
 

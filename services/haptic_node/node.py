@@ -115,7 +115,7 @@ class HapticNode(DeviceNode):
         if not self._simulated:
             return None
         if self._other_operator:
-            raise ValueError("the operator was changed by a command: a re-run has to begin before that")
+            raise ValueError("the operator was changed by a command: a re-run must begin before that")
         parts = self.freshness.capture(), self._grid.deadline_ns, part(self.device.state)
         return HapticNodeState(self._memory, *parts)
 

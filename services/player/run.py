@@ -73,7 +73,7 @@ def run_replay(
     playback = Playback(recording, plan.plays, request.span)
     if playback.peek() is None:
         nodes = ", ".join(plan.nodes)
-        raise RecordingError(f"{recording.path}: has no message of {nodes} in what was selected: nothing can be played")
+        raise RecordingError(f"{recording.path}: has no message of {nodes} in the selection: nothing can be played")
     warnings = [*refused_messages(recording, playback), *absent_topics(plan, book), *remote_control(plan, book)]
     for text in warnings:
         warn(text)
@@ -89,7 +89,7 @@ def run_replay(
 
         def watch(player: PlayerNode) -> None:
             if player.started and not messages and not any(publisher.was_read for publisher in publishers.values()):
-                messages.append(f"no node reads what is played: {_RIG}")
+                messages.append(f"no node reads the played messages: {_RIG}")
                 warn(messages[0])
             observe(player)
 
@@ -113,7 +113,7 @@ def refused_messages(recording: RecordingSource, playback: Playback) -> Iterator
         try:
             message.decode()
         except RecordingError as error:
-            yield f"every reader of this version refuses what is played on {message.channel_topic}: {error}"
+            yield f"every reader of this version refuses the played messages of {message.channel_topic}: {error}"
 
 
 def absent_topics(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:

@@ -238,7 +238,7 @@ class RecorderNode(Node):
             self._intake.notes.append(text)
             self.event("fault", "error", text, waited_s=_DRAIN_TIMEOUT_NS * 1e-9)
         elif silent := self._intake.silent_at_the_end(self._sites, self.clock.now_ns()):
-            text = f"the end of {', '.join(silent)} did not reach the recorder: what was sent last may be missing"
+            text = f"the end of {', '.join(silent)} did not reach the recorder: their last messages may be missing"
             self._intake.notes.append(text)
             self.event("fault", "error", text)
 

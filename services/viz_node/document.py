@@ -120,7 +120,7 @@ class RecordingDocument:
     def part(self, from_s: float, to_s: float, spans: int) -> Facts:
         self._begin()
         if not to_s > from_s:
-            raise RefusedError(f"from {from_s:g} s to {to_s:g} s is no part of a recording")
+            raise RefusedError(f"from {from_s:g} s to {to_s:g} s is not a part of a recording")
         if spans <= 0 and to_s - from_s > _MOST_RAW_S:
             raise RefusedError(f"every sample is given of at most {_MOST_RAW_S:g} s at once: choose a shorter part")
         if spans <= 0 or to_s - from_s <= max(_RAW_S, _LEAST_SPANS * self._levels.width_s):

@@ -110,7 +110,7 @@ class Feed:
 
     def _record(self, seen: SeenMessage) -> None:
         if not 0 <= seen.t_ns < LATEST_NS:
-            raise ValueError(f"t_ns {seen.t_ns}: is no time")
+            raise ValueError(f"t_ns {seen.t_ns}: is not a time")
         site = site_of(seen.src)
         stream = BY_SOURCE.get((seen.topic, site))
         if stream is not None:

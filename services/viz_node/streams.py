@@ -200,7 +200,7 @@ class Batch:
         """
         row = [column.value(fields) for column in self.stream.columns]
         if not -LATEST_NS < t_ns < LATEST_NS:
-            raise ValueError(f"t_ns {t_ns}: is no time")
+            raise ValueError(f"t_ns {t_ns}: is not a time")
         self._times_ns.append(int(t_ns))
         self._rows.append(row)
         if len(self._rows) >= 2 * self._most:

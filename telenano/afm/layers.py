@@ -77,5 +77,5 @@ def checked_layer(name: str, value: Any) -> Layer:
     if not isinstance(value, Layer):
         raise TypeError(f"is a {type(value).__name__}, must be a Layer")
     if value.name != name:
-        raise ValueError(f"calls itself {value.name}")
+        raise ValueError(f"is registered under another name than its own, {value.name}")
     return value

@@ -22,7 +22,7 @@ def checked_sample(name: str, value: Any) -> SampleModel:
     if not isinstance(value, SampleModel):
         raise TypeError(f"is a {type(value).__name__}, must be a SampleModel")
     if value.name != name:
-        raise ValueError(f"calls itself {value.name}")
+        raise ValueError(f"is registered under another name than its own, {value.name}")
     if not isinstance(value.config().to_params(), value.params):  # type: ignore[attr-defined]
         raise TypeError(f"to_params() of its settings gives no {value.params.__name__}")
     if len(inspect.signature(value.measure).parameters) != 4:

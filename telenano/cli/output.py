@@ -290,7 +290,7 @@ def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json:
     for felt in (summary.get("felt_stiffness") or {}).get("outside", ()):
         say(f"warning: {felt['text']}: docs/laws.md says what to do")
     if interrupted := in_words([Interruption(**one) for one in summary.get("interruptions", ())]):
-        say(f"warning: this session is not its law alone: {interrupted}")
+        say(f"warning: not only the law acted in this session: {interrupted}")
     missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))
     if missed > (0.005 if interrupted else 0.05) * rate_hz * summary.get("duration_s", 0.0):
         say(f"warning: {missed} deadlines were missed at {rate_hz:.0f} Hz: {NO_ROOM}")

@@ -198,7 +198,7 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
         raise RefusedError("this belongs to an earlier lease")
     receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
     if receiver is None:
-        raise RefusedError("control was not asked for" if not to else "that page no longer asks for control")
+        raise RefusedError("nobody has asked for control" if not to else "that page no longer asks for control")
     return _granted(lease, receiver, now_ns, kept=True)
 
 

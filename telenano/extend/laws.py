@@ -301,7 +301,7 @@ def checked_law(name: str, value: Any) -> Law:
     if not isinstance(value, Law):
         raise TypeError(f"is a {type(value).__name__}, must be a Law")
     if value.name != name:
-        raise ValueError(f"calls itself {value.name}")
+        raise ValueError(f"is registered under another name than its own, {value.name}")
     missing = [field for field in _SHARED_FIELDS if field not in value.config.model_fields]
     if missing:
         raise ValueError(f"its settings lack {', '.join(missing)}")

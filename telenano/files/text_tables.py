@@ -136,7 +136,7 @@ class TextTable(NamedTuple):
         """
         if column.bad:
             line, text = column.bad
-            raise ConfigError(f"{self.name}, line {line}: {text[:40]!r} is no number")
+            raise ConfigError(f"{self.name}, line {line}: {text[:40]!r} is not a number")
         return column.values
 
     def units_in_head(self, *wanted: str) -> set[str]:
@@ -205,10 +205,10 @@ class TextTable(NamedTuple):
             cells = fold.split(row)
             count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
             if (count < width or None in numbers) and number == len(rows) and not ends_whole:
-                remarks.append("its last line has no end and is no whole row; it is left out")
+                remarks.append("its last line has no end and is not a complete row; it is left out")
                 continue
             if all(value is None or math.isnan(value) for value in numbers) and None in numbers:
-                raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
+                raise ConfigError(f"{name}, line {number}: is not a line of numbers, after {len(lines)} that are")
             if count > width or (count < width and not separator):
                 raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
             for place, value in enumerate([*numbers, *[math.nan] * (width - count)]):
@@ -307,7 +307,7 @@ def decoded(content: bytes, name: str) -> str:
         # The encoding of older Windows programs, with their codes for µ and ².
         text = content.decode("cp1252", "replace")
     if "\0" in text:
-        raise ConfigError(f"{name}: is no text: it has zero bytes")
+        raise ConfigError(f"{name}: is not text: it has zero bytes")
     return text
 
 

@@ -141,9 +141,8 @@ def _refusal_of_base(node: yaml.ScalarNode) -> str:
         digits = word.lstrip("+-").replace("_", "").lstrip("0")
         digits = digits if digits[:1].isdigit() else f"0{digits}"
         plain = f"{'-' if word.startswith('-') else ''}{digits[:_LONGEST_NUMBER]}"
-    return (
-        f"{word[:_LONGEST_NUMBER]} in {_line(node)} is no number of base 10: write {plain}, or '{word[:40]}' for a text"
-    )
+    text = f"{word[:_LONGEST_NUMBER]} in {_line(node)} is not a number of base 10"
+    return f"{text}: write {plain}, or '{word[:40]}' for a text"
 
 
 def _check_characters(root: yaml.Node) -> None:

@@ -48,7 +48,7 @@ class Advisers:
             # An adviser is code of a package and may raise anything; the session continues without it.
             except Exception as error:  # noqa: BLE001
                 del self._advisers[name]
-                self._log.warning(f"adviser {name} failed, and advises no more in this rig: {error!r}")
+                self._log.warning(f"adviser {name} failed and is not asked again in this rig: {error!r}")
         return found
 
     def _received(self) -> Iterator[Message]:

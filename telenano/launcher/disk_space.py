@@ -29,7 +29,7 @@ def check_room(plan: Plan, status: Callable[[Path], os.statvfs_result] = os.stat
     for folder, what, needed, files in _needs(plan):
         place = next((each for each in (folder, *folder.absolute().parents) if each.exists()), folder)
         if not place.is_dir():
-            raise RigError(f"{place}: is no folder, and {what} there: name another one")
+            raise RigError(f"{place}: is not a folder, and {what} there: name another one")
         if not os.access(place, os.W_OK | os.X_OK):
             raise RigError(f"{place}: this user may not write there, and {what} there: chmod it, or name another one")
         try:

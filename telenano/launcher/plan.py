@@ -125,7 +125,7 @@ class UpRequest(SessionRequest):
             "--attended": self.attended,
         }
         if self.attach:
-            _reject(changes, "--attach starts no node, it has to be given where the nodes are started")
+            _reject(changes, "--attach starts no node: give this option where the nodes are started")
             _reject(
                 {"--site slave": self.site == "slave"}, "the session is conducted at the master: give --attach there"
             )
@@ -544,8 +544,10 @@ def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> N
         return
     afm, law = loaded.section("afm_node", AfmConfig), loaded.section("controller", ControllerConfig).law
     if loaded.scenario.instrument != IDEAL and afm.driver != "simulated":
-        text = f"{loaded.scenario.instrument} disturbs a simulated AFM, and its driver is {afm.driver}"
-        raise ConfigError(f"{loaded.origin}: instrument: {text}, which has its own disturbances: leave it out")
+        text = f"{loaded.scenario.instrument} disturbs a simulated AFM only, and afm_node.driver is {afm.driver}"
+        raise ConfigError(
+            f"{loaded.origin}: instrument: {text}, which has disturbances of its own: leave `instrument` out"
+        )
     program = "" if afm.begin is None else afm.begin.program or ""
     if text := refused_laws(afm.driver).get(law) or refusal(afm.driver, program):
         raise ConfigError(f"{loaded.origin}: {text}")

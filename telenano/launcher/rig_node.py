@@ -249,7 +249,7 @@ class _RemovedPaths:
         told, self._lost = self._lost, []
         if self._nodes and now_ns >= self._due_ns:
             folder = Path(next(iter(self._nodes.values()))).parent
-            text = f"what {', '.join(sorted(self._nodes))} had in {folder} was removed or replaced while the rig ran"
+            text = f"files of {', '.join(sorted(self._nodes))} in {folder} were removed or replaced while the rig ran"
             told.append(f"warning: {text}; it was made again, and commands reach the rig as before")
             self._nodes = {}
         return told

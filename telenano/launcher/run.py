@@ -388,7 +388,7 @@ def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]
     if transport is None or not (plan.fetches and outcome.ran and outcome.recordings):
         return outcome
     if not session.has_far:
-        text = "the slave's site did not record the session: what it sends fast is missing"
+        text = "the slave's site did not record the session: its fast messages are missing"
         return replace(outcome, missing=(*outcome.missing, text))
     command = f"telenano bag fetch {quoted(plan.out)} --site-file {quoted(plan.site_file)}"
     again = f"`{command}` continues"

@@ -243,7 +243,7 @@ class SessionNode(RigNode):
             self._readiness.reset()
             if self._is_ordered:
                 at = f" --site {self.site}" if self.site else ""
-                text = "a node was lost after the tip had been ordered to its place: it stays where it is then"
+                text = "a node was lost after the tip had been sent to its place: the tip stays where it is"
                 self.report("warning", f"{text}; `telenano session arm --return{at}` takes it back", about_node=TIP)
         elif (commands := self._commands) is not None and not commands.advance():
             self._await_release(commands.latched)

@@ -78,7 +78,9 @@ class SiteNode(RigNode):
         if control.command != "set":
             return super().on_control(control)
         if not control.parameters:
-            raise RefusedError("set needs what is to be sent: recording.file, .offset, .bytes and .kbit_per_s")
+            raise RefusedError(
+                "set needs the part of a recording to send: recording.file, .offset, .bytes and .kbit_per_s"
+            )
         if self._pieces is None:
             package = KNOWN_PACKAGES["command bag fetch"]
             raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")

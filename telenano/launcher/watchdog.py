@@ -142,7 +142,7 @@ class Watchdog:
         hangs = []
         if elapsed_s >= SILENCE_S and self._watched:
             subject = "the launcher, or the whole machine,"
-            text = f"{subject} stood still for {elapsed_s:.1f} s: no node is judged by its silence meanwhile"
+            text = f"{subject} stood still for {elapsed_s:.1f} s: silence of the nodes in that time does not count"
             hangs.append(Finding("", "paused", elapsed_s, text))
         for node, watched in self._watched.items():
             if watched.last_ns is not None:

@@ -37,7 +37,7 @@ def check(where: str, value: Any) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise NotANumberError(f"{where} is {value}")
     if isinstance(value, np.ndarray) and not np.isfinite(value).all():
-        raise NotANumberError(f"{where} has an element that is no number")
+        raise NotANumberError(f"{where} has an element that is not a number")
     if isinstance(value, tuple):
         names = getattr(value, "_fields", range(len(value)))
         for name, part in zip(names, value, strict=True):

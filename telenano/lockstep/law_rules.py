@@ -96,7 +96,7 @@ def _params(name: str, period_s: float = _PERIOD_S, **settings: float) -> Any:
 def _settings(name: str) -> Iterator[str]:
     law = LAWS[name]
     if law.name != name:
-        yield f"calls itself {law.name}"
+        yield f"is registered under another name than its own, {law.name}"
     properties = law.config.model_json_schema()["properties"]
     for key, schema in properties.items():
         if "default" not in schema:
@@ -157,7 +157,7 @@ def _holds_spring(name: str) -> Iterator[str]:
         if not abs(shown_n - 1.0) <= _HOLD_SHARE:
             yield (
                 f"a hand of 1 N holds a spring of {_SPRING_N_PER_M:g} N/m with {shown_n:.3g} N after {_HOLD_S:g} s"
-                f" without delay, at a period of {1e3 * period_s:g} ms; 1 within {100.0 * _HOLD_SHARE:g} % is asked for"
+                f" without delay, at a period of {1e3 * period_s:g} ms; 1 within {100.0 * _HOLD_SHARE:g} % is required"
             )
 
 
@@ -180,7 +180,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
         yield (
             f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{late} presses with"
             f" {mean:.3g} N on average and swings by {swing:.3g} N in the end; 1 N within"
-            f" {100.0 * _HOLD_SHARE:g} % and no swing of more than that are asked for"
+            f" {100.0 * _HOLD_SHARE:g} % and no swing of more than that are required"
         )
 
 
@@ -260,7 +260,7 @@ def _retunes(name: str) -> Iterator[str]:
                 yield (
                     f"{key} times {factor:g} while a hand of 1 N holds a spring: the force shown changes by"
                     f" {shown:.3g} N, that of the tip by {step:.3g} N, and the hand goes {1e3 * way:.3g} mm; at most"
-                    f" {_FORCE_STEP:g} N and {1e3 * _HAND_STEP_M:g} mm are asked for, or name it in fixed_in_contact"
+                    f" {_FORCE_STEP:g} N and {1e3 * _HAND_STEP_M:g} mm are allowed; or name it in fixed_in_contact"
                 )
 
 

@@ -31,7 +31,7 @@ class ColumnTable(Mapping[str, Column]):
         """Return a column, shape (n,) or more; KeyError suggests the probable name and lists the columns."""
         if not isinstance(name, str):
             raise KeyError(
-                f"{self._name} has columns by name and not {name!r}: `to_pandas()` gives rows, slices and several"
+                f"{self._name} takes the name of a column, not {name!r}: `to_pandas()` gives rows, slices and several"
                 f" columns; its columns are {', '.join(self._columns)}"
             )
         if name not in self._columns:

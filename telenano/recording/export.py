@@ -109,7 +109,7 @@ def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]
     if where := where_it_is(f"format {kind}"):
         raise ConfigError(where)
     kinds = (*FORMATS, *plugins.installed("exports"))
-    raise ConfigError(f"{kind!r} is no format{probably_meant(kind, kinds)}; known are {', '.join(kinds)}")
+    raise ConfigError(f"{kind!r} is not a format{probably_meant(kind, kinds)}; known are {', '.join(kinds)}")
 
 
 def _written_by_package(write: Any, recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:

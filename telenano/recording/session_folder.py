@@ -89,7 +89,9 @@ class SessionFolder:
         wrong = [name for name in names if not (isinstance(name, str) and SessionFolder.is_part(name))]
         if wrong or not names:
             named = repr(wrong[0]) if wrong else "nothing"
-            raise RecordingError(f"{origin}: {named} is no part of a recording, such as session.mcap or session_1.mcap")
+            raise RecordingError(
+                f"{origin}: {named} is not a part of a recording, such as session.mcap or session_1.mcap"
+            )
         return tuple(names)
 
     def merge(self, far: Sequence[Path]) -> Path:

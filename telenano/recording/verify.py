@@ -205,7 +205,7 @@ class _Check:
         if not isinstance(decoded, Message):
             return decoded
         if twice := keys_twice(message.payload):
-            text = f"seq {message.seq}: the key {twice[0]!r} is there twice, of which a reader takes the last"
+            text = f"seq {message.seq}: the key {twice[0]!r} occurs twice, and a reader takes the last"
             self._report("schema", "error", channel.channel_topic, text)
         header = decoded.seq & _SEQUENCE_MASK, decoded.t_ns, decoded.src
         stated = message.seq, message.publish_ns, channel.src

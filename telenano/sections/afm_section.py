@@ -187,7 +187,7 @@ class _OwnSections(Settings):
             raise ValueError("driver: modbus needs a section modbus with calibration")
         DRIVERS.require_section(self, self.driver)
         if self.begin is not None and self.begin.program not in PROGRAMS:
-            raise ValueError(f"begin.program: must be one of {', '.join(PROGRAMS)}, and is {self.begin.program}")
+            raise ValueError(f"begin.program: must be one of {', '.join(PROGRAMS)}, not {self.begin.program}")
         if self.model == "dynamic":
             self._check_dynamic()
         for layer, settings in layers_on(self.sample):
@@ -240,7 +240,7 @@ class _OwnSections(Settings):
         if self.driver != "simulated" or self.environment != "tip_sample" or self.model != "quasi_static":
             raise ValueError("sample.map is for driver simulated, environment tip_sample and model quasi_static")
         if self.friction.coefficient > 0.0:
-            raise ValueError("sample.map has the forces that were recorded, and no friction besides")
+            raise ValueError("sample.map has the recorded forces alone: leave friction out")
         span, k = self.map_span, self.cantilever.stiffness_n_per_m
         if span is None:
             return
@@ -274,7 +274,7 @@ class _OwnSections(Settings):
             raise ValueError(
                 f"sample.map: with rest_distance_m = {rest_m:g} m the map is for a base from {rest_m - span.high_m:g}"
                 f" to {rest_m - span.low_m:g} m, in which safety.base_min_m, base_max_m and retract_position_m ="
-                f" {retracted:g} m leave the tip no way"
+                f" {retracted:g} m leave the tip no room to move"
             )
         return limits._replace(base_min_m=low, base_max_m=high, retract_position_m=retracted)
 
@@ -434,7 +434,9 @@ class _OwnSections(Settings):
         from telenano.afm.over_surface import over_surface
 
         if self.feel is not None:
-            raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
+            raise ConfigError(
+                f"{origin}: afm_node.feel: a lockstep renders the force of the tip only; `telenano up` can run it"
+            )
         params = self.to_params()
         # The disturbances act on the cantilever through which the force on the tip is read.
         cantilever, is_gauged = params.plant, self.environment in SAMPLES.found or self.environment == "spring"

@@ -39,7 +39,9 @@ def _with_own_parameters(name: str, value: Any) -> Law:
     kind = type(law.config().to_params(1e-3))  # type: ignore[attr-defined]
     # A study selects the compiled step by the class of the parameters, so no two laws may share a class.
     if _KINDS.setdefault(kind, name) != name:
-        raise TypeError(f"has the same class of parameters, {kind.__name__}, as {_KINDS[kind]}: make one of its own")
+        raise TypeError(
+            f"has the same class of parameters, {kind.__name__}, as {_KINDS[kind]}: define a class of its own"
+        )
     return law
 
 

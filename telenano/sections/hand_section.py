@@ -340,5 +340,5 @@ def changed_operator(config: HapticConfig, parameters: Mapping[str, Scalar]) -> 
     except (ValueError, ConfigError) as error:
         raise RefusedError(f"operator: {error}") from error
     if "interactive" in (changed.kind, config.operator.kind):
-        raise RefusedError("operator: a person takes the place of a simulated hand, and leaves it, with a new rig only")
+        raise RefusedError("operator: a change between a person and a simulated hand needs a new rig")
     return config.model_copy(update={"operator": changed})

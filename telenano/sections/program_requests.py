@@ -146,7 +146,7 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
         found.append((f"the sample has {stiffness_n_per_m:g} N/m", partial(simulation.take_spring, stiffness_n_per_m)))
     if RESTORE in parameters:
         if parameters[RESTORE] is not True:
-            raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
+            raise RefusedError(f"{RESTORE}: must be true, and only a simulated sample can be restored")
         found.append(("the sample is as it was in the beginning", simulation.restore_sample))
     if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
         if simulation.disturbances is None:

@@ -77,9 +77,9 @@ class _OwnSample(Settings):
     @model_validator(mode="after")
     def _size_where_needed(self) -> Self:
         if self.map is not None and (others := self.model_fields_set - {"map"}):
-            raise ValueError(f"map: {self.map} is all of the sample; it goes with no {', '.join(sorted(others))}")
+            raise ValueError(f"map: {self.map} describes the whole sample; leave out {', '.join(sorted(others))}")
         if self.is_file and self.size_m is not None and Path(self.name).suffix.lower() != ".npy":
-            raise ValueError(f"size_m: {self.name} says its own size")
+            raise ValueError(f"size_m: {self.name} states its size itself; leave size_m out")
         if not self.is_file and "level" in self.model_fields_set:
             raise ValueError(f"level: is for files; {self.name} has heights of its own")
         if not self.is_file and self.channel is not None:
@@ -107,7 +107,7 @@ class _OwnSample(Settings):
             ConfigError: The sample cannot be made; the message names it and what is wrong with it.
         """
         if self.map is not None:
-            raise ConfigError(f"sample.map {self.map}: a recorded map has no surface; it is felt on a rig")
+            raise ConfigError(f"sample.map {self.map}: a recorded map has no surface to image; it can be felt on a rig")
         if self.is_file:
             return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
         size_m = 150e-9 if self.size_m is None else self.size_m

@@ -72,7 +72,7 @@ def read_surface(
     """
     read = _READERS.get(path.suffix.lower(), _read_by_package)
     if size_m is not None and path.suffix.lower() not in (".npy", *_TEXTS):
-        raise ConfigError(f"{path}: says its own size; a size is given for .npy files and text tables only")
+        raise ConfigError(f"{path}: states its size itself; give a size for .npy files and text tables only")
     try:
         surface = _chosen(read(path, size_m), channel)
         scale = _metres(surface.unit_z, f"the heights of channel {surface.name}")
@@ -88,7 +88,7 @@ def read_surface(
         raise ConfigError(f"{path}: {error}") from error
     # A damaged file may make a reader raise anything.
     except Exception as error:
-        raise ConfigError(f"{path}: is no whole height map: {described(error)}") from error
+        raise ConfigError(f"{path}: is not a complete height map: {described(error)}") from error
 
 
 def _metres(unit: str, what: str) -> float:
@@ -125,7 +125,9 @@ def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
             raise ValueError("holds no array of numbers")
         stated, actual = math.prod(shape) * kind.itemsize, os.fstat(file.fileno()).st_size - file.tell()
         if min(shape, default=0) < 0 or stated != actual:
-            raise ValueError(f"has {actual} bytes of heights; the shape {shape} of {kind.itemsize} bytes is {stated}")
+            raise ValueError(
+                f"has {actual} bytes of heights; the shape {shape} with {kind.itemsize} bytes each needs {stated}"
+            )
         if len(shape) == 2 and shape[0] != shape[1]:
             raise ValueError(f"has the shape {shape}; with one side given, it must be square")
         _check_pixels(shape)
@@ -142,7 +144,7 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
         # Not a plain table: a package may know the format.
         return _read_by_package(path, size_m)
     if len(table.columns) == 2 and len(table.lines) > _LONGEST_OF_TWO:
-        raise ValueError(f"is a table of two columns and {len(table.lines)} rows, and no matrix of heights")
+        raise ValueError(f"is a table of two columns and {len(table.lines)} rows, not a matrix of heights")
     values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
     _check_pixels(values.shape)
     stated = {
@@ -164,7 +166,7 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
     # Without a depth in the head, pixels are square.
     depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
     if "values" not in stated and not np.nanmax(np.abs(values)) < _HIGHEST_M:
-        raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")
+        raise ValueError("its values are not heights in m: write their unit above them, as in `# Value units: nm`")
     return [_Channel("heights", values, width, depth, "m", stated.get("values", "m"))]
 
 
@@ -177,7 +179,7 @@ def _read_gsf(path: Path, size_m: float | None) -> list[_Channel]:
     with open_regular(path) as file:
         head = file.read(_LONGEST_GSF_HEADER)
         if not head.startswith(GSF_MAGIC):
-            raise ValueError(f"does not begin with {GSF_MAGIC.decode().strip()!r}: is no Gwyddion Simple Field")
+            raise ValueError(f"does not begin with {GSF_MAGIC.decode().strip()!r}: is not a Gwyddion Simple Field")
         end = head.find(b"\0")
         if end < 0:
             raise ValueError(f"its header has no end (a zero byte) within {_LONGEST_GSF_HEADER} bytes")
@@ -191,7 +193,7 @@ def _read_gsf(path: Path, size_m: float | None) -> list[_Channel]:
         start = end + 4 - end % 4
         actual, stated = os.fstat(file.fileno()).st_size - start, 4 * columns * rows
         if actual != stated:
-            raise ValueError(f"has {actual} bytes of heights; {columns} x {rows} of 4 bytes are {stated}")
+            raise ValueError(f"has {actual} bytes of heights; {columns} x {rows} values of 4 bytes need {stated}")
         file.seek(start)
         values = np.frombuffer(file.read(stated), "<f4").reshape(rows, columns)[::-1]
     width, depth = (_real(header, key) for key in ("XReal", "YReal"))

@@ -157,6 +157,6 @@ def _checked(name: str, panel: Any) -> Panel:
     if wrong := [topic for topic in panel.topics if not NAME.fullmatch(topic)]:
         raise ValueError(f"topics: {wrong[0]!r} is not the name of a topic, such as wind/speed")
     if panel.guest_page and (panel.guest_picture is None or not (panel.module.parent / panel.guest_page).is_file()):
-        lack = "has no guest_picture" if panel.guest_picture is None else f"is no file beside {panel.module}"
+        lack = "has no guest_picture" if panel.guest_picture is None else f"is not a file beside {panel.module}"
         raise ValueError(f"guest_page: {panel.guest_page} {lack}")
     return panel

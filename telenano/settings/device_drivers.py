@@ -157,7 +157,7 @@ class Drivers(Entries[DeviceDriver]):
         if not isinstance(value, DeviceDriver):
             raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
         if value.name != name:
-            raise ValueError(f"calls itself {value.name}")
+            raise ValueError(f"is registered under another name than its own, {value.name}")
         if value.in_lockstep and not (value.simulated and value.node == "haptic_node"):
             raise ValueError("in_lockstep is for a driver of the haptic node that is simulated as well")
         if value.in_lockstep and "period_s" in value.keywords:

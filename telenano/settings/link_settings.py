@@ -297,7 +297,7 @@ class Impairment(Settings):
         if self.jitter.distribution == "table" and self.jitter.scale_s == 0.0:
             yield "jitter.scale_s", "is 0, by which every sample of the table is multiplied; 1 where they are seconds"
         if self.jitter.second_share > 0.0 and self.jitter.second_scale_s == 0.0:
-            yield "jitter.second_scale_s", "0 s is no mean of a second part; give one, or jitter.second_share = 0"
+            yield "jitter.second_scale_s", "0 s is not a mean of a second part; give one, or jitter.second_share = 0"
         if self.order != "any" and self.reordering.probability > 0.0:
             yield "order", f"{self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
         if self.rate.rate_bytes_per_s is not None and self.delivery_trace.file is not None:

@@ -114,4 +114,4 @@ def refusal_of(name: str) -> str:
     if path.suffix == ".yaml":
         return f"{name} is a file: set TELENANO_NETWORKS={path.parent} and name it as {path.stem}"
     made = f"`telenano link fit {quoted(name)} --out out/line` makes one of a log or table of delays"
-    return f"{name} is no network: {made}; then set TELENANO_NETWORKS=out/line and name it as profile"
+    return f"{name} is not a network: {made}; then set TELENANO_NETWORKS=out/line and name it as profile"

@@ -396,7 +396,7 @@ def scenario_files() -> LoadedEntries[Path]:
     def path_of(name: str, value: Any) -> Path:
         path = Path(value() if callable(value) else value)
         if not path.is_file():
-            raise ValueError(f"{path} is no file")
+            raise ValueError(f"{path} is not a file")
         return path
 
     return load("scenarios", path_of)

@@ -37,7 +37,7 @@ class HostileService:
 
     def __init__(self, kind: str, begins_ns: int) -> None:
         if kind not in HOSTILITIES:
-            raise ValueError(f"{kind} is no hostility: known are {', '.join(HOSTILITIES)}")
+            raise ValueError(f"{kind} is not a hostility: known are {', '.join(HOSTILITIES)}")
         self.kind, self._begins_ns = kind, begins_ns
         self._due: list[tuple[int, bytes]] = []
         self._before: deque[bytes] = deque(maxlen=_PUSHED)

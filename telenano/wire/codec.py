@@ -337,7 +337,7 @@ def _opened(topic: str, payload: bytes) -> tuple[_Form, dict[str, Raw]]:
         parts = _decode_parts(payload)
     except msgspec.ValidationError as error:
         got = str(error).partition(", got ")[2].partition(" - at ")
-        text = "a key that is no text" if got[1] else f"a msgpack {got[0].strip('`')}, must be a map"
+        text = "a key that is not text" if got[1] else f"a msgpack {got[0].strip('`')}, must be a map"
         raise WireError("malformed", f"{topic}: {text}") from error
     except REFUSALS as error:
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error

@@ -129,7 +129,7 @@ def module_of(name: str) -> str:
     """
     if name not in _NAMES:
         raise ValueError(
-            f"no process is called {name!r}: it has to be a row of the table of nodes (telenano/wire/nodes.py)"
+            f"no process is called {name!r}: it must be a row of the table of nodes (telenano/wire/nodes.py)"
         )
     return f"services.{name}"
 

@@ -382,7 +382,7 @@ VALUES: Mapping[str, Sequence[str]] = {
 }
 # Options that a command refuses in these circumstances, because what is read there does not need them, and the reason.
 REFUSES: Mapping[str, str] = {
-    "scan --channel": "the sample is no file",
+    "scan --channel": "the sample is not a file",
     "study transparency --hand": "an arm would travel further than a hand may at these frequencies",
     "study push --quick": "the words give a number of trials",
     "study stability --mass": "a spring has none",
@@ -404,10 +404,10 @@ REFUSES: Mapping[str, str] = {
     "sample info --channel": "a map has no channels",
     "sample import --as": "the curve is one of force",
     "link fit --unit": "the headings of the log name their units",
-    "link fit --direction": "the log is no recording",
+    "link fit --direction": "the log is not a recording",
     "link fit --period": "the log has times",
     "link fit --taken": "no source is cited",
-    "link fit --histogram": "the log is no histogram; packages/telenano-lab has one",
+    "link fit --histogram": "the log is not a histogram; packages/telenano-lab has one",
 }
 # Options without an effect in these circumstances, each with the reason.
 WITHOUT: Mapping[str, str] = {

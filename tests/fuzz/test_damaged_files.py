@@ -80,8 +80,8 @@ def write_unwritten(path: Path) -> None:
 
 MAPS: list[tuple[str, Content, str]] = [
     # 8.9 GB and 16 s
-    ("map.ibw", with_number(files.map_wave(), 132, 1 << 28), "it is no whole Igor binary wave: 268435456 x 8 x 1"),
-    ("map.ibw", with_number(files.map_wave(), 76, 1 << 30), "it is no whole Igor binary wave"),
+    ("map.ibw", with_number(files.map_wave(), 132, 1 << 28), "not a complete Igor binary wave: 268435456 x 8 x 1"),
+    ("map.ibw", with_number(files.map_wave(), 76, 1 << 30), "it is not a complete Igor binary wave"),
     ("map.ibw", with_number(files.map_wave(), 12, 1 << 30), "its note, units and labels go beyond its"),
     # MemoryError, BadZipFile
     ("map.npy", files.npy_head((100_000, 100_000)), "has 0 bytes of heights; the shape (100000, 100000) of"),
@@ -90,18 +90,18 @@ MAPS: list[tuple[str, Content, str]] = [
     ("map.npy", b"PK\x03\x04" + bytes(100), "magic string is not correct"),
     ("map.npy", files.npy_head((2, 2), "|O") + bytes(32), "holds no array of numbers"),
     # KeyError 'data', KeyError 'unitstr', ValueError, MemoryError, a loop without an end
-    ("map.gwy", files.gwy(data=None), "is no whole Gwyddion file: KeyError: 'data'"),
+    ("map.gwy", files.gwy(data=None), "is not a complete Gwyddion file: KeyError: 'data'"),
     ("map.gwy", files.gwy(si_unit_z=files.gwy_part("si_unit_z", "o", files.gwy_object("GwySIUnit"))),
      "the unit of the heights of channel Height is none"),
-    ("map.gwy", files.gwy(xreal=files.gwy_part("xreal", "s", b"long\0")), "is no whole Gwyddion file: ValueError"),
+    ("map.gwy", files.gwy(xreal=files.gwy_part("xreal", "s", b"long\0")), "not a complete Gwyddion file: ValueError"),
     ("map.gwy", files.gwy(xres=files.gwy_part("xres", "i", struct.pack("<i", 1 << 30))), "(8,1073741824)"),
-    ("map.gwy", files.gwy(data=files.gwy_part("data", "D", struct.pack("<I", 0xFFFFFFFF))), "no whole Gwyddion file"),
+    ("map.gwy", files.gwy(data=files.gwy_part("data", "D", struct.pack("<I", 0xFFFFFFFF))), "complete Gwyddion file"),
     ("map.gwy", files.gwy()[:-1], "it must be one container of the length that it states"),
     ("map.gsf", files.gsf().replace(b"XRes = 8", b"XRes = 9"), "has 256 bytes of heights; 9 x 8 of 4 bytes"),
     ("map.gsf", b"Gwyddion Simple Field 1.0\n" + b"a=b\n" * 100_000, "its header has no end"),
 ]  # fmt: skip
 CURVES: list[tuple[str, Content, str]] = [
-    ("curve.ibw", with_number(files.curve_wave(), 132, 1 << 28), "it is no whole Igor binary wave"),
+    ("curve.ibw", with_number(files.curve_wave(), 132, 1 << 28), "it is not a complete Igor binary wave"),
     # 12.7 GB and 40 s
     ("curve.h5", write_unwritten, "it cannot be read with 1536 MB of memory"),
 ]  # fmt: skip
@@ -114,7 +114,7 @@ SCENARIOS: list[tuple[str, Content, str]] = [
         b"%c: &%c {<<: [*%c, *%c, *%c, *%c]}\n" % (97 + n, 97 + n, *([96 + n] * 4)) for n in range(1, 20)),
      "it has more than 100000 values, each alias (*NAME) written out"),
     ("scenario.yaml", b"a: " + b"9" * 5000, "the number in line 1 has 5000 characters, at most 100 are read"),
-    ("scenario.yaml", b"a: 1" + b":1" * 5000, "is no number of base 10"),
+    ("scenario.yaml", b"a: 1" + b":1" * 5000, "is not a number of base 10"),
     ("scenario.yaml", b"a: 2026-02-45\n", "a value in it cannot be read: day is out of range"),
     ("scenario.yaml", b"a: !!int x\n", "a value in it cannot be read: invalid literal"),
     ("scenario.yaml", b"a: !!bool maybe\n", "a value in it cannot be read"),

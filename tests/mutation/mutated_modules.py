@@ -191,7 +191,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " bound are the same number",
     },
     "telenano/laws/hand_periods.py": {
-        "module: RESTARTED = -1 [1 => 2]": "any negative number is no count",
+        "module: RESTARTED = -1 [1 => 2]": "any negative number is not a count",
         "no_sample: return HandClock(-1, 0) [0 => 1]": "the first sample sets the place of the grid",
         "no_sample: return HandClock(-1, 0) [1 => 2]": "any negative time stamp stands for none",
         "periods_to: periods = 1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns)"

@@ -43,7 +43,7 @@ def make(names: Sequence[str], path: Path = DIGESTS) -> list[str]:
         told = differences(before, sessions[name], same_bits=True) + additions(before, sessions[name])
         changed += [f"{name}: {text}" for text in (told if before else ["is a new reference"])]
     write_digests(sessions, path)
-    return changed + [f"{name}: is no reference any more" for name in kept if name not in REFERENCES]
+    return changed + [f"{name}: is not a reference any more" for name in kept if name not in REFERENCES]
 
 
 def shortened(told: Sequence[str], most: int = 4) -> list[str]:

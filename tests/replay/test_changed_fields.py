@@ -48,7 +48,7 @@ def batch(cases: list[Case], number: int) -> list[Case]:
 def strict(document: Any) -> str:
     """Return JSON that any reader takes."""
     text = json.dumps(document, allow_nan=False)
-    json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+    json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
     return text
 
 
@@ -138,7 +138,7 @@ def test_every_command_takes_a_changed_recording(source: Path, valid: list[Case]
         assert code == 0, (name, names, out[-500:], err)
         if name in ("info", "cat"):
             for line in out.splitlines():
-                strict(json.loads(line, parse_constant=lambda word: pytest.fail(f"{word} is no JSON")))
+                strict(json.loads(line, parse_constant=lambda word: pytest.fail(f"{word} is not JSON")))
     for case in cases:
         field = f"{case.topic}.{'.'.join(map(str, case.path))}"
         code, _, err = run("bag", "plot", path, field, "--out", tmp_path / "plot.png")

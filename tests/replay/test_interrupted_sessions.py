@@ -82,5 +82,5 @@ def test_the_exit_codes_say_the_same(seed: int, codes: tuple[int, int], tmp_path
         assert run("bag", "verify", *files)[0] == codes[1]
     if codes[0] == 0:
         # a warning, and the last line says why
-        assert "telenano: warning: this session is not its law alone: the AFM sent nothing from" in err
+        assert "telenano: warning: not only the law acted in this session: the AFM sent nothing from" in err
         assert "guarded (the AFM sent nothing from" in out

@@ -130,7 +130,7 @@ def test_the_digests_are_renewed_with_one_command_that_says_what_changed(tmp_pat
     write_digests({**kept, "wave": edited(kept["wave"], "force_n.0", [0.5]), "gone": {}}, path)
     (text, gone) = make(["wave"], path)
     assert text.startswith(f"wave: {HAND}: force_n.0 is not said any more")
-    assert gone == "gone: is no reference any more"
+    assert gone == "gone: is not a reference any more"
     assert path.read_bytes() == renewed
     assert make(["wave"], path) == []
 

@@ -29,7 +29,7 @@ def test_a_block_never_withdraws_the_tip_and_is_named(tmp_path: Path, cell: Cell
         found = run(cell, tmp_path / str(attempt), seed=attempt + 1)
         if not found["distorted"]:
             break
-        machine.note(f"a session with {cell.name} is no measurement: {found['distorted']}")
+        machine.note(f"a session with {cell.name} is not a measurement: {found['distorted']}")
     else:
         pytest.skip(f"{ATTEMPTS} sessions with {cell.name}, and the cable was late in each of them")
     assert not found["tip"]["withdrawn"], found["events"]

@@ -175,7 +175,7 @@ def test_killed_node_is_retracted_by_the_guard_and_a_person_who_moves_the_tip_is
     def seized() -> bool:
         # the rig's next z replaces it within two milliseconds, and the tick has to fall between the two
         gwyscope.ask(todo="set_feedback", feedback=False, zpiezo=1.5e-6)
-        return rig.log_has("afm_node@slave", "somebody else has moved the tip")
+        return rig.log_has("afm_node@slave", "another program has moved the tip")
 
     rig.wait_until(seized, "the event")
     rig.wait_until(lambda: rig.log_has("afm_node@slave", "is ready and retracted", 2), "the recovery")

@@ -66,7 +66,7 @@ def test_a_session_of_two_sites_is_recorded_at_both_and_merged_at_its_end(sites:
     assert "launcher@slave refuses: session_99.mcap cannot be read: No such file" in unknown.stderr
     outside = sites.master.telenano("bag", "fetch", str(out), "--file", "../scenario.yaml")
     assert outside.returncode != 0
-    assert "is no part of a recording" in outside.stderr
+    assert "is not a part of a recording" in outside.stderr
 
 
 def test_a_recording_is_fetched_in_pieces_over_a_line_that_loses_packets_and_is_cut(tmp_path: Path) -> None:

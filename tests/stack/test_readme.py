@@ -95,6 +95,6 @@ def test_a_session_prints_what_the_readme_shows(command: str, rig: Rig, tmp_path
             printed, err = f"{shown()[command][0]}\n{done.stdout}", done.stderr
         else:
             printed, err = session(command, tmp_path, environment)
-        if "not its law alone" not in err:
+        if "not only the law" not in err:
             break
     assert_prints(printed, command)

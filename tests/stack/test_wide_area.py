@@ -30,7 +30,9 @@ def undistorted(folder: Path, *network: Any, **chosen: Any) -> dict[str, Any]:
         found = fig12(folder / str(attempt), *network, first_hold_s=FIRST_HOLD_S, **chosen)
         if not found["distorted"]:
             return found
-        machine.note(f"a session of {network} is no measurement of the link ({found['verdict']}): {found['distorted']}")
+        machine.note(
+            f"a session of {network} is not a measurement of the link ({found['verdict']}): {found['distorted']}"
+        )
     pytest.skip(f"{ATTEMPTS} sessions of {network}, and the cable was late in each of them")
 
 
@@ -60,7 +62,7 @@ def test_a_probed_network_that_is_injected_has_the_same_delays_and_verdict(tmp_p
         tmp_path / "real", 20.0, 0.02, "passivity", probe_into=probe, duration_s=10.0, first_hold_s=FIRST_HOLD_S
     )
     if real["distorted"]:
-        pytest.skip(f"the network that was probed is no measurement: {real['distorted']}")
+        pytest.skip(f"the network that was probed is not a measurement: {real['distorted']}")
     again = undistorted(tmp_path / "again", 20.0, 0.02, "passivity", measured=probe)
     network = json.loads((probe / "probe.json").read_text())["network"]
     for direction, applied_ms in again["injected_ms"].items():

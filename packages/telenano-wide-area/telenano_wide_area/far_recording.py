@@ -61,7 +61,7 @@ class PartialFile:
         data = piece.data.to_numpy().tobytes()
         who = f"{piece.src} sends {piece.file!r}"
         if piece.file != self.name:
-            raise RecordingError(f"{who} where {self.name} was asked for: refused")
+            raise RecordingError(f"{who} where {self.name} was requested: refused")
         if piece.data.dtype != "u1" or hashlib.sha256(data).hexdigest() != piece.sha256:
             raise RecordingError(f"{who} with a piece at {piece.offset_bytes} that its digest contradicts: refused")
         if piece.offset_bytes + len(data) > piece.size_bytes:

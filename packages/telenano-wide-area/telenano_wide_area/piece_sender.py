@@ -47,7 +47,7 @@ class PieceSender:
         unknown = sorted(set(parameters) - {FILE, OFFSET, BYTES, RATE})
         if unknown or type(name) is not str or not SessionFolder.is_part(name):
             here = ", ".join(sorted(path.name for path in self._folder.glob("session*.mcap"))) or "nothing"
-            raise RefusedError(f"{', '.join(unknown) or name!r} is no part of the recording here, which has {here}")
+            raise RefusedError(f"{', '.join(unknown) or name!r} is not a part of the recording here, which has {here}")
         if type(offset) is not int or offset < 0 or type(count) is not int or not 0 < count <= MOST_BYTES:
             raise RefusedError(f"{OFFSET} and {BYTES} must be whole numbers from 0 and from 1 to {MOST_BYTES}")
         if not isinstance(rate, int | float) or not _RATES[0] <= rate <= _RATES[1]:

@@ -136,9 +136,9 @@ def test_a_stall_of_the_far_site_is_not_made_up_for_beyond_a_window(far: Path) -
 
 
 LIES: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
-    "another file": (lambda f: {**f, "file": "session_2.mcap"}, "where session_1.mcap was asked for: refused"),
-    "a path": (lambda f: {**f, "file": "../../.ssh/authorized_keys"}, "was asked for: refused"),
-    "an absolute path": (lambda f: {**f, "file": "/etc/passwd"}, "was asked for: refused"),
+    "another file": (lambda f: {**f, "file": "session_2.mcap"}, "where session_1.mcap was requested: refused"),
+    "a path": (lambda f: {**f, "file": "../../.ssh/authorized_keys"}, "was requested: refused"),
+    "an absolute path": (lambda f: {**f, "file": "/etc/passwd"}, "was requested: refused"),
     "another digest": (lambda f: {**f, "sha256": "0" * 64}, "that its digest contradicts: refused"),
     "no digest": (lambda f: {**f, "sha256": ""}, "that its digest contradicts: refused"),
     "bytes beyond the size": (lambda f: {**f, "size_bytes": f["offset_bytes"] + 1}, "bytes at 0 of 1: refused"),
@@ -208,11 +208,11 @@ def test_what_is_no_recording_is_not_kept(tmp_path: Path) -> None:
     [
         (
             {"name": "../scenario.yaml"},
-            r"'../scenario.yaml' is no part of the recording here, which has session_1.mcap",
+            r"'../scenario.yaml' is not a part of the recording here, which has session_1.mcap",
         ),
-        ({"name": "logs/afm_node@slave.log"}, "is no part of the recording here"),
-        ({"name": "session_1.mcap\n"}, "is no part of the recording here"),
-        ({"name": 7}, "7 is no part of the recording here"),
+        ({"name": "logs/afm_node@slave.log"}, "is not a part of the recording here"),
+        ({"name": "session_1.mcap\n"}, "is not a part of the recording here"),
+        ({"name": 7}, "7 is not a part of the recording here"),
         ({"name": "session_9.mcap"}, r"session_9.mcap cannot be read: No such file"),
         ({"offset": -1}, "must be whole numbers"),
         ({"offset": True}, "must be whole numbers"),
@@ -220,7 +220,7 @@ def test_what_is_no_recording_is_not_kept(tmp_path: Path) -> None:
         ({"count": MOST_BYTES + 1}, "must be whole numbers"),
         ({"rate": 1.0}, "must be a number from 64"),
         ({"rate": "fast"}, "must be a number from 64"),
-        ({"afm_node.safety": 1}, r"afm_node.safety.? is no part of the recording here"),
+        ({"afm_node.safety": 1}, r"afm_node.safety.? is not a part of the recording here"),
     ],
 )
 def test_a_wrong_request_is_refused_with_the_reason(far: Path, asked: dict[str, Any], text: str) -> None:

@@ -83,7 +83,7 @@ class OwnScanProgram(Program[ScanSettings, OwnScanPlan, OwnScanState]):
 def _fault(s: ScanSettings, image: OwnImage, instrument: Instrument) -> str:
     """Return the reason why the instrument cannot take the image, with a remedy; empty if it can."""
     if instrument.lateral is None:
-        return "needs a lateral stage, which this instrument has none of"
+        return "needs a lateral stage, and this instrument has none"
     if s.mode == "tapping":
         return "mode: this instrument takes images in contact; choose its mode in its own software"
     if s.pixels % _PACKET:

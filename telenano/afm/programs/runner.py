@@ -116,7 +116,7 @@ class ProgramRunner:
         if wanted == "abort":
             return self.abort()
         if not self._program.can_pause:
-            raise RefusedError(f"program: a {self.name} cannot {wanted}, it can be aborted")
+            raise RefusedError(f"program: a {self.name} cannot {wanted}, it can only be aborted")
         self.state = "paused" if wanted == "pause" else "running"
         return f"the {self.name} is {self.state}"
 

@@ -101,7 +101,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
     def begin(self, settings: ScanSettings, instrument: Instrument, place: Place) -> Begun[ScanPlan, ScanState]:
         s = settings
         if instrument.lateral is None:
-            raise RefusedError("program: scan needs a lateral stage, which this instrument has none of")
+            raise RefusedError("program: scan needs a lateral stage, and this instrument has none")
         if s.mode == "tapping" and not instrument.can_vibrate:
             raise RefusedError("scan.mode: tapping needs a cantilever that vibrates: afm_node.model dynamic")
         width_m, depth_m = instrument.size_m

@@ -73,7 +73,7 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
         self, settings: TactileSettings, instrument: Instrument, place: Place
     ) -> Begun[TactilePlan, TactileState]:
         if instrument.lateral is None:
-            raise RefusedError("program: tactile needs a lateral stage, which this instrument has none of")
+            raise RefusedError("program: tactile needs a lateral stage, and this instrument has none")
         s, limits = settings, instrument.limits
         start = Place(s.x0_m, s.y0_m)
         end_x = s.x0_m + 0.5 * instrument.size_m[0] if s.x1_m is None else s.x1_m

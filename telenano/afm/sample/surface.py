@@ -129,7 +129,7 @@ def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float, *
     if bad and may_lack and bad < heights.size:
         heights = np.where(missing, np.nan, heights)
     elif bad:
-        raise ValueError(f"has {bad} heights that are no finite number (of {heights.size}); interpolate them first")
+        raise ValueError(f"has {bad} heights that are not finite (of {heights.size}); interpolate them first")
     span = float(np.nanmax(heights) - np.nanmin(heights))
     if span > 1e-4:
         raise ValueError(f"has heights over {span:g} m, more than 1e-4 m: is its unit of height right?")

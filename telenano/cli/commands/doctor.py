@@ -94,7 +94,7 @@ def examine(site_file: Path) -> list[Finding]:
         return [*findings, *rig(site_file)]
     except ImportError as error:
         # The packages that every process needs are missing, so no site file can be read.
-        return [*findings, Finding("site file", "problem", str(error), "install what is missing first, see above")]
+        return [*findings, Finding("site file", "problem", str(error), "install the missing packages first, see above")]
 
 
 def machine(*, container: bool) -> list[Finding]:

@@ -62,7 +62,7 @@ class HostAddress:
             except (OSError, UnicodeError) as error:
                 # An address that was once right is better than none.
                 if not isinstance(self._found, Address):
-                    self._found = error if isinstance(error, OSError) else OSError(f"is no name of a host: {error}")
+                    self._found = error if isinstance(error, OSError) else OSError(f"is not a name of a host: {error}")
             self._under_way = False
 
 

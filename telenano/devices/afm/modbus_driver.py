@@ -212,7 +212,7 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
             if len(trips) == self._heart.trips.count and self._heart.trips.decode(trips, order):
                 raise DeviceError("received no heartbeat in time, and its script has retracted the stage")
         if len(words) != count:
-            raise DeviceError(f"answered {len(words)} registers, {count} were asked for")
+            raise DeviceError(f"answered {len(words)} registers, {count} were requested")
         return (
             readback.decode(words[at_readback : at_readback + readback.count], order),
             input_raw.decode(words[at_input : at_input + input_raw.count], order),

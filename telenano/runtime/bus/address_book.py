@@ -94,8 +94,8 @@ class AddressBook(Settings):
     """The address book of a rig.
 
     `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, and `{NAME}` in a tcp endpoint
-    for the address of the machine NAME. A reader at one site reaches a publisher at the other only through the link, which
-    republishes on a socket of its own at each site.
+    for the address of the machine NAME. A reader at one site reaches a publisher at the other only through the link,
+    which republishes on a socket of its own at each site.
     """
 
     machines: dict[MachineName, str] = Field(
@@ -125,7 +125,7 @@ class AddressBook(Settings):
         if unused:
             raise ValueError(f"bind.{unused[0]}: no node runs on this machine")
         if self.relay is not None and self.insecure:
-            raise ValueError("relay: a relay carries what is encrypted only; remove `insecure: true`")
+            raise ValueError("relay: a relay carries encrypted connections only; remove `insecure: true`")
         if self.relay is not None and not _is_tcp(f"tcp://{self.relay}"):
             raise ValueError(f"relay: {self.relay} is not of the form host:port (1-65535), such as 198.51.100.7:5750")
         seen: dict[str, str] = {}

@@ -231,7 +231,8 @@ class Hearing:
             return ()
         ear.is_deaf = True
         silent_s = (now_ns - ear.heard_ns) * 1e-9
-        text = f"deaf to {ear.node} for {silent_s:.1f} s, although it sends ({ear.endpoint}): connected to it anew"
+        silence = f"received nothing from {ear.node} for {silent_s:.1f} s, although it sends"
+        text = f"{silence}: connected again to {ear.endpoint}"
         return (ear.event("warning", text, "deaf", silent_s),)
 
     def _connected_beside(self, subscriber: Subscriber, ear: _Ear) -> "zmq.Socket[bytes]":
@@ -254,7 +255,7 @@ def _note_heard(ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
     ear.close_probe()
     if not was_deaf:
         return ()
-    return (ear.event("info", f"{ear.node} is heard again after {silent_s:.1f} s", "up", silent_s),)
+    return (ear.event("info", f"messages of {ear.node} arrive again after {silent_s:.1f} s", "up", silent_s),)
 
 
 def _connect_anew(subscriber: Subscriber, ear: _Ear) -> None:

@@ -67,7 +67,7 @@ def check_link(transport: str, keys: Mapping[str, Any], origin: str, *, relayed:
     except ConfigError as error:
         raise ConfigError(f"{origin}: {asks}: {error}") from error
     if relayed and not transport_named.reaches_relay:
-        raise ConfigError(f"{origin}: relay: the transport {transport!r} reaches no relay")
+        raise ConfigError(f"{origin}: relay: the transport {transport!r} cannot use a relay")
     validate(transport_named.settings, {"transport": transport, **keys}, origin, "link")
 
 

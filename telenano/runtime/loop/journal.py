@@ -146,7 +146,7 @@ class InputJournal:
         except (AttributeError, TypeError, ValueError, OverflowError) as error:
             if str(error) not in self._refused:
                 self._refused.add(str(error))
-                text = f"the state of this node is not kept, and no re-run can begin with it: {error}"
+                text = f"the state of this node was not recorded, so that no re-run can begin here: {error}"
                 self._node.event("node", "warning", text)
             return b""
         if len(state) > _STATE_PIECE:

@@ -115,7 +115,7 @@ class Node(ABC):
         """Return the duration of a stall of this process that ends now [s], 0.0 without one; report a stall."""
         stalled_s = self.freshness.stalled_s(now_ns)
         if stalled_s:
-            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: what waited for it meanwhile is late"
+            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: messages that waited for it are late"
             self.event("fault", "warning", text, stalled_s=stalled_s)
         return stalled_s
 

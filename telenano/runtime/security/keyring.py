@@ -58,7 +58,7 @@ def _as_day(value: object) -> object:
     try:
         return date.fromisoformat(value) if isinstance(value, str) else value
     except ValueError as error:
-        raise ValueError(f"{value} is no date such as 2027-06-30") from error
+        raise ValueError(f"{value} is not a date such as 2027-06-30") from error
 
 
 PublicKey = Annotated[str, AfterValidator(_check_key)]

@@ -38,7 +38,7 @@ def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
     except (IsADirectoryError, NotRegularError) as error:
         raise ConfigError(f"{path}: is a folder, pipe, socket or device, must be a regular file") from error
     if len(content) > _LARGEST_BYTES:
-        raise ConfigError(f"{path}: has more than {_LARGEST_BYTES} bytes, which no key and no list of keys has")
+        raise ConfigError(f"{path}: has more than {_LARGEST_BYTES} bytes, more than any key or list of keys")
     return content, status
 
 
@@ -94,7 +94,7 @@ def check_private_folder(folder: Path, remedy: str) -> None:
         raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
     if status.st_mode & _ANY_ACCESS:
         mode = status.st_mode & 0o777
-        raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {quoted(folder)}")
+        raise ConfigError(f"{folder}: other users can reach its content (mode {mode:o}): chmod 700 {quoted(folder)}")
 
 
 def check_runtime_directory(*, make: bool = False) -> None:

@@ -143,7 +143,7 @@ def _members(read: NodeArguments) -> tuple[str, ...]:
     known = JOINED[f"site@{read.site}"]
     for node in read.node:
         if node not in known:
-            raise ConfigError(f"--node {node}: no node of this process, {known_names(node, known)}")
+            raise ConfigError(f"--node {node}: is not a node of this process, {known_names(node, known)}")
     return tuple(key for key in known if key in read.node)
 
 
@@ -154,7 +154,7 @@ def check_simulated(loaded: LoadedScenario, keys: Collection[str]) -> None:
         config = loaded.section(kind.name, kind.config)
         if not getattr(config, "simulated", True):
             text = f"{key} drives a real device ({kind.name}.driver: {config.driver})"
-            raise ConfigError(f"{text}, which keeps a process of its own: nothing that hangs beside it may hold it")
+            raise ConfigError(f"{text}, which needs a process of its own, so that no other node can block it")
 
 
 def _take_stops(site: SiteLoop, device: NodeLoop) -> None:

@@ -291,5 +291,5 @@ def fetching_transport() -> LinkTransport | None:
 
 def _complete(transport: SiteFileTransport) -> LinkTransport:
     if not isinstance(transport, LinkTransport):
-        raise ConfigError(f"the transport {type(transport).__name__} is no LinkTransport of telenano.runtime")
+        raise ConfigError(f"the transport {type(transport).__name__} is not a LinkTransport of telenano.runtime")
     return transport

@@ -147,7 +147,7 @@ class MessageExaminer:
             account.fail("msgpack", f"{topic}: {error}")
             return None
         if twice:
-            account.fail("msgpack", f"{topic}: a map has a key twice, of which a reader takes the last")
+            account.fail("msgpack", f"{topic}: a map has a key twice, and a reader takes the last")
         else:
             account.hold("msgpack")
         return fields if self._is_meant(topic, fields) else None

@@ -58,7 +58,7 @@ class Keys(NamedTuple):
             # The reader of ZeroMQ expects a value in every line that begins with the name of a key.
             reason = "a line of a key has no value" if isinstance(error, IndexError) else error
             raise ConfigError(
-                f"{own}: is no file with a pair of keys, as `telenano keys new` makes: {reason}"
+                f"{own}: is not a file with a pair of keys, as `telenano keys new` makes: {reason}"
             ) from error
         if secret is None:
             raise ConfigError(f"{own}: has no secret-key; name the file that ends with .key_secret")
@@ -209,7 +209,7 @@ def _reader(
         socket.disable_monitor()
         for each in (socket, monitor):
             each.close(linger=0)
-        raise ConfigError(f"{client}: is no endpoint, such as ipc:///run/x or tcp://host:5700: {error}") from error
+        raise ConfigError(f"{client}: is not an endpoint, such as ipc:///run/x or tcp://host:5700: {error}") from error
     return socket, monitor
 
 

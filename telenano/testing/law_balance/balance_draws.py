@@ -210,7 +210,7 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         ValueError: There is no such kind.
     """
     if kind not in ALL_KINDS:
-        raise ValueError(f"{kind} is no kind of order: known are {', '.join(ALL_KINDS)}")
+        raise ValueError(f"{kind} is not a kind of order: known are {', '.join(ALL_KINDS)}")
     name = f"{seed} {kind} {case}"
     rng = Random(name)
     # Events use a separate generator, so that a shorter order is the beginning of the longer one.

@@ -49,7 +49,7 @@ def test_a_file_in_nanometres_is_converted(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        (b"Gwyddion Simple", b"Gwyddion Sample", "is no Gwyddion Simple Field"),
+        (b"Gwyddion Simple", b"Gwyddion Sample", "is not a Gwyddion Simple Field"),
         (b"ZUnits = m", b"ZUnits = V", "the unit of the heights of channel Height is 'V'; it must be a length"),
         (b"XYUnits = m\n", b"", "the unit of the sides of channel Height is none"),
         (b"XRes = 11", b"XRes = 12", "has 308 bytes of heights; 12 x 7 of 4 bytes are 336"),
@@ -95,7 +95,7 @@ def test_an_array_needs_its_side_and_must_be_square_finite_and_of_numbers(tmp_pa
 
 
 def test_files_of_other_kinds_and_sizes_that_contradict_are_refused(gsf, tmp_path):
-    with pytest.raises(ConfigError, match="says its own size"):
+    with pytest.raises(ConfigError, match="states its size itself"):
         read_surface(gsf, size_m=1e-7)
     with pytest.raises(ConfigError, match="cannot be read: No such file"):
         read_surface(tmp_path / "none.ibw")
@@ -139,7 +139,7 @@ def test_a_matrix_of_heights_in_text_has_its_size_and_unit_from_head_or_option(t
 @pytest.mark.parametrize(
     ("head", "factor", "reason"),
     [
-        ("", 1e9, "its values are no heights in m: write their unit"),
+        ("", 1e9, "its values are not heights in m: write their unit"),
         ("# Value units: V\n", 1.0, "the unit of the heights of channel heights is 'V'; it must be a length"),
         ("# Width: 3 furlong\n", 1.0, "the unit of the width in its head is 'furlong'"),
     ],

@@ -83,7 +83,7 @@ def test_dilation_never_lowers_and_leaves_coarse_and_level_maps_alone():
     [
         (np.zeros(9), 1e-7, r"has the shape \(9,\)"),
         (np.zeros((1, 9)), 1e-7, r"has the shape \(1, 9\)"),
-        (np.full((4, 4), np.nan), 1e-7, "has 16 heights that are no finite number"),
+        (np.full((4, 4), np.nan), 1e-7, "has 16 heights that are not finite"),
         (np.array([[0.0, 1.0], [0.0, 0.0]]), 1e-7, "is its unit of height right"),
         (np.zeros((4, 4)), 0.0, "has a width of 0 m"),
         (np.zeros((4, 4)), np.inf, "has a width of inf m"),

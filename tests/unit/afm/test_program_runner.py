@@ -151,7 +151,7 @@ def test_a_program_that_can_pause_is_told_so_and_goes_on(runner: ProgramRunner) 
 
 def test_one_that_cannot_is_left_running(runner: ProgramRunner) -> None:
     ask(runner, "search")
-    with pytest.raises(RefusedError, match=r"^program: a search cannot pause, it can be aborted$"):
+    with pytest.raises(RefusedError, match=r"^program: a search cannot pause, it can only be aborted$"):
         ask(runner, "pause")
     assert runner.state == "running"
 

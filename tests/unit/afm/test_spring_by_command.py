@@ -37,7 +37,7 @@ def test_the_sample_is_stiffer_from_then_on(spring: Imager) -> None:
     assert soft_n > 0.0
     assert spring.set(**{KEY: 5.0}) == "the sample has 5 N/m"
     assert force_n(spring) == pytest.approx(2.5 * soft_n, rel=1e-9, abs=0.0)
-    with pytest.raises(ValueError, match="a re-run has to begin before that"):
+    with pytest.raises(ValueError, match="a re-run must begin before that"):
         spring.node.capture()
 
 
@@ -79,5 +79,5 @@ def test_particles_lie_where_they_lay_again(bench_of: Any) -> None:
     assert driver.truths["particles"].places_m.tolist() == [[1e-6, 0.0], [0.0, 1e-6]]
     # unlike another stiffness it is in the state, from which a re-run goes on
     assert afm.node.capture() is not None
-    with pytest.raises(RefusedError, match=r"sample\.restore: has to be true"):
+    with pytest.raises(RefusedError, match=r"sample\.restore: must be true"):
         afm.set(**{"sample.restore": False})

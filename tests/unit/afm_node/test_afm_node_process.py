@@ -308,7 +308,7 @@ def test_an_instrument_that_stalled_holds_or_retracts_before_anything_else(
     events = afm.bench.take("session/event")
     (said,) = (event for event in events if event.kind == "fault")
     assert said.level == "warning"
-    assert said.text == f"this process stalled for {stalled_ms} ms: what waited for it meanwhile is late"
+    assert said.text == f"this process stalled for {stalled_ms} ms: messages that waited for it are late"
     assert said.data == {"stalled_s": pytest.approx(stalled_ms * 1e-3, rel=1e-6, abs=0.0)}
     # and what that did to the tip
     assert next(event.data["mode"] for event in events if event.kind == "mode") == modes[0]

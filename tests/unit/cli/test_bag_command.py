@@ -200,8 +200,8 @@ def test_the_end_of_a_session_on_a_machine_without_room_names_the_key_that_helps
     if interruptions:
         first, _, rest = capsys.readouterr().err.partition("\n")
         assert first == (
-            "telenano: warning: this session is not its law alone: the hand was let go once, at 1.500 s, for 40 ms "
-            "(no command within the deadline)"
+            "telenano: warning: not only the law acted in this session: the hand was let go once, at 1.500 s, for 40 "
+            "ms (no command within the deadline)"
         )
         assert ("36 deadlines were missed at 700 Hz" in rest) is is_told
         return

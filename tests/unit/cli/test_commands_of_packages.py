@@ -220,7 +220,7 @@ def names(recording, target, selection):
     assert len((tmp_path / "names.txt").read_text().split()) == 3
     with pytest.raises(ConfigError, match=r"bad of the package namer 1\.2 cannot be used: AttributeError"):
         export_recording(recording, tmp_path / "x", "bad")
-    with pytest.raises(ConfigError, match=r"'nams' is no format; did you mean names\?; known are mcap-json, "):
+    with pytest.raises(ConfigError, match=r"'nams' is not a format; did you mean names\?; known are mcap-json, "):
         export_recording(recording, tmp_path / "x", "nams")
     monkeypatch.setattr(plugins, "load", lambda *_, **__: plugins.LoadedEntries({}, {}))
     how = re.escape("the format ros2 is in the package telenano-bridges[ros2]: ")
@@ -277,5 +277,7 @@ def test_files_are_read_by_the_package_whose_entry_has_their_name(make: Any, tmp
     with pytest.raises(ConfigError, match=r"c\.bad: bad of the package my_package 1\.2 cannot be used: TypeError"):
         read_surface(tmp_path / "c.bad")
     # what has no curve is no file of curves
-    with pytest.raises(ConfigError, match=r"a\.my-scan: is no whole force curve: is of no format of force curves"):
+    with pytest.raises(
+        ConfigError, match=r"a\.my-scan: is not a complete force curve: is of no format of force curves"
+    ):
         read_measured(tmp_path / "a.my-scan")

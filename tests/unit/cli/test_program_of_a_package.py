@@ -103,7 +103,7 @@ def test_the_tip_goes_round_at_a_constant_force_and_retracts(found: dict[str, An
 
 def test_it_is_one_program_among_the_others(found: dict[str, Any]) -> None:
     assert found["second"] == "program: a circle is running; abort it first"
-    assert found["pause"] == "program: a circle cannot pause, it can be aborted"
+    assert found["pause"] == "program: a circle cannot pause, it can only be aborted"
     assert found["words"] == ["scan", "curve", "tactile", "circle", "push", "pause", "resume", "abort"]
     assert found["begin"] == ["circle", 2]
 

@@ -70,7 +70,7 @@ def test_a_pupil_has_the_hand_when_it_is_handed_over_and_gives_it_back() -> None
         hand_over(lease, PUPIL, "p", 7, lease.number)
     lease = hand_over(lease, OWNER, "", 7, lease.number)
     assert (lease.holder, lease.asking) == (PUPIL, ())
-    with pytest.raises(RefusedError, match="not asked for"):
+    with pytest.raises(RefusedError, match="nobody has asked for control"):
         hand_over(lease, PUPIL, "", 8, lease.number)
     assert let_go(lease, PUPIL, 9).holder is None
 

@@ -694,7 +694,7 @@ def test_a_master_that_stalled_waits_for_a_fresh_answer(master: Any, stalled_ms:
     bench.advance_ms(stalled_ms)
     hand = tick(bench, node)
     assert bench.take("haptic/command") == []
-    assert faults(bench) == [f"this process stalled for {stalled_ms + 1} ms: what waited for it meanwhile is late"]
+    assert faults(bench) == [f"this process stalled for {stalled_ms + 1} ms: messages that waited for it are late"]
     tick(bench, node)
     (command,) = bench.take("haptic/command")
     assert command.mode == "off"
@@ -728,7 +728,7 @@ def test_a_slave_that_stalled_holds_until_it_knows_where_the_base_is(bench_of: A
     assert (command.mode, command.base_position_m[2]) == ("hold", -before)
     # no answer is owed for what was asked before
     assert bench.take("teleop/backward") == []
-    assert faults(bench) == [f"this process stalled for {stalled_ms} ms: what waited for it meanwhile is late"]
+    assert faults(bench) == [f"this process stalled for {stalled_ms} ms: messages that waited for it are late"]
     # the instrument says where it is, 9 nm: the half begins there
     node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq)))
     (backward,) = bench.take("teleop/backward")
@@ -766,7 +766,7 @@ def test_a_controller_takes_a_turn_at_least_twice_a_bound(master: Any) -> None:
     assert faults(bench) == []
     bench.advance_ms(51.0)
     node.on_deadline(bench.clock.monotonic_ns())
-    assert faults(bench) == ["this process stalled for 51 ms: what waited for it meanwhile is late"]
+    assert faults(bench) == ["this process stalled for 51 ms: messages that waited for it are late"]
 
 
 def test_a_hand_that_is_played_from_a_recording_is_followed(master: Any, slave: Any) -> None:

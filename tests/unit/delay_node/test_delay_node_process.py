@@ -269,7 +269,7 @@ def test_a_link_that_stalled_says_so_and_sends_on_what_waited(link_of: Any) -> N
     link.bench.advance_ms(1000.0)
     link.node.on_deadline(link.bench.clock.monotonic_ns())
     said = [event for event in link.bench.take("session/event") if event.kind == "fault"]
-    assert [event.text for event in said] == ["this process stalled for 1000 ms: what waited for it meanwhile is late"]
+    assert [event.text for event in said] == ["this process stalled for 1000 ms: messages that waited for it are late"]
     assert len(link.delivered(link.to_slave)) == 20
     # what it took too long for is not told as a delay of the link
     assert {delay_ns for _, _, delay_ns, _ in pairs(link.to_slave)} == {2_000_000}

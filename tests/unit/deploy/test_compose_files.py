@@ -426,7 +426,7 @@ def test_a_container_does_not_begin_in_a_folder_of_sockets_that_others_can_reach
         entrypoint.main([])
     assert caught.value.code == 2
     assert capsys.readouterr().err == (
-        f"{tmp_path}: other users can reach what is in it (mode 755): chmod 700 {tmp_path}\n"
+        f"{tmp_path}: other users can reach its content (mode 755): chmod 700 {tmp_path}\n"
     )
     assert list(tmp_path.iterdir()) == []
 

@@ -218,7 +218,7 @@ def test_a_folder_that_others_can_reach_ends_no_loop_and_no_sign_of_life(
     hold = Hold(party, register, lambda lease, now_ns: take(lease, party, now_ns))
     desk = LeaseDesk(register)
     folder.chmod(0o777)
-    with pytest.raises(RigError, match="other users can reach what is in it"):
+    with pytest.raises(RigError, match="other users can reach its content"):
         register.change(current)
     # longer than between two signs of life
     time.sleep(0.4)

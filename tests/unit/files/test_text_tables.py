@@ -93,7 +93,7 @@ def test_numbers_before_a_blank_line_leave_the_titles_above_them() -> None:
 def test_a_damaged_row_near_the_begin_is_no_end_of_a_head() -> None:
     table = TextTable.parse(f"a [s]\tb [s]\n1.5\t2.5\n2.5\tx3.5\n{ROWS}".encode(), "t")
     assert len(table.lines) == 102
-    with pytest.raises(ConfigError, match=r"line 3: 'x3\.5' is no number"):
+    with pytest.raises(ConfigError, match=r"line 3: 'x3\.5' is not a number"):
         table.in_si(table.columns[1], ("s",))
 
 
@@ -102,13 +102,13 @@ def test_a_damaged_row_near_the_begin_is_no_end_of_a_head() -> None:
     [
         ("", "t: is empty"),
         ("  \n\n", "t: is empty"),
-        ("a\0b", "is no text: it has zero bytes"),
+        ("a\0b", "is not text: it has zero bytes"),
         ("by hand\nno number\n", "has no line of numbers in its first 2 lines"),
         ("60000,250,1,2E-27\n60001,500,1,3E-27\n", "line 1: has 4 columns separated by commas and no decimal point"),
         ("z [nm],U [V]\n0,0,5\n1,5,0,6\n2,5,0,7\n", "line 3: has 4 columns separated by commas and no decimal point"),
         ("1,304,-0,012,0,7\n-1,25,0,5,0,081\n", "line 1: has 6 columns separated by commas and no decimal point"),
         ("f;d\n1,5;2\n1.5;2\n", "line 2 has a decimal comma and line 3 a point"),
-        ("a\tb\n1\t2\nretract\n1\t2\n", "line 3: is no line of numbers, after 1 that are"),
+        ("a\tb\n1\t2\nretract\n1\t2\n", "line 3: is not a line of numbers, after 1 that are"),
         ("1 2\n3 4 5\n6 7\n", "line 2: has 3 columns, where the others have 2"),
     ],
 )
@@ -135,7 +135,7 @@ def test_a_unit_that_is_named_and_not_known_is_refused_with_its_line(head: str, 
 def test_a_word_among_numbers_is_refused_where_its_column_is_used() -> None:
     table = TextTable.parse(b"t_s,x_m,host\n1,2,a\n2,loud,b\n", "t")
     assert table.in_si(table.columns[0], ("s",)) is not None
-    with pytest.raises(ConfigError, match="t, line 3: 'loud' is no number"):
+    with pytest.raises(ConfigError, match="t, line 3: 'loud' is not a number"):
         table.in_si(table.columns[1], ("m",))
 
 

@@ -94,5 +94,5 @@ def test_it_comes_alone(hand: Bench) -> None:
 def test_no_state_is_kept_that_a_rerun_could_not_go_on_from(hand: Bench) -> None:
     assert hand.node.capture() is not None
     hand.control("set", operator=json.dumps(HARDER))
-    with pytest.raises(ValueError, match="a re-run has to begin before that"):
+    with pytest.raises(ValueError, match="a re-run must begin before that"):
         hand.node.capture()

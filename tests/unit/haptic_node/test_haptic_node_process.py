@@ -226,7 +226,7 @@ def test_a_device_that_stalled_lets_go_whatever_waits(hand: Hand, stalled_ms: in
     said = [event for event in hand.bench.take("session/event") if event.kind == "fault"]
     assert [event.text for event in said] == [
         # late by so much for the tick that was due a period after the last
-        f"this process stalled for {stalled_ms - 1} ms: what waited for it meanwhile is late"
+        f"this process stalled for {stalled_ms - 1} ms: messages that waited for it are late"
     ]
     before_m = -state.position_m[2]
     hand.command(x_m=5e-3)

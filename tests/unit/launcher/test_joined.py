@@ -55,7 +55,7 @@ def test_a_real_device_keeps_a_process_of_its_own(tmp_path: Path, monkeypatch: p
             patch.setattr(f"{config}.simulated", False)
             assert plan.joined == expected
             # A process that is started by hand refuses it as well.
-            with pytest.raises(ConfigError, match=r"drives a real device .* keeps a process of its own"):
+            with pytest.raises(ConfigError, match=r"drives a real device .* needs a process of its own"):
                 check_simulated(plan.loaded, [HAND, TIP])
 
 

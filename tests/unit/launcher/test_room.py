@@ -77,7 +77,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused_and_one_that_is_to_be_mad
     (tmp_path / "out").rmdir()
     check_room(plan)
     (tmp_path / "out").write_text("a file")
-    with pytest.raises(RigError, match="out: is no folder, and the session is recorded there"):
+    with pytest.raises(RigError, match="out: is not a folder, and the session is recorded there"):
         check_room(plan)
     (tmp_path / "out").unlink()
     monkeypatch.setattr("os.access", lambda path, how: Path(path) != tmp_path)

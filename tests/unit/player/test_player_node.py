@@ -457,7 +457,9 @@ def test_messages_of_another_version_are_named_before_they_are_played(tmp_path: 
     writer.finish()
     recording = Recording(writer.path)
     (text,) = refused_messages(recording, Playback(recording, lambda channel: True, Span()))
-    assert text.startswith("every reader of this version refuses what is played on haptic/state: haptic/state, seq 0:")
+    assert text.startswith(
+        "every reader of this version refuses the played messages of haptic/state: haptic/state, seq 0:"
+    )
     assert "schema version 2" in text
 
 
@@ -483,7 +485,7 @@ def test_a_replay_of_nothing_is_refused(tmp_path: Path) -> None:
     event = writer.channel("session/event", NODE, "master")
     writer.write(event, EPOCH_NS, EPOCH_NS, 0, encode(sample("session/event", 0, src=NODE)))
     writer.finish()
-    with pytest.raises(RecordingError, match=rf"has no message of {HAND} in what was selected: nothing can be played"):
+    with pytest.raises(RecordingError, match=rf"has no message of {HAND} in the selection: nothing can be played"):
         run_replay(ReplayRequest([writer.path], site_file, nodes=["haptic_node"]))
 
 
@@ -500,7 +502,9 @@ def test_a_replay_that_nobody_reads_says_so_and_fails(tmp_path: Path) -> None:
     request = ReplayRequest([writer.path], site_file, nodes=["haptic_node"], settings=PlaySettings(wait_s=0.0))
     with pytest.raises(RigError, match=r"200 messages of haptic_node@master were played, and no node read them"):
         run_replay(request, warn=warned.append)
-    (text,) = [text for text in warned if text.startswith("no node reads what is played: start the rest of the rig")]
+    (text,) = [
+        text for text in warned if text.startswith("no node reads the played messages: start the rest of the rig")
+    ]
     assert "--without NODE --allow-replay" in text
 
 

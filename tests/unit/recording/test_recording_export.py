@@ -233,5 +233,5 @@ def test_a_format_of_a_package_that_is_not_there_is_named(
 
 
 def test_a_format_that_nothing_has_is_refused_with_those_there_are(rich: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"'parkay' is no format.*; known are mcap-json, .*csv"):
+    with pytest.raises(ConfigError, match=r"'parkay' is not a format.*; known are mcap-json, .*csv"):
         export_recording(rich, tmp_path / "x", "parkay")

@@ -112,7 +112,7 @@ def test_a_state_that_cannot_be_kept_is_an_event_once(monkeypatch: pytest.Monkey
     assert set(states_of(rig)) == {b""}
     (event,) = rig.bus.of(SessionEvent)
     assert (event.level, event.kind) == ("warning", "node")
-    assert event.text.startswith("the state of this node is not kept, and no re-run can begin with it: ")
+    assert event.text.startswith("the state of this node was not recorded, so that no re-run can begin here: ")
 
 
 def test_a_node_with_a_real_device_keeps_no_state(bench_of: Any) -> None:

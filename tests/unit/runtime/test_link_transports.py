@@ -203,7 +203,7 @@ def test_keys_of_a_stranger_are_checked_and_theirs_alone(tmp_path: Path) -> None
         with pytest.raises(ConfigError, match=words):
             AddressBook.load(site_file(tmp_path, {"link": link}))
     relayed = {"link": {"transport": "my_radio", "port": 5799}, "relay": "198.51.100.7:5750"}
-    with pytest.raises(ConfigError, match="relay: the transport 'my_radio' reaches no relay"):
+    with pytest.raises(ConfigError, match="relay: the transport 'my_radio' cannot use a relay"):
         AddressBook.load(site_file(tmp_path, relayed))
 
 

@@ -209,7 +209,7 @@ def test_a_folder_of_sockets_that_others_can_reach_is_refused(
     folder.mkdir()
     folder.chmod(mode)
     assert refusal_of(private_book, publisher=publisher) == (
-        f"{folder}: other users can reach what is in it (mode {mode & 0o777:o}): chmod 700 {folder}"
+        f"{folder}: other users can reach its content (mode {mode & 0o777:o}): chmod 700 {folder}"
     )
     assert list(folder.iterdir()) == []
 
@@ -244,7 +244,7 @@ def test_a_folder_that_somebody_makes_in_the_last_moment_is_refused(
 
     with Participant.open(HAND, private_book) as participant:
         monkeypatch.setattr(Path, "mkdir", too_late)
-        with pytest.raises(ConfigError, match="other users can reach what is in it"):
+        with pytest.raises(ConfigError, match="other users can reach its content"):
             participant.bind(HAND)
 
 

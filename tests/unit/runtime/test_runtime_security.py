@@ -601,7 +601,7 @@ def test_a_day_that_is_none_names_the_file(ring: Keyring) -> None:
     assert f"{path}: expires" in refusal_of(ring.own, "master")
     ring.allow("slave", KEY, ["data"])
     ring.allowed_path.write_text(ring.allowed_path.read_text() + "  expires: tomorrow\n")
-    assert "tomorrow is no date such as 2027-06-30" in refusal_of(ring.allowed)
+    assert "tomorrow is not a date such as 2027-06-30" in refusal_of(ring.allowed)
 
 
 def test_a_relay_is_listed_without_a_right_to_read(access: AccessControl, ring: Keyring) -> None:

@@ -138,5 +138,7 @@ def test_an_unknown_instrument_is_refused_with_what_was_meant() -> None:
 
 def test_a_real_device_has_its_own_disturbances(tmp_path: Path) -> None:
     settings = ("afm_node.driver=modbus", "afm_node.modbus.calibration=stage.yaml")
-    with pytest.raises(ConfigError, match="instrument: real disturbs a simulated AFM, and its driver is modbus"):
+    with pytest.raises(
+        ConfigError, match=r"instrument: real disturbs a simulated AFM only, and afm_node\.driver is modbus"
+    ):
         make_plan(UpRequest(scenario="fig12", instrument="real", out=tmp_path, settings=settings), tmp_path)

@@ -63,7 +63,7 @@ def test_each_kind_has_events_of_that_kind_alone() -> None:
 
 
 def test_an_unknown_kind_is_named() -> None:
-    with pytest.raises(ValueError, match="letting go is no kind of order: known are hold, let go, off"):
+    with pytest.raises(ValueError, match="letting go is not a kind of order: known are hold, let go, off"):
         drawn(SEED, 0, "letting go")
 
 

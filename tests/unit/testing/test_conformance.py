@@ -638,7 +638,7 @@ def test_an_address_where_nobody_is_fails(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("client", "said"),
-    [("tcp://127.0.0.1:5999", "is not encrypted: give --server-key"), ("nonsense", "is no endpoint")],
+    [("tcp://127.0.0.1:5999", "is not encrypted: give --server-key"), ("nonsense", "is not an endpoint")],
 )
 def test_an_address_that_cannot_be_used_is_refused(client: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
@@ -650,7 +650,7 @@ def test_a_pair_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         Keys.of("x" * 40, tmp_path / "none.key_secret")
     for text in ("no key", "curve\n    public-key"):
         (tmp_path / "text.key_secret").write_text(text)
-        with pytest.raises(ConfigError, match="is no file with a pair of keys"):
+        with pytest.raises(ConfigError, match="is not a file with a pair of keys"):
             Keys.of("x" * 40, tmp_path / "text.key_secret")
 
 

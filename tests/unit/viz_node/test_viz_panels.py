@@ -198,7 +198,7 @@ def test_without_a_page_for_guests_their_token_shows_nothing(monkeypatch: pytest
         ({"module": Path("/nowhere/wind.js")}, "must be a file of JavaScript"),
         ({"module": Path(__file__)}, "must be a file of JavaScript"),
         ({"topics": {"wind": ()}}, "topics: 'wind' is not the name of a topic"),
-        ({"guest_page": "none.html"}, "guest_page: none.html is no file beside"),
+        ({"guest_page": "none.html"}, "guest_page: none.html is not a file beside"),
         ({"guest_picture": None}, "guest_page: guest.html has no guest_picture"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

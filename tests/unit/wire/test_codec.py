@@ -321,8 +321,8 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("haptic/state", {"v": 5}, "newer_version", "version 5 from 'haptic_node@master'"),
         ("haptic/state", {"v": 2**64 - 1}, "newer_version", "update this node"),
         ("session/control", {"validty_s": 1.0}, "schema", "validty_s"),
-        ("session/control", {b"seq": 1}, "malformed", "a key that is no text"),
-        ("haptic/state", {7: 1}, "malformed", "a key that is no text"),
+        ("session/control", {b"seq": 1}, "malformed", "a key that is not text"),
+        ("haptic/state", {7: 1}, "malformed", "a key that is not text"),
         ("session/control", {"id": ""}, "schema", "id"),
         ("session/control", {"id": "a b"}, "schema", "id"),
         ("session/control", {"parameters": {"gain": (1.0, 2.0)}}, "schema", "parameters.gain"),
@@ -665,7 +665,7 @@ def test_a_header_is_read_without_its_message() -> None:
         ({"t_ns": 2**63}, "schema", "t_ns is 9223372036854775808, must be a whole number from 0 to"),
         ({"src": 3}, "schema", "src is 3, must be str"),
         ({"v": True}, "schema", "v is True, must be int"),
-        ({1: 2}, "malformed", "haptic/state: a key that is no text"),
+        ({1: 2}, "malformed", "haptic/state: a key that is not text"),
     ],
 )
 def test_a_wrong_header_is_refused(change: dict[Any, Any], reason: str, text: str) -> None:

@@ -100,7 +100,7 @@ def _tell(step: "Step") -> None:
 def section_named(document: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the keys of a section; raise ConfigError, with its name, if there is another section."""
     if other := sorted(set(document) - {name}):
-        raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
+        raise ConfigError(f"--set {other[0]}: only keys {name}.* can be set here")
     section: dict[str, Any] = document.get(name, {})
     return section
 

@@ -166,7 +166,7 @@ def read_take(path: Path, *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:
         with open_regular(path) as file:
             return take_of(file, *kinds)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: is no take of `telenano device accept`: {error}") from error
+        raise ConfigError(f"{path}: is not a take of `telenano device accept`: {error}") from error
 
 
 def take_of(file: IO[bytes], *kinds: Kind[Any]) -> tuple[Kind[Any], Take[Any]]:

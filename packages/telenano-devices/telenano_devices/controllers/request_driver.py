@@ -140,11 +140,11 @@ class RequestDriver(TcpDriver[K]):
         sent, tolerance_m = [value_m for _, value_m in self._history], self.calibration.z.tolerance_m
         if not sent:
             raise DeviceError(
-                "compares z with what was sent, and notes none: its talk appends each z to `_history` first"
+                "compares z with the values that were sent, and has none: its talk appends each z to `_history` first"
             )
         if not min(sent) - tolerance_m <= z_m <= max(sent) + tolerance_m:
             raise DeviceError(
-                f"somebody else has moved the tip: z is {z_m:.6g} m, and {sent[-1]:.6g} m was sent; the tip is"
+                f"another program has moved the tip: z is {z_m:.6g} m, and {sent[-1]:.6g} m was sent; the tip is"
                 " retracted, and stays so until armed"
             )
 

@@ -147,8 +147,8 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
             self._arrived = True
         elif self._arrived:
             raise DeviceError(
-                f"somebody else has moved the tip by {off_m:.3g} m over the sample; it is retracted, and stays so until"
-                " armed"
+                f"another program has moved the tip by {off_m:.3g} m over the sample; it is retracted and stays so"
+                " until armed"
             )
 
     def _measure_tick(self) -> Generator[bytes, bytes, None]:

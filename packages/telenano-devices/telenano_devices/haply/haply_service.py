@@ -204,7 +204,7 @@ def obey(service: HaplyService, line: str) -> str:
         "plug": ("plugged", True, "the Inverse3 is plugged in"),
         "freeze": ("frozen", service.arm.measured_m, "the place on the wire stands still"),
         "thaw": ("frozen", None, "the place on the wire is that of the arm"),
-        "nan": ("not_a_number", True, "the place on the wire is no finite number"),
+        "nan": ("not_a_number", True, "the place on the wire is not a finite number"),
         "number": ("not_a_number", False, "the place on the wire is a number again"),
         "sign": ("sign", -service.sign, "the motors act the other way round"),
         "sleep": ("grip_awake", False, "the grip is asleep"),

@@ -59,7 +59,7 @@ class Conversation(Generic[T]):
         try:
             uri = parse_uri(address)
         except InvalidURI as error:
-            raise DeviceError(f"{about.setting}: {address!r} is no address such as {about.usual}") from error
+            raise DeviceError(f"{about.setting}: {address!r} is not an address such as {about.usual}") from error
         try:
             self._socket = socket.create_connection((uri.host, uri.port), timeout=about.open_s)
         except OSError as error:

@@ -247,7 +247,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         yield from self._ask("Scan.BufferSet", [channel], wanted.pixels, wanted.lines)
         _, pixels, lines = yield from self._ask("Scan.BufferGet")
         if (pixels, lines) != (wanted.pixels, wanted.lines):
-            raise DeviceError(f"takes {pixels} x {lines} pixels where {wanted.pixels} x {wanted.lines} were asked for")
+            raise DeviceError(f"takes {pixels} x {lines} pixels where {wanted.pixels} x {wanted.lines} were requested")
         speed = wanted.width_m / wanted.line_s
         yield from self._ask("Scan.SpeedSet", speed, speed, wanted.line_s, wanted.line_s, 2, 1.0)
         yield from self._ask("Scan.Action", 0, 1)
@@ -295,7 +295,7 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         asked_ns = self._now_ns()
         values = (yield from self._ask("Signals.ValsGet", self._indexes, 0))[0]
         if len(values) != len(self._indexes):
-            raise DeviceError(f"answered {len(values)} values, {len(self._indexes)} were asked for")
+            raise DeviceError(f"answered {len(values)} values, {len(self._indexes)} were requested")
         self._take(values, asked_ns, self.tick_s, is_own=is_own)
 
     def _take(self, values: list[float], asked_ns: int, old_s: float, *, is_own: bool) -> None:

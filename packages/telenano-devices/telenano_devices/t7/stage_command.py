@@ -127,7 +127,7 @@ def _metres(text: str) -> float:
     try:
         return 1e-9 * float(text)
     except ValueError as error:
-        raise ConfigError(f"{text!r} is no reading of a gauge: give nanometres, such as 160") from error
+        raise ConfigError(f"{text!r} is not a reading of a gauge: give nanometres, such as 160") from error
 
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:

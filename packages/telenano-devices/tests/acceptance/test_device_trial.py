@@ -502,14 +502,14 @@ def test_a_busy_computer_is_on_the_page_and_is_no_fault_of_the_device(tmp_path: 
 
 def test_what_cannot_be_tried_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for options, text in (
-        ([], "name what is tried, such as `telenano device trial haply`"),
+        ([], "name the device to try, such as `telenano device trial haply`"),
         (["haplyy"], "haplyy: "),
         (["t7"], "t7: give its calibration file by --calibration FILE"),
         (["serial"], "serial: give the port of the handle by --port"),
         (["haply", "--port", "/dev/ttyUSB0"], "are not for haply"),
         (
             ["haply", "--set", "controller.law=wave"],
-            "--set controller: what is judged here has keys haptic_node.* only",
+            "--set controller: only keys haptic_node.* only",
         ),
     ):
         code, output, path = typed(tmp_path, "", *options)

@@ -120,7 +120,7 @@ def test_a_file_that_is_no_take_or_was_damaged_is_refused_by_its_name(good: Take
     for name in (
         "cut", "half", "flipped", "text", "empty", "other", "list", "without_steps", "unknown", "no_rows", "none",
     ):  # fmt: skip
-        with pytest.raises(ConfigError, match=f"{name}.npz: is no take of `telenano device accept`"):
+        with pytest.raises(ConfigError, match=f"{name}.npz: is not a take of `telenano device accept`"):
             read_take(tmp_path / f"{name}.npz", HAPTIC_DEVICE)
 
 

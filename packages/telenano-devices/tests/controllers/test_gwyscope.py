@@ -345,7 +345,7 @@ def desaturate(line: Gwyscope) -> None:
     del line.model._measure
 
 
-SEIZED = "somebody else has moved the tip"
+SEIZED = "another program has moved the tip"
 FAULTS = {
     "connection lost": Fault(interrupt, "the connection is gone", duration_ms=20),
     "server killed": Fault(kill, "the connection is gone", at_ms=None),

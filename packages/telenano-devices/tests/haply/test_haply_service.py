@@ -158,7 +158,7 @@ def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
     monkeypatch.setattr("telenano_devices.haply.haply._OPEN_S", 0.3)
     with pytest.raises(DeviceError, match=r"no Inverse Service answers at ws://127.0.0.1:1 "):
         HaplyWire(HaplyConfig(service="ws://127.0.0.1:1")).open()
-    with pytest.raises(DeviceError, match="is no address such as ws://"):
+    with pytest.raises(DeviceError, match="is not an address such as ws://"):
         HaplyWire(HaplyConfig(service="localhost")).open()
     with pytest.raises(DeviceError, match=r"has no Inverse3 FFFF \(there is 049D\): plug it in"):
         HaplyWire(HaplyConfig(service=served.address, device_id="FFFF")).open()

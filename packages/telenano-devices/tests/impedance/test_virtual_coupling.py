@@ -215,8 +215,8 @@ def test_clamp_keeps_the_direction_of_the_force(held: Held) -> None:
 SILENCES: dict[str, tuple[Callable[[Held], None], int]] = {
     "the node": (lambda held: _set(held, age_s=0.0501), Gate.SILENT),
     "the device": (lambda held: _read(held, age_s=0.0501), Gate.DEVICE_SILENT),
-    "an age that is no number": (lambda held: _read(held, age_s=math.nan), Gate.DEVICE_SILENT),
-    "a reference that is no number": (lambda held: _set(held, position_m=(0.0, math.nan, 0.0)), Gate.REFERENCE),
+    "an age that is not a number": (lambda held: _read(held, age_s=math.nan), Gate.DEVICE_SILENT),
+    "a reference that is not a number": (lambda held: _set(held, position_m=(0.0, math.nan, 0.0)), Gate.REFERENCE),
 }
 
 

@@ -110,7 +110,7 @@ def read_amplitude_phase(path: Path) -> tuple[Array, Array]:
     missing = [name for name in wanted if name not in planes]
     missing += [name for name in ("FreeAirAmplitude", "AmpInvOLS") if name not in notes]
     if missing:
-        raise ConfigError(f"{path}: lacks {', '.join(missing)}: it is no image in tapping mode")
+        raise ConfigError(f"{path}: lacks {', '.join(missing)}: it is not an image in tapping mode")
     amplitude, phase = (np.asarray(values[:, :, planes[name]], dtype=np.float64).ravel() for name in wanted)
     # The note gives the free amplitude in volts.
     return amplitude / (float(notes["FreeAirAmplitude"]) * float(notes["AmpInvOLS"])), phase

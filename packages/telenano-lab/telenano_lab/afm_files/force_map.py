@@ -96,7 +96,7 @@ def checked_map(header: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
         factor *= float(_known(header, "sign", (1, -1)))
     bad = int(values.size - np.count_nonzero(np.isfinite(values)))
     if bad:
-        raise MapError(f"value: {bad} of {values.size} values are no finite number; interpolate them first")
+        raise MapError(f"value: {bad} of {values.size} values are not finite; interpolate them first")
     branches = values[..., None] if values.ndim == 3 else values
     ordered = np.array(np.moveaxis(branches, 3, 0), dtype=np.float64, order="C")
     ordered *= factor
@@ -228,7 +228,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no whole `.npz`. Sizes in headers are checked against the file before memory is allocated.
+        ValueError: It is not a complete `.npz`. Sizes in headers are checked before memory is allocated.
     """
     members: dict[str, Any] = {}
     grid = None
@@ -245,7 +245,7 @@ def read_members(path: Path, *, values: bool = True) -> tuple[dict[str, Any], np
             raise
         # Damaged files make zipfile and zlib raise exceptions of any kind.
         except Exception as error:
-            raise MapError(f"is no whole .npz file: {error}") from error
+            raise MapError(f"is not a complete .npz file: {error}") from error
     if values and grid is None:
         raise MapError("value: is missing; it must be the grid over (x, y, z)")
     return members, grid

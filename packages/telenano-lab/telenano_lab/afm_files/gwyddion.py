@@ -99,11 +99,11 @@ def _maps_of(path: Path, without: str, *, is_converted: bool = True) -> Found:
 
     content = path.read_bytes()
     if not content.startswith(_MAGIC):
-        raise ValueError("is no Gwyddion file: it does not begin with GWYP")
+        raise ValueError("is not a Gwyddion file: it does not begin with GWYP")
     # gwyfile accepts a truncated file as a smaller one.
     stated = int.from_bytes(content[_START - 4 : _START], "little")
     if not content.startswith(_MAGIC + _NAME) or len(content) != _START + stated:
-        raise ValueError("is no whole Gwyddion file: it must be one container of the length that it states")
+        raise ValueError("is not a complete Gwyddion file: it must be one container of the length that it states")
     facts, maps = [], []
     # gwyfile raises exceptions of any kind on damaged files.
     try:
@@ -119,7 +119,7 @@ def _maps_of(path: Path, without: str, *, is_converted: bool = True) -> Found:
             mask = whole.get(f"{key[:-5]}/mask") if is_converted else None
             maps.append(values if mask is None else np.where(np.asarray(mask.data)[::-1] > 0.5, np.nan, values))
     except Exception as error:
-        raise ValueError(f"is no whole Gwyddion file: {type(error).__name__}: {error}") from error
+        raise ValueError(f"is not a complete Gwyddion file: {type(error).__name__}: {error}") from error
     if not maps:
         raise ValueError(without)
     return {"channels": facts}, maps

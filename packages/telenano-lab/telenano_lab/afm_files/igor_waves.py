@@ -41,20 +41,22 @@ def require_whole(path: Path) -> None:
         size = file.seek(0, 2)
     order = next((each for each in "<>" if len(head) == _DATA_START and _read("h", each, head, 0) == (_VERSION,)), "")
     if not order:
-        raise ValueError(f"it is no Igor binary wave of version {_VERSION}")
+        raise ValueError(f"it is not an Igor binary wave of version {_VERSION}")
     (points,), (kind,) = _read("i", order, head, _POINTS), _read("h", order, head, _TYPE)
     sides = [side for side in _read("4i", order, head, _DIMENSIONS) if side != 0]
     item = _ITEM_BYTES.get(kind & ~(_COMPLEX | _UNSIGNED), 0) * (2 if kind & _COMPLEX else 1)
     if not item:
-        raise ValueError(f"it is no Igor binary wave of numbers (type {kind})")
+        raise ValueError(f"it is not an Igor binary wave of numbers (type {kind})")
     if min([points, *sides]) < 0 or math.prod(sides) != points or _DATA_START + points * item > size:
         shape = " x ".join(map(str, sides)) or "0"
         raise ValueError(
-            f"it is no whole Igor binary wave: {shape} numbers of {item} bytes, {points} in all, of {size}"
+            f"it is not a complete Igor binary wave: {shape} numbers of {item} bytes, {points} in all, of {size}"
         )
     parts = struct.unpack_from(order + _PARTS.format, head)
     if min(parts) < 0 or _DATA_START + points * item + sum(parts) > size:
-        raise ValueError(f"it is no whole Igor binary wave: its note, units and labels go beyond its {size} bytes")
+        raise ValueError(
+            f"it is not a complete Igor binary wave: its note, units and labels go beyond its {size} bytes"
+        )
 
 
 def _read(form: str, order: str, head: bytes, place: int) -> tuple[int, ...]:
@@ -80,7 +82,7 @@ def load_wave(path: str) -> Found:
     }
     values = np.asarray(wave["wData"])
     if values.dtype.kind not in "fiu":
-        raise ValueError("its values are no numbers")
+        raise ValueError("its values are not numbers")
     return facts, [values]
 
 
@@ -118,7 +120,7 @@ def curves_of(path: str) -> Curves:
         raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
     columns = dict(zip(wave["labels"][1], np.asarray(values, dtype=np.float64).T, strict=True))
     if wave["unit"] != "m":
-        raise ValueError("its values are no lengths in m")
+        raise ValueError("its values are not lengths in m")
     notes = notes_of(wave)
     for names in (("Defl",), ("ZSnsr", "Raw")):
         if not any(name in columns for name in names):

@@ -16,7 +16,7 @@ def load_spectrum(path: str) -> Found:
     names, units = (re.findall(r"'([^']*)'", match[1]) if (match := re.search(rf"^# {key}:(.*)$", text, re.M)) else []
                     for key in ("Channels", "Units"))  # fmt: skip
     if len(names) < 2 or len(names) != len(units) or units[0] != "Hz":
-        raise ValueError("is no thermal spectrum of JPK: its head has no lines of channels and units")
+        raise ValueError("is not a thermal spectrum of JPK: its head has no lines of channels and units")
     chosen = names.index("average") if "average" in names else 1
     rows = [line.split() for line in text.splitlines() if line and not line.startswith("#")]
     if len(rows) < 16 or any(len(row) != len(names) for row in rows):

@@ -121,7 +121,7 @@ def _read(
     overrides = flag_overrides(members or ())
     names = (*MEMBERS, *TableOptions._fields, *(ASKED if converted else ()))
     if unknown := sorted(set(overrides) - set(names)):
-        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(names)}")
+        raise ConfigError(f"--set {unknown[0]}: is not a member of a map; these are {', '.join(names)}")
     with progress(file.name, 1.0, shown=not as_json) as show:
         return read_map_of(file, MapOptions(overrides, channel, converted=converted, **further), show)
 

@@ -184,7 +184,7 @@ def read_curves(path: Path, wanted: MapOptions, watch: Watch = lambda share: Non
     with _faults_named(path):
         _demand_content(path)
         if suffix not in (".dat", *_CURVE_SUFFIXES) and not path.is_dir() and not _is_bruker(path):
-            raise MapError(f"is no file of force curves that can be read; these are {', '.join(MAP_SUFFIXES)}")
+            raise MapError(f"is not a file of force curves that can be read; these are {', '.join(MAP_SUFFIXES)}")
         members, options = _given_of(path, wanted)
         facts, (places, counts, heights, forces) = _load(
             path, wanted._replace(given=members), json.dumps(options), watch
@@ -352,7 +352,7 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
         head = file.read(_LONGEST_3DS_HEADER)
         mark = re.search(rb":HEADER_END:\r?\n", head)
         if mark is None:
-            raise MapError("is no whole .3ds file: it has no :HEADER_END: line")
+            raise MapError("is not a complete .3ds file: it has no :HEADER_END: line")
         header = dict(
             (key.strip(), value.strip().strip('"'))
             for key, sign, value in (
@@ -378,7 +378,7 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
     lines = min(whole // nx, ny) if nx else 0
     if rest or lines < 1 or whole > nx * ny:
         raise MapError(
-            f"is no whole .3ds file: it has {len(content)} bytes of curves, and {nx} x {ny} of {record} bytes are"
+            f"is not a complete .3ds file: it has {len(content)} bytes of curves, and {nx} x {ny} of {record} bytes are"
             f" {nx * ny * record}"
         )
     data = np.frombuffer(content, ">f4", lines * nx * record // 4).reshape(lines, nx, -1).astype(np.float64)

@@ -59,7 +59,7 @@ def load_table(path: str) -> Found:
     """Return header and column names of a spectroscopy, and its table, shape (columns, rows)."""
     table = TextTable.read(Path(path))
     if "[DATA]" not in table.head or not table.columns[0].title:
-        raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
+        raise ValueError("is not a spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
     header = dict(line.split("\t")[:2] for line in table.head if "\t" in line)
     names = [column.title for column in table.columns]
     return {"header": header, "names": names}, [np.array([table.numbers(column) for column in table.columns])]

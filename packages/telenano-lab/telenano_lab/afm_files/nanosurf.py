@@ -54,7 +54,7 @@ def sections_of(path: str) -> tuple[Sections, list[DataSet]]:
             key, _, value = line.partition("=")
             section[key] = value.strip()
     if not mark or "DataSet" not in sections:
-        raise ValueError("is no file of Nanosurf: it has no section DataSet, or no data after it")
+        raise ValueError("is not a file of Nanosurf: it has no section DataSet, or no data after it")
     named = [value for key, value in sections["DataSet"].items() if re.fullmatch(r"Gr\d+-Ch\d+", key)]
     sizes = [[int(sections[name][key]) for key in ("Lines", "Points", "SaveBits")] for name in named]
     stated = sum(lines * points * bits // 8 for lines, points, bits in sizes)

@@ -178,7 +178,7 @@ def _heights(columns: tuple[Column, ...]) -> list[Column]:
         )
     if volts := [one for one in columns if role_of(one.name) == "base" and one.known and not _is(one, "m")]:
         raise ValueError(
-            f"{volts[0].title!r} is no height in metres, and there is no other: add the height to the file, or give"
+            f"{volts[0].title!r} is not a height in metres, and there is no other: add the height to the file, or give"
             " --set columns=X,Y and --set way_unit=nm"
         )
     return _named(columns, _HEIGHT)
@@ -277,7 +277,7 @@ def _in_order(ways: list[Way], sign: int | None = None) -> tuple[tuple[Way, ...]
     z = np.concatenate([way[0] for way in ways])
     value = np.concatenate([way[1] for way in ways])
     if np.ptp(z) <= 0.0 or len(z) < _FEWEST_POINTS:
-        raise ValueError("its height stays at one value: it is no force curve")
+        raise ValueError("its height stays at one value: it is not a force curve")
     away, turned, is_free = orientation_of(z, value, falls_first=bool(ways[0][0][0] > ways[0][0][-1]))
     if sign is not None:
         remarks.append(f"the sign of the values is that of --set value_sign={sign}")

@@ -48,7 +48,7 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
     try:
         lines = read_regular(Path(name), _LARGEST_BYTES).decode().splitlines()
     except UnicodeDecodeError as error:
-        raise ConfigError(f"--pattern {name}: is no text; a line is x and y in m, such as 1e-6 0") from error
+        raise ConfigError(f"--pattern {name}: is not text; a line is x and y in m, such as 1e-6 0") from error
     except OSError as error:
         names = ", ".join(NAMES)
         raise ConfigError(

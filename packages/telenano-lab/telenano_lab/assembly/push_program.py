@@ -160,7 +160,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     def begin(self, settings: PushSettings, instrument: Instrument, place: Place) -> Begun[PushPlan, PushState]:
         s, limits = settings, instrument.limits
         if instrument.lateral is None:
-            raise RefusedError("program: push needs a lateral stage, which this instrument has none of")
+            raise RefusedError("program: push needs a lateral stage, and this instrument has none")
         way = math.hypot(s.x1_m - s.x0_m, s.y1_m - s.y0_m)
         if way <= s.tolerance_m:
             raise RefusedError(

@@ -196,7 +196,7 @@ def stiffness(
             is_of_metres = found_spectrum.is_of_metres
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
-            raise ConfigError("--sensitivity: what was measured in volts needs the way for a volt [nm/V]")
+            raise ConfigError("--sensitivity: a measurement in volts needs the deflection for a volt [nm/V]")
         width, length = (1e-9 * value for value in size) if size else (None, None)
         way_m, way_error_m = (1.0, 0.0) if is_of_metres else (1e-9 * (sensitivity_nm or 0.0), 1e-9 * sensitivity_error)
         mode = BY_ANGLE if factor is None else factor

@@ -303,7 +303,7 @@ def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float)
     )
     span = top - free
     if not span > 0.0:
-        raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
+        raise ConfigError("the voltage does not follow the way there: this is not a curve on a hard sample")
     shares = (v - free) / span
     last = _last_below(shares[order], low)
     chosen = (shares >= low) & (shares <= high) & (np.argsort(order) >= last)
@@ -318,7 +318,7 @@ def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float)
         _require(int(chosen.sum()), low, high)
     slope, error, scatter = (span * value for value in regressed(x[chosen], shares[chosen]))
     if not slope > 3.0 * error:
-        raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
+        raise ConfigError("the voltage does not follow the way there: this is not a curve on a hard sample")
     rows = np.zeros(len(towards), dtype=bool)
     rows[part.rows] = chosen
     return _judged(_Line(slope, error, scatter, rows, 1.0, ()), x[chosen], v[chosen])
@@ -467,7 +467,7 @@ def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> t
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
-        raise ConfigError(f"{path}: is no file of curves: {error}") from error
+        raise ConfigError(f"{path}: is not a file of curves: {error}") from error
     sensitivities, reason = [], ""
     ends = np.cumsum(counts)[:-1]
     for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
@@ -477,7 +477,7 @@ def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> t
         except ConfigError as error:
             reason = str(error)
     if not sensitivities:
-        raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
+        raise ConfigError(f"{path}: none of its {len(counts)} curves can be used: {reason}")
     return sensitivities, len(counts) - len(sensitivities)
 
 

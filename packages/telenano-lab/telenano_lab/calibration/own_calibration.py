@@ -138,7 +138,7 @@ def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
     volts = [column for column in table.columns if (known := column.known) and known.powers == (("V", 1.0),)]
     column = volts[0] if volts else table.find("deflection", "defl", "volt", "signal") or table.columns[0]
     if not volts and len(table.columns) > 1 and column is table.columns[0]:
-        raise ConfigError(f"{path}: has {len(table.columns)} columns, of which none is named as a deflection in V")
+        raise ConfigError(f"{path}: has {len(table.columns)} columns, and none is named as a deflection in V")
     values = table.in_si(column, ("V",), unit, "--unit")
     remarks = table.remarks
     if values is None:
@@ -244,7 +244,7 @@ def _ask_about(k: float, resonance: Resonance) -> None:
             " unit of the density"
         )
     if asked:
-        raise ConfigError(f"no usual lever has {asked}; --anyway accepts it")
+        raise ConfigError(f"no ordinary cantilever has {asked}; --anyway accepts it")
 
 
 def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:

@@ -106,7 +106,9 @@ def _of_instrument(path: Path, options: SpectrumOptions) -> Spectrum:
     word = options.unit or facts["unit"]
     form = form_of(word)
     if not isinstance(form, Form) or form.per_line:
-        raise ConfigError(f"{path}: its density is in {word!r}, which is that of none: give --unit, {_CHOICES}")
+        raise ConfigError(
+            f"{path}: its density is in {word!r}, which is not a unit of a density: give --unit, {_CHOICES}"
+        )
     power = power_of(density, form, f"{path}: its density")
     doubled = 2.0 if options.sides == 2 else 1.0
     return Spectrum(

@@ -358,7 +358,7 @@ def _participants(plan: "Plan", names: list[str] | None, left: list[str]) -> lis
     for name in names or ():
         if name not in plan.experiment.pseudonyms:
             pseudonyms = ", ".join(plan.experiment.pseudonyms)
-            raise ConfigError(f"--participant {name}: is no participant of {plan.path}; there are {pseudonyms}")
+            raise ConfigError(f"--participant {name}: is not a participant of {plan.path}; there are {pseudonyms}")
     return names or (left[:1] if plan.experiment.operator.kind == "person" else left)
 
 

@@ -30,7 +30,7 @@ def _levels(value: object) -> object:
         return tuple(value)
     if isinstance(value, dict) and all(isinstance(keys, dict) for keys in value.values()):
         return {str(name): flatten(keys) for name, keys in value.items()}
-    raise ValueError("levels have to be a list of values, or names of levels, each with the keys that it means")
+    raise ValueError("levels must be a list of values, or names of levels, each with the keys that it means")
 
 
 def _name_alone(value: object) -> object:
@@ -60,7 +60,7 @@ class Factor(Settings):
         if self.levels is not None and not self.levels:
             raise ValueError("levels: at least one is needed")
         if isinstance(self.levels, tuple) and len(set(map(str, self.levels))) < len(self.levels):
-            raise ValueError("levels: each may be there once; repetitions say how often it comes")
+            raise ValueError("levels: each value may appear once; `repetitions` repeats all of them")
         if isinstance(self.levels, dict) and self.key is not None:
             raise ValueError("key: levels with names have the keys that they mean themselves")
         return self
@@ -313,7 +313,7 @@ class Experiment(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if unknown := sorted(set(self.blocks.factors) - set(self.factors)):
-            raise ValueError(f"blocks.factors: {unknown[0]} is no factor; {known_names(unknown[0], self.factors)}")
+            raise ValueError(f"blocks.factors: {unknown[0]} is not a factor; {known_names(unknown[0], self.factors)}")
         adaptive = [name for name, factor in self.factors.items() if factor.adaptive is not None]
         if len(adaptive) > 1:
             raise ValueError(f"factors: {', '.join(adaptive)} are adaptive; a trial can have one such factor")
@@ -322,20 +322,22 @@ class Experiment(Settings):
         for asked in self.ask:
             if asked.instrument not in self.instruments:
                 raise ValueError(
-                    f"ask: {asked.instrument} is no instrument; {known_names(asked.instrument, self.instruments)}"
+                    f"ask: {asked.instrument} is not an instrument; {known_names(asked.instrument, self.instruments)}"
                 )
         if len({task.name for task in self.tasks}) < len(self.tasks):
-            raise ValueError("tasks: each may be there once")
+            raise ValueError("tasks: each may appear once")
         for name in self.pseudonyms:
             if not re.fullmatch(re.escape(self.pseudonym) + r"\d{1,6}", name):
-                raise ValueError(f"participants: {name!r} is no pseudonym: it has to be {self.pseudonym} and a number")
+                raise ValueError(f"participants: {name!r} is not a pseudonym: it must be {self.pseudonym} and a number")
         if len(set(self.pseudonyms)) < len(self.pseudonyms):
-            raise ValueError("participants: each may be there once")
+            raise ValueError("participants: each may appear once")
         names = [task.name for task in self.tasks]
         if unknown := sorted(set(self.words.tasks) - set(names)):
-            raise ValueError(f"words.tasks: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+            raise ValueError(f"words.tasks: {unknown[0]} is not a task of this file; {known_names(unknown[0], names)}")
         if unknown := sorted(set(self.practice.until) - set(names)):
-            raise ValueError(f"practice.until: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+            raise ValueError(
+                f"practice.until: {unknown[0]} is not a task of this file; {known_names(unknown[0], names)}"
+            )
         if self.words.agree == self.words.disagree:
             raise ValueError("words.agree and words.disagree are the same word")
         return self

@@ -63,9 +63,9 @@ def _parsed(path: Path) -> tuple[list[Record], bytes]:
         try:
             record = json.loads(line)
         except ValueError as error:
-            raise ConfigError(f"{path}: line {number} is no JSON: {error}; restore it from a backup") from error
+            raise ConfigError(f"{path}: line {number} is not JSON: {error}; restore it from a backup") from error
         if not isinstance(record, dict) or not isinstance(record.get("record"), str):
-            raise ConfigError(f"{path}: line {number} is no record of an experiment: it has no `record`")
+            raise ConfigError(f"{path}: line {number} is not a record of an experiment: it has no `record`")
         records.append(record)
     return records, lines[-1]
 

@@ -35,7 +35,9 @@ class AnswerDesk:
             raise RefusedError("the answer before this one has not been taken yet: wait for it")
         rig, cue, shown_s = asked.rig, asked.values.get("cue"), asked.values.get("shown_s")
         if not isinstance(cue, str) or not isinstance(shown_s, int | float) or isinstance(shown_s, bool):
-            raise RefusedError("an answer has cue, the id of what was shown, and shown_s, for how long [s]")
+            raise RefusedError(
+                "an answer needs cue, the id of the cue, and shown_s, the time for which it was shown [s]"
+            )
         values = {
             name.removeprefix(_ANSWER_PREFIX): value
             for name, value in asked.values.items()

@@ -47,7 +47,7 @@ def checked_pseudonym(text: str) -> str:
         ConfigError: It could be a name: a pseudonym is up to four letters and a number.
     """
     if not _SHAPE.fullmatch(text):
-        raise ConfigError(f"{text!r} is no pseudonym: it has to be up to four letters and a number, such as P03")
+        raise ConfigError(f"{text!r} is not a pseudonym: it must be up to four letters and a number, such as P03")
     return text
 
 

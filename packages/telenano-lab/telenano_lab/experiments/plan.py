@@ -132,7 +132,7 @@ class Plan:
         if key in DELAYS:
             if isinstance(level, bool | str):
                 raise ConfigError(
-                    f"{self.path}: factors.{name}: {level!r} is no number; write it without a unit, in ms"
+                    f"{self.path}: factors.{name}: {level!r} is not a number; write it without a unit, in ms"
                 )
             one_way_s = float(level) * DELAYS[key]
             return {"delay_node.forward.delay_s": one_way_s, "delay_node.backward.delay_s": one_way_s}
@@ -309,7 +309,7 @@ def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
     tasks = TASKS if tasks is None else tasks
     for number, entry in enumerate(experiment.tasks):
         if entry.name not in tasks:
-            absent = f"{entry.name}: is no task; {known_names(entry.name, tasks)}"
+            absent = f"{entry.name}: is not a task; {known_names(entry.name, tasks)}"
             raise ConfigError(f"{path}: tasks.{number}.name: {INSTALLED.problems.get(entry.name, absent)}")
     plan = Plan(experiment, path, {entry.name: tasks[entry.name] for entry in experiment.tasks})
     _check_design(plan)

@@ -414,5 +414,5 @@ def folder_plan(folder: Path) -> Path:
     """Return the file of the experiment in a folder; ConfigError if there is none."""
     path = folder / "experiment.yaml"
     if not path.is_file():
-        raise ConfigError(f"{folder}: has no experiment.yaml: it is no folder of `telenano experiment run`")
+        raise ConfigError(f"{folder}: has no experiment.yaml: it is not a folder of `telenano experiment run`")
     return path

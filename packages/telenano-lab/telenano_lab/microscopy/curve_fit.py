@@ -695,7 +695,7 @@ def _well_on_branch(
     top_m = float(way.base_m[0])
     kept = ~contact | (way.base_m > end_m + _NEXT_TO_END[problem.model] * (top_m - end_m))
     if int(np.count_nonzero(kept & contact)) < _LEAST_POINTS:
-        raise _RefusedError("the fit comes to no end: this model does not describe it")
+        raise _RefusedError("the fit does not converge: this model does not describe the curve")
     return _Way(way.base_m[kept], way.force_n[kept], way.place[kept], way.over), contact[kept]
 
 
@@ -714,7 +714,7 @@ def _least_squares(problem: _Problem, start: Array, way: _Way, contact: npt.NDAr
     free = start.copy()
     force = way.force_n / problem.force_scale_n
     if not compiled_form(_descend)(problem, free, way.base_m, force, contact, _which(problem.model)):
-        raise _RefusedError("the fit comes to no end: this model does not describe it")
+        raise _RefusedError("the fit does not converge: this model does not describe the curve")
     return free
 
 
@@ -744,7 +744,7 @@ def _in_noise(
         free = free.copy()
         free[places] += share * move
         if not compiled_form(_is_of_a_sample)(free):
-            raise _RefusedError("the fit comes to no end: this model does not describe it")
+            raise _RefusedError("the fit does not converge: this model does not describe the curve")
         if np.all(np.abs(move) <= 0.05 * errors):
             break
     compiled_form(_predict)(problem, free, way.base_m, contact, model, depth)

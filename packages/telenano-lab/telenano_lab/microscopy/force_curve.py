@@ -289,13 +289,13 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
             also `columns`, `way_unit`, `value_unit` and `value_sign`, which its header does not say.
 
     Raises:
-        ConfigError: The file cannot be read or is no whole curve; the message names the file and the reason.
+        ConfigError: The file cannot be read or is not a complete curve; the message names the file and the reason.
     """
     constants = constants or {}
     table = {name: str(value) for name, value in constants.items() if name in OF_TABLES}
     if unknown := [name for name in constants if name not in (*CONSTANTS, *OF_TABLES)]:
         names = ", ".join((*CONSTANTS, *OF_TABLES))
-        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {names}")
+        raise ConfigError(f"--set {unknown[0]}: is not a constant of a curve; these are {names}")
     for name, value in constants.items():
         if name in CONSTANTS and not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise ConfigError(f"--set {name}: is {value!r}; it must be a number above 0")
@@ -311,7 +311,7 @@ def read_measured(path: Path, number: int = 0, constants: Mapping[str, Any] | No
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     # Readers raise exceptions of any kind on damaged files.
     except Exception as error:
-        raise ConfigError(f"{path}: is no whole force curve: {error}") from error
+        raise ConfigError(f"{path}: is not a complete force curve: {error}") from error
     for half in (curve.approach, curve.retract):
         if not (len(half.base_m) >= 10 and np.isfinite(half.base_m).all() and np.isfinite(half.force_n).all()):
             raise ConfigError(f"{path}: a way of the curve has fewer than 10 points, or some that are no number")

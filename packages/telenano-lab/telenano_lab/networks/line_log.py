@@ -124,7 +124,7 @@ def read_log(
         try:
             parts, is_trip = _read(path, unit, direction or "forward", period_s, cuts, used)
         except (ValueError, OverflowError, MemoryError) as error:
-            raise ConfigError(f"{path.name}: is no log of a line that can be read: {error}") from error
+            raise ConfigError(f"{path.name}: is not a log of a line that can be read: {error}") from error
         trips.append(is_trip or round_trip)
         for sent_s, delay_s in parts:
             segments += _cut(sent_s, delay_s, path.name, cuts)
@@ -316,7 +316,9 @@ def _check(log: LineLog) -> None:
         )
     delays = np.concatenate([part.delay_s for part in log.segments])
     if np.isnan(delays).mean() > 0.5:
-        raise ConfigError(f"{np.isnan(delays).mean():.0%} of the messages were lost; this is no line that a model fits")
+        raise ConfigError(
+            f"{np.isnan(delays).mean():.0%} of the messages were lost; this is not a line that a model fits"
+        )
     median_s = float(np.nanmedian(delays))
     if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
         raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")

@@ -142,7 +142,7 @@ def read_histogram(path: Path, unit_s: float | None) -> Histogram:
         raise ConfigError(f"{path.name}: does not say the unit of its bins; give --unit ms")
     if len(edges) < 2 or sum(counts) <= 0.0:
         raise ConfigError(
-            f"{path.name}: has {len(edges)} bins with {sum(counts):g} counts in all, which is no histogram"
+            f"{path.name}: has {len(edges)} bins with {sum(counts):g} counts in all, which is not a histogram"
         )
     edges.append(2.0 * edges[-1] - edges[-2])
     return Histogram(unit_s * np.array(edges), np.array(counts) / sum(counts))

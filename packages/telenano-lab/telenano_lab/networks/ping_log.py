@@ -223,4 +223,4 @@ def _seconds(stamp: str, name: str, line: int) -> float:
             return float(stamp)
         return datetime.fromisoformat(f"{stamp}+00:00").timestamp()
     except (ValueError, OverflowError) as error:
-        raise ConfigError(f"{name}, line {line}: {stamp!r} is no time") from error
+        raise ConfigError(f"{name}, line {line}: {stamp!r} is not a time") from error

@@ -30,7 +30,7 @@ def test_what_is_no_curve_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="4 are needed for a curve"):
         amplitude_phase(np.full(1000, 0.8), np.full(1000, 100.0))
     if CURVE.exists():
-        with pytest.raises(ConfigError, match="it is no image in tapping mode"):
+        with pytest.raises(ConfigError, match="it is not an image in tapping mode"):
             read_amplitude_phase(CURVE)
 
 

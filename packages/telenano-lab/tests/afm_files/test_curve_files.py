@@ -138,7 +138,7 @@ def test_a_map_gives_any_of_its_curves_and_the_sensitivity_of_each(tmp_path):
     assert (document["curves"], document["curves_without_hard_contact"]) == (3, 1)
     write_hdf5(tmp_path / "no_sensitivity.h5", far)
     with pytest.raises(
-        ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack the sensitivity"
+        ConfigError, match=r"no_sensitivity\.h5: is not a file of curves: its metadata lack the sensitivity"
     ):
         sensitivities_of_file(tmp_path / "no_sensitivity.h5")
     with pytest.raises(ConfigError, match="it has no curve 1; it has 1, and the first is 0"):
@@ -170,7 +170,7 @@ def test_a_curve_without_spring_constant_or_way_back_is_refused_by_file(tmp_path
     for name, words in (
         ("no_k.tab", "stiffness_n_per_m: the file has no such value"),
         ("half.tab", "retraction"),
-        ("not_a.jpk-force", "no whole"),
+        ("not_a.jpk-force", "not a complete"),
     ):
         with pytest.raises(ConfigError, match=words) as error:
             read_measured(tmp_path / name)
@@ -188,7 +188,9 @@ def test_damage_that_a_reader_did_not_expect_is_told_by_file(tmp_path):
     with pytest.raises(ConfigError, match=r"cut\.ibw: cannot be read: No such file"):
         read_measured(tmp_path / "cut.ibw")
     (tmp_path / "cut.ibw").write_bytes(b"IGOR")
-    with pytest.raises(ConfigError, match=r"cut\.ibw: is no whole force curve: it is no Igor binary wave of version 5"):
+    with pytest.raises(
+        ConfigError, match=r"cut\.ibw: is not a complete force curve: it is not an Igor binary wave of version 5"
+    ):
         read_measured(tmp_path / "cut.ibw")
     curve = force_curve(AfmConfig(), 10e-9, 10e-9, 20)
     write_hdf5(tmp_path / "stiff.h5", dataclasses.replace(curve, stiffness_n_per_m=-40.0))

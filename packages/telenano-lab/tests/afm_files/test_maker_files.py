@@ -243,7 +243,7 @@ def test_a_curve_takes_the_constants_that_its_file_lacks(tmp_path: Path) -> None
     far = float(np.median(DOWN_N[:20]))
     assert measured["pull_off_force_n"] == pytest.approx(float(UP_N.min()) - far, rel=1e-3, abs=0)
     for key, words in (
-        ("stiffness=2", "is no constant of a curve"),
+        ("stiffness=2", "is not a constant of a curve"),
         ("stiffness_n_per_m=-2", "must be a number above 0"),
     ):
         said = invoke([*call, "--set", key])

@@ -132,7 +132,7 @@ def test_a_grid_of_nanonis_is_read_with_both_ways(tmp_path: Path) -> None:
         ({"Grid dim": '"many"'}, "Grid dim: is 'many'"),
         ({"Sweep Signal": '"Bias (V)"'}, "Sweep Signal: is 'Bias .V.'; a map needs a sweep of Z"),
         ({"Points": "x"}, "Points: is 'x'; it must be a whole number"),
-        ({"Points": "63"}, "is no whole .3ds file: "),
+        ({"Points": "63"}, "is not a complete .3ds file: "),
         ({"Channels": '"Current (A);LIX (A);LIY (A)"'}, "Channels: has no force and no frequency shift; choose one of"),
     ],
 )
@@ -144,7 +144,7 @@ def test_a_grid_of_nanonis_that_cannot_be_used_is_refused(tmp_path: Path, change
 def test_a_truncated_grid_of_nanonis_is_refused(tmp_path: Path) -> None:
     path = write_3ds(tmp_path / "grid.3ds")
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(ConfigError, match=r"grid\.3ds: is no whole \.3ds file"):
+    with pytest.raises(ConfigError, match=r"grid\.3ds: is not a complete \.3ds file"):
         import_map(path, MapOptions({}))
 
 

@@ -176,10 +176,10 @@ def test_the_safe_state_is_the_top_of_the_map(bench_of: Any, tmp_path: Path) -> 
     ("changes", "words"),
     [
         ({"cantilever": {"stiffness_n_per_m": 40.0}}, "contradicts sample.map"),
-        ({"friction": {"coefficient": 0.2}}, "no friction besides"),
+        ({"friction": {"coefficient": 0.2}}, "leave friction out"),
         ({"environment": "spring"}, "sample.map is for driver simulated"),
-        ({"rest_distance_m": 1e-9, "safety": {"retract_position_m": 5e-9}}, "leave the tip no way"),
-        ({"sample": {"map": "x.npz", "name": "dots"}}, "it goes with no name"),
+        ({"rest_distance_m": 1e-9, "safety": {"retract_position_m": 5e-9}}, "leave the tip no room to move"),
+        ({"sample": {"map": "x.npz", "name": "dots"}}, "leave out name"),
     ],
 )
 def test_settings_that_contradict_a_map_are_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
@@ -216,7 +216,7 @@ def test_a_written_map_is_read_back_as_it_was(tmp_path: Path) -> None:
         ({"z": np.linspace(0.0, 4.0, 41) ** 2 * 1e-9}, "z: its points must be even"),
         ({"z": np.linspace(0.0, 20e-9, 40)}, "z: must be 41 finite numbers"),
         ({"z": np.linspace(0.0, 20.0, 41)}, "z: spans 20 m, more than 1 mm: is length_unit right"),
-        ({"value": np.full((5, 4, 41), np.nan)}, "value: 820 of 820 values are no finite number"),
+        ({"value": np.full((5, 4, 41), np.nan)}, "value: 820 of 820 values are not finite"),
         ({"value": np.zeros((5, 41))}, r"value: has the shape \(5, 41\)"),
         ({"value": None}, "value: is missing"),
     ],

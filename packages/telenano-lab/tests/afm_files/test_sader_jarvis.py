@@ -107,4 +107,4 @@ def test_the_command_writes_a_map_that_is_felt_as_a_force(tmp_path: Path) -> Non
     assert found.values.min() == pytest.approx(morse(Z).min(), rel=0.08)
     refused = invoke(["sample", "info", str(out), "--set", "amplitude_m=1e-10"])
     assert refused.exit_code == 2
-    assert "amplitude_m: is no member of a map" in refused.output
+    assert "amplitude_m: is not a member of a map" in refused.output

@@ -99,7 +99,7 @@ def test_what_cannot_be_assembled_is_one_sentence_and_leaves_nothing(
     [
         (b"1e-6 0\nhere\n", "line 2: must be x and y in m"),
         (b"nan 0\n", "line 1: must be x and y in m"),
-        (b"\xff\xfe\x00", "is no text"),
+        (b"\xff\xfe\x00", "is not text"),
         (b"# none\n", "has no places"),
     ],
 )
@@ -118,7 +118,7 @@ def test_lost_pixels_are_left_out_and_an_image_of_nothing_else_is_refused(image:
     assert (one["x_m"], one["y_m"], one["radius_m"]) == pytest.approx((3e-7, -2e-7, 250e-9), rel=0.02)
     np.save(image, np.full_like(heights, np.nan))
     refused = run("particles", str(image), "--size", "2500")
-    assert refused.exit_code == 2 and "1600 heights that are no finite number" in " ".join(refused.output.split())
+    assert refused.exit_code == 2 and "1600 heights that are not finite" in " ".join(refused.output.split())
 
 
 def test_an_image_of_two_pixels_is_refused_by_name(image: Path) -> None:

@@ -222,7 +222,7 @@ def test_what_is_no_curve_and_no_spectrum_is_refused(tmp_path: Path) -> None:
             stiffness_of_spectrum(frequency, power * metre**2, KNOWN)
     file = tmp_path / "s.txt"
     file.write_text("Hz;V2/Hz\n" + "".join(f"{n};1e-9\n" for n in range(20)) + "20;loud\n")
-    with pytest.raises(ConfigError, match=r"s\.txt, line 22: 'loud' is no number"):
+    with pytest.raises(ConfigError, match=r"s\.txt, line 22: 'loud' is not a number"):
         spectrum_of(file)
     file.write_text("1;2\n")
     with pytest.raises(ConfigError, match="has 1 lines of 2 columns, 16 or more"):

@@ -56,7 +56,7 @@ def test_a_table_that_is_not_that_of_its_digest_is_refused(damage: str, tmp_path
         table.write_bytes(table.read_bytes()[:-20])
     else:
         (digest if damage == "no digest" else table).unlink()
-    with pytest.raises(ConfigError, match=r"runs\.csv\.xz: .*install the package anew"):
+    with pytest.raises(ConfigError, match=r"runs\.csv\.xz: .*install the package again"):
         kept(table, digest)
 
 

@@ -106,7 +106,7 @@ def test_a_person_does_not_take_part_in_simulated_time(file: Path, tmp_path: Pat
     [
         (("status", "nowhere"), "has no experiment.yaml"),
         (("check", "nothing"), "unknown experiment 'nothing'"),
-        (("people", "add", "{folder}", "Anna"), "'Anna' is no pseudonym"),
+        (("people", "add", "{folder}", "Anna"), "'Anna' is not a pseudonym"),
         (("erase", "{folder}", "P07", "--yes"), "has no data of P07"),
     ],
 )

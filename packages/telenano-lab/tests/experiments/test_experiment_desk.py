@@ -237,7 +237,7 @@ def test_an_answer_during_a_trial_means_what_it_does_in_english(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"tasks": {"askin": {}}}, "words.tasks: askin is no task of this file; did you mean asking. Known are asking"),
+        ({"tasks": {"askin": {}}}, "words.tasks: askin is not a task of this file; did you mean asking."),
         ({"agree": "no"}, "words.agree and words.disagree are the same word"),
         ({"language": "deutsch bitte"}, "words.language"),
         ({"consent": "x" * 1025}, "words.consent"),

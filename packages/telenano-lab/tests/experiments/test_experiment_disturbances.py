@@ -95,11 +95,11 @@ DISTURBED = {
         "the recording is not whole: 7",
     ),
     "a device that says nothing": ({"tip_s": np.empty((0, 2))}, "the instrument reported nothing"),
-    "a dead band that is no excuse for a longer silence": (
+    "a dead band that is not an excuse for a longer silence": (
         {"forward": passage(silent=(1.0, 1.2)), "quiet_s": 0.1},
         "nothing of the hand reached the link for 200 ms",
     ),
-    "an outage is no excuse for a stall in it": (
+    "an outage is not an excuse for a stall in it": (
         {"forward": passage(lost=(2.0, 2.6)), "hand_s": steps(2.2, 0.05), "holds": [HELD]},
         "the hand's device stood still for 50 ms",
     ),

@@ -44,10 +44,10 @@ def test_a_record_that_was_cut_by_a_kill_is_dropped_with_a_word(path: Path, cut:
 
 def test_a_damaged_line_before_the_end_is_named(path: Path) -> None:
     path.write_text('{"record": "begun"}\n{oops\n{"record": "ended"}\n')
-    with pytest.raises(ConfigError, match=r"journal.jsonl: line 2 is no JSON"):
+    with pytest.raises(ConfigError, match=r"journal.jsonl: line 2 is not JSON"):
         journal.read(path)
     path.write_text('{"record": "begun"}\n[1]\n')
-    with pytest.raises(ConfigError, match="line 2 is no record of an experiment"):
+    with pytest.raises(ConfigError, match="line 2 is not a record of an experiment"):
         Journal(path)
 
 

@@ -17,7 +17,7 @@ from telenano.wire import ConfigError, RigError
     "name", ["Anna", "P", "anna.miller@lab.org", "Miller1", "P01 Anna", "01", "", "P1234567", "P01\n"]
 )
 def test_what_could_be_a_name_is_no_pseudonym(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match="is no pseudonym"):
+    with pytest.raises(ConfigError, match="is not a pseudonym"):
         checked_pseudonym(name)
     with pytest.raises(ConfigError):
         People(tmp_path).change(name, consent=True)

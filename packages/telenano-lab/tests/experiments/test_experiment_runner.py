@@ -389,7 +389,7 @@ def test_a_practice_that_was_interrupted_ends_where_it_would_have(tmp_path: Path
             {"tiny": {"measure": "corect", "at_least": 1}},
             "practice.until.tiny.measure: task tiny has no measure 'corect'",
         ),
-        ({"tiney": {"measure": "correct", "at_least": 1}}, "practice.until: tiney is no task of this file"),
+        ({"tiney": {"measure": "correct", "at_least": 1}}, "practice.until: tiney is not a task of this file"),
         ({"tiny": {"measure": "correct"}}, "give either at_least or at_most"),
         ({"tiny": {"measure": "correct", "last": 9, "at_least": 1}}, "until.tiny.last: 9 trials are more than the 8"),
     ],

@@ -210,7 +210,7 @@ def test_a_profile_is_followed_as_long_as_there_is_contact() -> None:
 def test_an_entry_of_a_package_has_to_be_a_task() -> None:
     good = TASKS["touch_and_hold"]
     assert checked("touch_and_hold", good) is good
-    with pytest.raises(ValueError, match="calls itself touch_and_hold"):
+    with pytest.raises(ValueError, match="is registered under another name than its own, touch_and_hold"):
         checked("mine", good)
     with pytest.raises(TypeError, match="judge"):
         checked("mine", Plain())

@@ -239,7 +239,7 @@ def test_the_table_is_read_as_it_was_written_and_has_every_situation_and_law(tmp
         assert all(wilson(one.held, one.runs)[1] >= low for one in some if not one.is_behind)
     (tmp_path / "old.json").write_text(text_of(made).replace('"benchmark": 3', '"benchmark": 2'))
     for name in ("old.json", "none.json"):
-        with pytest.raises(ConfigError, match="install the package anew"):
+        with pytest.raises(ConfigError, match="install the package again"):
             read_standings(tmp_path / name)
 
 

@@ -190,7 +190,7 @@ def test_a_table_is_read_by_its_headings(tmp_path: Path, headings: str) -> None:
         (lambda text: text.split("\n", 1)[1], "line 1: has no headings"),
         (lambda text: text.replace("received_ms", "colour"), "has the columns sent_ms, colour; a column of times"),
         (lambda text: text.replace("\n20.000,", "\n20.000,19.0\n20.000,", 1), "line 3: was received 0.001 s before"),
-        (lambda text: text.replace("\n40.000,", "\n40.000,x", 1), "line 4: 'x.*is no number"),
+        (lambda text: text.replace("\n40.000,", "\n40.000,x", 1), "line 4: 'x.*is not a number"),
         (
             lambda text: "\n".join(text.split("\n")[:200]),
             "198 messages in 3.9. s are too few.* is the unit",

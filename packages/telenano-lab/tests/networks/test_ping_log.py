@@ -58,7 +58,7 @@ def test_the_time_is_read_in_other_languages(said: str) -> None:
         ),
         (
             "PING a\n[2026-13-45 10:00:00] 64 bytes: icmp_seq=1 time=1 ms\n",
-            "p, line 2: '2026-13-45 10:00:00' is no time",
+            "p, line 2: '2026-13-45 10:00:00' is not a time",
         ),
         (
             "PING a\n[1.0] 64 bytes: icmp_seq=1 time=1 ms\n[2.0] 64 bytes: icmp_seq=4000000000 time=1 ms\n",

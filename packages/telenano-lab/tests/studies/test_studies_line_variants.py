@@ -68,7 +68,7 @@ def test_the_stalls_of_both_ways_come_as_often_and_last_as_long_as_those_of_the_
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["starlink_driving", "--seeds", "0"], "'0' is no number of seeds; give 1 or more"),
+        (["starlink_driving", "--seeds", "0"], "'0' is not a number of seeds; give 1 or more"),
         (["mars"], "unknown profile 'mars'"),
         (["clean"], "the network clean has no quantiles and correlation time, as `telenano link fit` makes them"),
     ],

@@ -48,8 +48,8 @@ def test_a_law_over_a_measured_network_is_judged_with_its_defaults_and_tuned(tmp
 
 @pytest.mark.parametrize("text", ["", "{}", '{"network": {"forward": {}}, "replay": {}}', "[1]"])
 def test_a_folder_without_a_whole_probe_is_named(text: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"probe.json: is no result of `telenano link probe`"):
+    with pytest.raises(ConfigError, match=r"probe.json: is not a result of `telenano link probe`"):
         measured_network(tmp_path)
     (tmp_path / "probe.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"probe.json: is no result of `telenano link probe`"):
+    with pytest.raises(ConfigError, match=r"probe.json: is not a result of `telenano link probe`"):
         measured_network(tmp_path)

@@ -43,7 +43,7 @@ def relay(
         beside_the_loop()
         if join is not None:
             if join not in ("master", "slave"):
-                raise ConfigError(f"--join: {join} is no site, must be master or slave")
+                raise ConfigError(f"--join: {join} is not a site, must be master or slave")
             work = site_end(AddressBook.load(site_file), join, StructuredLog(f"{RELAY}@{join}")).run()
         else:
             work = _serve(listen, mbit_per_s)

@@ -159,7 +159,7 @@ def _sign(take: Take[Facts]) -> tuple[Result, str]:
     if len(edges.starts) < 10:
         return "fail" if take.facts.stopped == PULLED else "retake", take.facts.stopped or "the base did not move"
     if math.isnan(slope):
-        return "fail", "what is read of the base did not follow"
+        return "fail", "the position that was read did not follow the base"
     return passes(slope > 0.0), f"{slope:.3g} N for a metre towards the sample"
 
 

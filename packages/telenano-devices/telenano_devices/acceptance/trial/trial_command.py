@@ -60,7 +60,7 @@ def trial(
                 typer.echo("judged again by the version here: " + "; ".join(others), err=True)
             return
         if driver is None:
-            raise ConfigError("name what is tried, such as `telenano device trial haply`, or give --read FILE")
+            raise ConfigError("name the device to try, such as `telenano device trial haply`, or give --read FILE")
         from telenano_devices.acceptance.trial.devices import tried
 
         path = out or Path(f"trial-{driver}.zip")

@@ -156,7 +156,7 @@ def read_trial(path: Path) -> Trial:
             take,
         )
     except KeyError as error:
-        raise ConfigError(f"{path}: is no file of `telenano device trial`: it has no member {error}") from error
+        raise ConfigError(f"{path}: is not a file of `telenano device trial`: it has no member {error}") from error
     # A damaged file can make zipfile and zlib raise anything.
     except Exception as error:
         raise ConfigError(f"{path}: is not a complete file of `telenano device trial`: {error}") from error

@@ -42,7 +42,7 @@ def named_runs(
                 raise ConfigError(f"{options[name]} {value}: no kept run of the benchmark has it; {names}")
     found = chosen(outcomes, **wanted)
     if not found:
-        raise ConfigError("no kept run of the benchmark has all that is asked for: leave out one of the options")
+        raise ConfigError("no kept run of the benchmark matches all options: leave one out")
     if draw is not None and draw < len(found):
         taken = np.random.default_rng(draw_seed).choice(len(found), draw, replace=False)
         found = [found[number] for number in sorted(taken.tolist())]

@@ -85,12 +85,12 @@ def kept(table: Path = TABLE, digest: Path = DIGEST) -> Kept:
         written = digest.read_text(encoding="utf-8").split()
     except (OSError, lzma.LZMAError, UnicodeError) as error:
         raise ConfigError(
-            f"{table}: the runs of the benchmark cannot be read: {error}; install the package anew"
+            f"{table}: the runs of the benchmark cannot be read: {error}; install the package again"
         ) from error
     if written[:1] != [found := digest_of(text)]:
         raise ConfigError(
             f"{table}: its runs have the digest {found}, and {digest.name} has {' '.join(written[:1]) or 'none'};"
-            " install the package anew"
+            " install the package again"
         )
     try:
         return Kept({outcome.cell: outcome for outcome in read_outcomes(text)}, found)

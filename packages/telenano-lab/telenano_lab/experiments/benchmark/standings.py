@@ -97,5 +97,5 @@ def read_standings(path: Path = TABLE) -> Standings:
             raise ValueError(f"it is of benchmark {table.benchmark}, and this is benchmark {VERSION}")
         situations = {Situation(place.line, place.instrument, place.sample): place.laws for place in table.situations}
     except (OSError, msgspec.MsgspecError, ValueError) as error:
-        raise ConfigError(f"{path}: the table cannot be used: {error}; install the package anew") from error
+        raise ConfigError(f"{path}: the table cannot be used: {error}; install the package again") from error
     return Standings(situations, table.digest)

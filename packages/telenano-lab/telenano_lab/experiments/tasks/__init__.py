@@ -40,7 +40,7 @@ def checked(name: str, value: Any) -> Task:
     if absent:
         raise TypeError(f"a task has {', '.join(absent)} as well: begin with telenano_lab.experiments.extend.Plain")
     if value.name != name:
-        raise ValueError(f"calls itself {value.name}")
+        raise ValueError(f"is registered under another name than its own, {value.name}")
     if not (isinstance(value.parameters, type) and issubclass(value.parameters, BaseModel)):
         raise TypeError("parameters must be a class of settings, telenano_lab.experiments.extend.Parameters")
     if not value.measures or not all(isinstance(measure, Measure) for measure in value.measures):

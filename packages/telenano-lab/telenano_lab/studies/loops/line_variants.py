@@ -194,7 +194,7 @@ def main() -> None:
 
 def _count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seeds; give 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seeds; give 1 or more")
     return int(text)
 
 

@@ -41,7 +41,7 @@ def measured_network(folder: Path) -> MeasuredNetwork:
         replay = probe["replay"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(
-            f"{file}: is no result of `telenano link probe`: {error}; of a log of a line `telenano link fit` makes a"
+            f"{file}: is not a result of `telenano link probe`: {error}; of a log of a line `telenano link fit` makes a"
             " network, which `study advise --network` takes"
         ) from error
     return MeasuredNetwork(LinkSettings.of(replay), folder, round_trip_ms, lost_share)
