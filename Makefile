@@ -132,8 +132,8 @@ firmware: ## Build the image of the handle; it needs the AVR compiler.
 lint: setup ## Check style, types, layers and the contract of the wire.
 	$(LINT)
 
-# the tables of docs/performance.md, from one run of a quarter of an hour on a quiet machine
-bench: setup ## Measure the tables of docs/performance.md; a quarter of an hour.
+# the tables of docs/performance.md and docs/performance-measured.md, from one run of a quarter of an hour on a quiet machine
+bench: setup ## Measure the tables of docs/performance.md and docs/performance-measured.md; a quarter of an hour.
 	-$(call install,-e '.[peers]')
 	$(BIN)/python benchmarks/tables.py
 

@@ -1,9 +1,9 @@
-"""Make the tables of docs/performance.md from one run of the benchmarks on this machine: `make bench`.
+"""Make the tables of docs/performance.md and performance-measured.md from one run of the benchmarks: `make bench`.
 
     python benchmarks/tables.py [--only loop,lockstep] [--smoke] [--json]
 
 The scripts run one after the other, a quarter of an hour in all, on a machine that has to be quiet. Each table replaces
-the text between its marks in the page; a script that fails leaves its table unchanged, and its name is printed.
+the text between its marks in the page that has them; a script that fails leaves its table unchanged, and its name is printed.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import late_cycles
 from telenano.signals import children
 
 FOLDER = Path(__file__).resolve().parent
-PAGE = FOLDER.parent / "docs" / "performance.md"
+PAGES = tuple(FOLDER.parent / "docs" / name for name in ("performance.md", "performance-measured.md"))
 Figures = Mapping[str, Any]
 
 
@@ -154,10 +154,10 @@ def replaced(text: str, name: str, lines: list[str]) -> str:
 
 
 def main() -> int:
-    """Run the scripts, and replace the tables in the page."""
+    """Run the scripts, and replace the tables in the pages."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", default=",".join(TABLES), help="tables to make, of " + ",".join(TABLES))
-    parser.add_argument("--smoke", action="store_true", help="the shortest run of each; the page is not changed")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run of each; no page is changed")
     parser.add_argument("--json", action="store_true", help="print one JSON object of all figures")
     given = parser.parse_args()
     wanted = {name: TABLES[name] for name in given.only.split(",")}
@@ -173,7 +173,8 @@ def main() -> int:
             print(f"{chosen.script} failed: {figures}", file=sys.stderr)
         elif not given.smoke:
             command = f"`python benchmarks/{' '.join((chosen.script, *arguments))}`"
-            PAGE.write_text(replaced(PAGE.read_text(), name, [where, command, "", *chosen.lines(figures)]))
+            for page in PAGES:
+                page.write_text(replaced(page.read_text(), name, [where, command, "", *chosen.lines(figures)]))
     if given.json:
         print(json.dumps({script: figures for (script, _), figures in found.items()}))
     return int(any(isinstance(figures, str) for figures in found.values()))
