@@ -3,7 +3,8 @@
     python benchmarks/tables.py [--only loop,lockstep] [--smoke] [--json]
 
 The scripts run one after the other, a quarter of an hour in all, on a machine that has to be quiet. Each table replaces
-the text between its marks in the page that has them; a script that fails leaves its table unchanged, and its name is printed.
+the text between its marks in the page that has them; a script that fails leaves its table unchanged, and its name is
+printed.
 """
 
 import argparse

@@ -206,16 +206,16 @@ class AfmNode(DeviceNode):
             raise RefusedError(f"not armed: unknown key {', '.join(unknown)}; arm takes {', '.join(WORDS)}")
         place, place_m, speed = (parameters.get(key) for key in WORDS)
         if place is not None and (place != "hand" or place_m is not None):
-            raise RefusedError(f"not armed: place = {place}: it is hand, or absent where place_m is given")
+            raise RefusedError(f"not armed: place = {place}: must be hand, or absent where place_m is given")
         if place_m is not None and not (_is_number(place_m) and limits.base_min_m <= place_m <= limits.base_max_m):
             bounds = f"{limits.base_min_m:g} to {limits.base_max_m:g} m"
-            raise RefusedError(f"not armed: place_m = {place_m}: the base goes from {bounds}, towards the sample > 0")
+            raise RefusedError(f"not armed: place_m = {place_m}: must lie within {bounds}, towards the sample > 0")
         if speed is not None and not (_is_number(speed) and 0.0 < speed <= limits.base_speed_m_per_s):
             most = f"at most {limits.base_speed_m_per_s:g} m/s (safety.base_speed_m_per_s)"
-            raise RefusedError(f"not armed: speed_m_per_s = {speed}: it is above 0, and {most}")
+            raise RefusedError(f"not armed: speed_m_per_s = {speed}: must be above 0 and {most}")
         if place_m is None and place is None:
             if speed is not None:
-                raise RefusedError("not armed: speed_m_per_s is given, and no place_m to go to")
+                raise RefusedError("not armed: speed_m_per_s needs place_m, the place to go to")
             return _STAYS
         if place_m is None:
             return _TO_HAND if speed is None else Way(True, math.inf, float(speed))

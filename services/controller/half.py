@@ -167,7 +167,7 @@ class ControllerHalf(Node):
         if text := changed.refused_laws.get(changed.law):
             raise RefusedError(text)
         if changed.lateral.mode == "direct" and self.config.lateral.mode != "direct":
-            raise RefusedError("lateral.mode=direct cannot be returned to: the tip would jump to the place of the hand")
+            raise RefusedError("lateral.mode cannot be set back to direct: the tip would jump to the place of the hand")
         switched = changed.law != self.config.law
         before = self.config.law_config()
         if not switched and self.touches and (text := self.law.changed_in_contact(before, changed.law_config())):

@@ -117,7 +117,7 @@ class CommandDesk:
         """
         if (waiting := self.waiting(session)) >= MOST_COMMANDS:
             raise RefusedError(
-                f"{command} was not sent: {waiting} commands of this page wait already, as many as may be"
+                f"{command} was not sent: {waiting} commands of this page wait already, which is the most allowed"
             )
         if command == _STOP:
             return

@@ -122,7 +122,7 @@ class RecordingDocument:
         if not to_s > from_s:
             raise RefusedError(f"from {from_s:g} s to {to_s:g} s is not a part of a recording")
         if spans <= 0 and to_s - from_s > _MOST_RAW_S:
-            raise RefusedError(f"every sample is given of at most {_MOST_RAW_S:g} s at once: choose a shorter part")
+            raise RefusedError(f"at most {_MOST_RAW_S:g} s of samples are sent at once: choose a shorter part")
         if spans <= 0 or to_s - from_s <= max(_RAW_S, _LEAST_SPANS * self._levels.width_s):
             return {"from_s": from_s, "to_s": to_s, "width_s": 0.0, "streams": self._raw(from_s, to_s)}
         missing = self._left_in(from_s, to_s)

@@ -363,7 +363,7 @@ class Hub:
             return {"lease": ("ack", text)}
         if isinstance(request, CommandRequest):
             return await self._command(session, request, arrived_s)
-        raise RefusedError("a page says hello once")
+        raise RefusedError("a page may say hello only once")
 
     async def _ask_desk(self, session: Session, request: PanelRequest) -> Answers:
         """Let the desk of a panel carry out a page's request; a participant may only use the panel for guests."""

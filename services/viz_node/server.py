@@ -78,7 +78,7 @@ class _PageSocket:
                     "the token is wrong: open the address that telenano view --addresses prints where the rig runs",
                 )
             elif (pages := len(self._hub.sessions)) >= MOST_PAGES:
-                await _refuse(socket, _TRY_LATER, f"{pages} pages are open, which is as many as may be")
+                await _refuse(socket, _TRY_LATER, f"{pages} pages are open, which is the most allowed")
             else:
                 return role, person
             return None

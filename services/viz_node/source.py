@@ -52,7 +52,7 @@ class NoTransport:
     """Base class of sources without a transport."""
 
     def transport(self, action: str, value: float) -> str:
-        raise RefusedError(f"{action}: a running rig has no transport, only a recording can be played and sought in")
+        raise RefusedError(f"{action}: only a recording can be played or searched, and this is a running rig")
 
     def take_restart(self) -> bool:
         return False

@@ -124,12 +124,12 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
     lease = current(lease, now_ns)
     holder = lease.holder
     if party.role == "observer":
-        raise RefusedError("an observer looks, and may stop, and not command")
+        raise RefusedError("an observer may look and stop, but not command")
     if holder is None:
         if number:
             raise RefusedError("control is free: this belongs to an earlier lease")
         if party.role == "pupil":
-            raise RefusedError("a pupil holds control when it is handed over: ask for it")
+            raise RefusedError("a pupil gets control only when it is handed over: ask for it")
         return _granted(lease, party, now_ns, kept=False, presses=presses)
     if holder.id != party.id:
         if party.role == "participant" and holder.what == EXPERIMENT:

@@ -282,7 +282,7 @@ class SessionNode(RigNode):
         if self.far is not None:
             self.far.confirm_start(commands.tolerated_failures.get(self.far.recorder))
             if self.far.fault:
-                self.report("warning", f"what the slave's site sends fast is not recorded: {self.far.fault}")
+                self.report("warning", f"the fast messages of the slave's site are not recorded: {self.far.fault}")
             self._on_far(self.far.files)
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
 

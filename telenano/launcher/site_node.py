@@ -83,7 +83,7 @@ class SiteNode(RigNode):
             )
         if self._pieces is None:
             package = KNOWN_PACKAGES["command bag fetch"]
-            raise RefusedError(f"to send the recording is in the package {package}: {how_to_add_package(package)}")
+            raise RefusedError(f"sending a recording is in the package {package}: {how_to_add_package(package)}")
         return self._pieces.request(control.parameters, self.clock.monotonic_ns())
 
     def make_safe(self) -> None:

@@ -254,13 +254,13 @@ def test_any_input_ends_the_way_of_the_tip(given: str) -> None:
 @pytest.mark.parametrize(
     ("word", "says"),
     [
-        ({"place": "here"}, "place = here: it is hand"),
-        ({"place": "hand", "place_m": 0.0}, "place = hand: it is hand, or absent"),
-        ({"place_m": 1.0}, "place_m = 1.0: the base goes from"),
-        ({"place_m": True}, "place_m = True: the base goes from"),
+        ({"place": "here"}, "place = here: must be hand"),
+        ({"place": "hand", "place_m": 0.0}, "place = hand: must be hand, or absent"),
+        ({"place_m": 1.0}, "place_m = 1.0: must lie within"),
+        ({"place_m": True}, "place_m = True: must lie within"),
         ({"place_m": 0.0, "speed_m_per_s": 1.0}, r"at most 2e-06 m/s \(safety.base_speed_m_per_s\)"),
-        ({"place_m": 0.0, "speed_m_per_s": 0.0}, "it is above 0"),
-        ({"speed_m_per_s": 1e-8}, "no place_m to go to"),
+        ({"place_m": 0.0, "speed_m_per_s": 0.0}, "must be above 0"),
+        ({"speed_m_per_s": 1e-8}, "needs place_m, the place to go to"),
         ({"places": 0.0}, "unknown key places; arm takes place, place_m, speed_m_per_s"),
     ],
 )

@@ -88,7 +88,7 @@ def test_pages_hold_up_no_loop_and_leave_no_memory_behind(rig: Rig) -> None:
             watched = asyncio.run(watch_all(view.observer))
             spans.append((begin_ns, time.time_ns()))
             refused = [page.refused for page in watched if page.refused]
-            assert refused == [f"{MOST_PAGES} pages are open, which is as many as may be"] * (PAGES - MOST_PAGES)
+            assert refused == [f"{MOST_PAGES} pages are open, which is the most allowed"] * (PAGES - MOST_PAGES)
             # each of the others is told what changes, and none is so far behind that it has to begin anew
             admitted = [page for page in watched if not page.refused]
             assert all(page.snapshots == 1 for page in admitted), watched

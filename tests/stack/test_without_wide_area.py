@@ -38,6 +38,6 @@ def test_two_sites_run_over_tcp_where_the_package_is_missing(sites: TwoSites, wi
     else:
         # what sends the slave's recording is in the package as well
         assert (
-            f"launcher@slave refuses: to send the recording is in the package {PACKAGE}" in sites.master.log.read_text()
+            f"launcher@slave refuses: sending a recording is in the package {PACKAGE}" in sites.master.log.read_text()
         )
     assert summary["verdict"] == "stable" or not judged(summary, "the session over TCP") or "master" not in without

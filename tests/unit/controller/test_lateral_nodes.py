@@ -79,7 +79,7 @@ def test_mode_and_clutch_are_commands_and_direct_cannot_be_returned_to(master: A
     ticks(bench, node, 9e-3, 5)
     ticks(bench, node, 9.01e-3, 5)
     assert bench.take("teleop/forward")[-1].position_m[0] == pytest.approx(before + 5e-10, rel=1e-6)
-    with pytest.raises(RefusedError, match=r"lateral\.mode=direct cannot be returned to"):
+    with pytest.raises(RefusedError, match=r"lateral\.mode cannot be set back to direct"):
         control(node, bench, **{"lateral.mode": "direct"})
     with pytest.raises(RefusedError, match="clutch"):
         control(node, bench, **{"lateral.clutch": "half"})

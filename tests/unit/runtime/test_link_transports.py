@@ -262,7 +262,7 @@ def test_a_site_without_a_sender_says_which_package_has_one(bench_of: type[NodeB
     bench = bench_of("launcher@slave")
     site = SiteNode(bench.context, Supervisor(bench.clock, (), NoProcesses()), tmp_path)
     asked = bench.make("session/control", "console@master", command="set", **CONTROL)
-    with pytest.raises(RefusedError, match=f"to send the recording is in the package {PACKAGE}: "):
+    with pytest.raises(RefusedError, match=f"sending a recording is in the package {PACKAGE}: "):
         site.on_control(asked)
     site.on_deadline(bench.clock.monotonic_ns())
     site.make_safe()
