@@ -97,7 +97,7 @@ MAPS: list[tuple[str, Content, str]] = [
     ("map.gwy", files.gwy(xres=files.gwy_part("xres", "i", struct.pack("<i", 1 << 30))), "(8,1073741824)"),
     ("map.gwy", files.gwy(data=files.gwy_part("data", "D", struct.pack("<I", 0xFFFFFFFF))), "complete Gwyddion file"),
     ("map.gwy", files.gwy()[:-1], "it must be one container of the length that it states"),
-    ("map.gsf", files.gsf().replace(b"XRes = 8", b"XRes = 9"), "has 256 bytes of heights; 9 x 8 of 4 bytes"),
+    ("map.gsf", files.gsf().replace(b"XRes = 8", b"XRes = 9"), "has 256 bytes of heights; 9 x 8 values of 4 bytes"),
     ("map.gsf", b"Gwyddion Simple Field 1.0\n" + b"a=b\n" * 100_000, "its header has no end"),
 ]  # fmt: skip
 CURVES: list[tuple[str, Content, str]] = [

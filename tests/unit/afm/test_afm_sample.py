@@ -52,7 +52,7 @@ def test_a_file_in_nanometres_is_converted(tmp_path):
         (b"Gwyddion Simple", b"Gwyddion Sample", "is not a Gwyddion Simple Field"),
         (b"ZUnits = m", b"ZUnits = V", "the unit of the heights of channel Height is 'V'; it must be a length"),
         (b"XYUnits = m\n", b"", "the unit of the sides of channel Height is none"),
-        (b"XRes = 11", b"XRes = 12", "has 308 bytes of heights; 12 x 7 of 4 bytes are 336"),
+        (b"XRes = 11", b"XRes = 12", "has 308 bytes of heights; 12 x 7 values of 4 bytes need 336"),
         (b"XRes = 11", b"XRes = -1", "XRes is -1; it must be a whole number"),
         (b"YRes = 7\n", b"", "YRes is missing"),
         (b"XReal = 1.1e-07", b"XReal = nan", "XReal is nan"),
@@ -84,7 +84,7 @@ def test_an_array_needs_its_side_and_must_be_square_finite_and_of_numbers(tmp_pa
         read_surface(path)
     for values, what in (
         (HEIGHTS, "must be square"),
-        (np.full((3, 3), np.inf), "no finite number"),
+        (np.full((3, 3), np.inf), "9 heights that are not finite"),
         (np.array([["a"]]), "no array of numbers"),
         (np.array([[None]]), "no array of numbers"),
         (HEIGHTS[:, :7] * 1e9, "is its unit of height right"),

@@ -72,7 +72,7 @@ def test_a_short_part_has_every_sample(document: RecordingDocument, forces_n: An
 
 
 def test_what_cannot_be_a_part_is_refused_in_words(document: RecordingDocument) -> None:
-    with pytest.raises(RefusedError, match="no part of a recording"):
+    with pytest.raises(RefusedError, match="not a part of a recording"):
         document.part(2.0, 1.0, 100)
     with pytest.raises(RefusedError, match="choose a shorter part"):
         document.part(0.0, 1e4, 0)

@@ -208,7 +208,7 @@ def test_the_sensitivity_of_a_curve_is_found_and_its_interval_covers_it(sign: fl
 def test_what_is_no_curve_and_no_spectrum_is_refused(tmp_path: Path) -> None:
     way = np.linspace(0.0, 1e-7, 200)
     noise = np.random.default_rng(0).standard_normal(200)
-    with pytest.raises(ConfigError, match=r"no curve on a hard sample|points lie between"):
+    with pytest.raises(ConfigError, match=r"not a curve on a hard sample|points lie between"):
         sensitivity_of_curve(way, noise)
     with pytest.raises(ConfigError, match=r"points lie between 0\.3 and 0\.95"):
         sensitivity_of_curve(way, np.zeros(200))
