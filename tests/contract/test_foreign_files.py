@@ -19,9 +19,9 @@ REFUSALS = (TelenanoError, ValueError)
 # Kinds that are refused, with what the refusal names: what no reader takes, and what a person has to give first.
 REFUSED = {
     "igor_text": "is not a line of numbers", "unit_row_at_the_end": "is not a line of numbers",
-    "analyser_dbm": "of a milliwatt in a resistance", "transposed": "not a line of numbers",
-    "mtr_raw": "not a line of numbers", "mtr_csv": "not a line of numbers", "traceroute": "not a line of numbers",
-    "iperf_udp": "not a line of numbers", "one_way": "has the columns gesendet", "macos_ping": "--period",
+    "analyser_dbm": "of a milliwatt in a resistance", "transposed": "no line of numbers",
+    "mtr_raw": "no line of numbers", "mtr_csv": "no line of numbers", "traceroute": "no line of numbers",
+    "iperf_udp": "no line of numbers", "one_way": "has the columns gesendet", "macos_ping": "--period",
     "hping": "--period", "starlink": "--period",
 }  # fmt: skip
 # Of all kinds this share is refused at first, and this share once the person has given what is asked for.

@@ -81,7 +81,7 @@ def test_a_gwyddion_file_that_was_cut_gives_neither_a_traceback_nor_a_map(tmp_pa
     whole = path.read_bytes()
     for length in (0, 5, 30, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
-        with pytest.raises(ConfigError, match=r"map\.gwy: is (no (whole )?Gwyddion file|empty)"):
+        with pytest.raises(ConfigError, match=r"map\.gwy: is (not a (complete )?Gwyddion file|empty)"):
             read_surface(path)
 
 

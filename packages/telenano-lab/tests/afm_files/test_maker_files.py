@@ -93,7 +93,7 @@ def test_a_thermal_spectrum_has_the_unit_of_its_maker(tmp_path: Path) -> None:
     found = spectrum_of(tmp_path / "a.tnd")
     assert not found.is_of_metres and found.density_per_hz == pytest.approx(density, rel=1e-12)
     said = invoke(["calibrate", "stiffness", "--spectrum", str(tmp_path / "a.tnd"), "--json"])
-    assert said.exit_code == 2 and "--sensitivity: what was measured in volts" in said.output
+    assert said.exit_code == 2 and "--sensitivity: a measurement in volts" in said.output
     with pytest.raises(ConfigError, match=r"map\.nid: has no thermal spectrum; it has Spec backward, Spec forward"):
         spectrum_of(write_nid_map(tmp_path / "map.nid", 2, 1))
 

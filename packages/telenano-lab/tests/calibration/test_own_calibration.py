@@ -241,7 +241,7 @@ def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
     refused = invoke(own)
     assert refused.exit_code == 2
-    assert "--sensitivity: what was measured in volts needs" in json.loads(refused.stdout)["error"]
+    assert "--sensitivity: a measurement in volts needs" in json.loads(refused.stdout)["error"]
 
 
 UNITS = {
