@@ -13,8 +13,9 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import command_lines
 import given_files
@@ -101,15 +102,19 @@ COMMANDS: Mapping[str, str] = {
     "push": "push --from 0,0 --to 100,0",
     "assemble": "assemble --pattern line --count 1 --out {out}",
     "sample import": "sample import {curve} --set stiffness_n_per_m=2 --out {out}/map.npz",
+    "sample": "sample --out {out}",
     "sample info": "sample info {map}",
+    "curve": "curve --points 60 --out {out}",
     "curve fit": "curve fit {curve} --model hertz --radius 30 --set stiffness_n_per_m=2 --out {out}/table.csv",
     "calibrate sensitivity": "calibrate sensitivity --curve {hard}",
     "calibrate stiffness": "calibrate stiffness --spectrum {spectrum} --sensitivity 60",
     "inspect": "inspect {curve}",
 }
+_OVERLAID = COMMANDS["curve"] + " --overlay {curve} --set stiffness_n_per_m=2"
 # Words with which an option acts that does nothing, or is refused, with those of its command.
 ACTS: Mapping[str, str] = {
     "bag split --size": "bag split {demo} --out {out} --size 400000",
+    "new --node": "new device my_handle --out {out}/made",
     "simulate --overwrite": COMMANDS["simulate"],
     "simulate --table": COMMANDS["simulate"] + " --seeds 2",
     "bag diff --topics": "bag diff {raw} {again}",
@@ -127,6 +132,9 @@ ACTS: Mapping[str, str] = {
     " --out {out}/table.csv",
     "curve fit --most-refused": "curve fit {flat} --model hertz --radius 30 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
+    "curve --set": _OVERLAID,
+    "curve --number": _OVERLAID,
+    "curve --reduced-modulus": _OVERLAID,
     "experiment erase --yes": "experiment erase {out}/study P01",
     "law balance --longest": "law balance position_force --cases 4 --longest 5 --kind off --json",
     "device accept --from": COMMANDS["device accept"],
@@ -209,13 +217,26 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--interval": ["0.7"],
     "--size": ["200000"],
     "--to": ["csv", "mcap-protobuf", "parquet"],
-    "--node": ["afm_node@slave"],
     "bag rerun --node": ["afm_node@slave"],
-    "new --language": ["c"],
+    "new --node": ["afm_node"],
     "--topic": ["afm/state"],
     "--from": ["touch"],
     "--scenario": ["touch"],
-    "--points": ["60"],
+    "curve --points": ["80"],
+    "curve --start": ["30"],
+    "curve --load": ["30"],
+    "curve --speed": ["80"],
+    "curve --afm": ["cantilever.stiffness_n_per_m=10"],
+    "curve --overlay": ["{curve} --set stiffness_n_per_m=2"],
+    "curve --set": ["stiffness_n_per_m=3"],
+    "curve --reduced-modulus": ["1e9"],
+    "sample --sample": ["grating"],
+    "sample --size": ["200"],
+    "sample --set": ["dot_count=20"],
+    "sample --tip-radius": ["20"],
+    "sample --align-rows": ["median"],
+    "sample --mask-above": ["1 --align-rows median"],
+    "sample --mask-below": ["1 --align-rows median"],
     "--format": ["svg", "pdf"],
     "--style": ["paper"],
     "--table": ["parquet", "csv"],
@@ -275,6 +296,8 @@ VALUES: Mapping[str, Sequence[str]] = {
     "benchmark --network": ["lte"],
     "benchmark --instrument": ["real"],
     "benchmark --hand": ["trembling"],
+    "benchmark --task": ["hold", "touch"],
+    "benchmark --arm": ["soft", "stiff"],
     "benchmark --set": ["force_scale=2e8"],
     "reproduce --pixels": ["9"],
     "bag recalibrate --handle": ["{other_handle}"],
@@ -383,6 +406,8 @@ VALUES: Mapping[str, Sequence[str]] = {
 # Options that a command refuses in these circumstances, because what is read there does not need them, and the reason.
 REFUSES: Mapping[str, str] = {
     "scan --channel": "the sample is no file",
+    "sample --channel": "the sample is no file",
+    "curve --number": "a curve in a text is one",
     "study transparency --hand": "an arm would travel further than a hand may at these frequencies",
     "study push --quick": "the words give a number of trials",
     "study stability --mass": "a spring has none",
@@ -518,8 +543,15 @@ def values_of(command: str, option: Any) -> list[list[str]]:
     known = VALUES.get(f"{command} {flag}", VALUES.get(flag))
     if option.is_flag:
         return [[flag, *shlex.split(value)] for value in known or [""]]
-    choices = list(getattr(getattr(option, "type", None), "choices", ()))
-    return [[flag, *shlex.split(str(value))] for value in (known or choices or ["2", "0.5", "1"])]
+    return [[flag, *shlex.split(str(value))] for value in (known or choices_of(option) or ["2", "0.5", "1"])]
+
+
+def choices_of(option: Any) -> list[str]:
+    """Return the values of an option that has one of several, else none."""
+    kind = option.type_descriptor.annotation
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return [str(member.value) for member in kind]
+    return list(map(str, get_args(kind))) if get_origin(kind) is Literal else []
 
 
 def words_of(command: str, folder: Path, flag: str = "") -> list[str]:
