@@ -1,6 +1,6 @@
 """Two sites behind a cable that flips, cuts, delays and drops, by a seed, for as long as one likes; what came of it.
 
-    python tests/stack/damaged_nights.py --minutes 5 --seed 1
+    python tests/stack/damaged_nights.py --minutes 5 --seed 1 --out nights
 
 A person arms the tip again whenever it is withdrawn and both sites hear each other. It prints a line of JSON: what the
 cable did, for how long each node was away at the most, how often it was started again, whether both launchers live, and
@@ -8,6 +8,7 @@ for how long the tip followed though no sample of the hand had come within its d
 """
 
 import argparse
+import contextlib
 import itertools
 import json
 import random
@@ -118,9 +119,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="folder in which logs and recordings stay; otherwise they are removed")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="tn") as folder:
-        sys.stdout.write(json.dumps(night(Path(folder), options.minutes, options.seed)) + "\n")
+    with contextlib.ExitStack() as stack:
+        folder = options.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tn")))
+        folder.mkdir(parents=True, exist_ok=True)
+        sys.stdout.write(json.dumps(night(folder, options.minutes, options.seed)) + "\n")
     return 0
 
 
