@@ -110,6 +110,7 @@ COMMANDS: Mapping[str, str] = {
     "calibrate stiffness": "calibrate stiffness --spectrum {spectrum} --sensitivity 60",
     "inspect": "inspect {curve}",
 }
+_CELL = "benchmark cell --law wave --network clean --draw 2 --workers 1"
 _OVERLAID = COMMANDS["curve"] + " --overlay {curve} --set stiffness_n_per_m=2"
 # Words with which an option acts that does nothing, or is refused, with those of its command.
 ACTS: Mapping[str, str] = {
@@ -132,6 +133,9 @@ ACTS: Mapping[str, str] = {
     " --out {out}/table.csv",
     "curve fit --most-refused": "curve fit {flat} --model hertz --radius 30 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
+    **{f"benchmark {option}": _CELL for option in ("--task", "--arm", "--seed", "--draw", "--draw-seed")},
+    "study advise --network": "study advise --network wifi --seeds 1 --workers 1 --out {out}",
+    "assemble --spacing": "assemble --pattern line --count 2 --out {out}",
     "curve --set": _OVERLAID,
     "curve --number": _OVERLAID,
     "curve --reduced-modulus": _OVERLAID,
@@ -298,7 +302,10 @@ VALUES: Mapping[str, Sequence[str]] = {
     "benchmark --hand": ["trembling"],
     "benchmark --task": ["hold", "touch"],
     "benchmark --arm": ["soft", "stiff"],
-    "benchmark --set": ["force_scale=2e8"],
+    "benchmark --seed": ["1", "0"],
+    "benchmark --draw": ["3"],
+    "benchmark --draw-seed": ["7"],
+    "benchmark --set": ["wave.mass_kg=1.0", "wave.force_scale=2e8"],
     "reproduce --pixels": ["9"],
     "bag recalibrate --handle": ["{other_handle}"],
     "bag recalibrate --stage": ["{stage}"],
@@ -363,7 +370,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "push --pitch": ["0.3 --mode sweep"],
     "push --stop-on-loss": ["--to 2000,500", ""],
     "push --afm": ["friction.coefficient=0.3", "cantilever.stiffness_n_per_m=2"],
-    "assemble --pattern": ["square"],
+    "assemble --pattern": ["ring", "square --count 4"],
     "assemble --count": ["2"],
     "assemble --spacing": ["1500"],
     "assemble --afm": ["friction.coefficient=0.3", "cantilever.stiffness_n_per_m=2"],
@@ -417,6 +424,7 @@ REFUSES: Mapping[str, str] = {
     "calibrate stiffness --columns": "the other order is that of no spectrum",
     "calibrate stiffness --unit": "a density in another unit has no resonance",
     "calibrate stiffness --spectrum": "a record is given as well",
+    "keys revoke --dir": "in the other folder no key is allowed",
     "device probe --device": "no such device is connected",
     "device probe --port": "no handle is connected",
     "device probe --calibration": "the instrument is not connected",
