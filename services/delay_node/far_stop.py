@@ -45,7 +45,7 @@ class FarStop:
         """Start with a state, which is changed in place; in the file `path`, if any, a stop outlasts this process.
 
         Raises:
-            ValueError: The payload in the state is invalid.
+            ValueError: The payload in the state is invalid, or is no emergency stop.
         """
         self._path = path
         self.restore(state)
@@ -54,11 +54,13 @@ class FarStop:
         """Continue from a state, which is changed in place.
 
         Raises:
-            ValueError: The payload in the state is invalid.
+            ValueError: The payload in the state is invalid, or is no emergency stop.
         """
         stop = accept("session/control", state.payload) if state.payload else None
+        if stop is not None and not (isinstance(stop, SessionControl) and stop.command == "estop"):
+            raise ValueError(f"the kept stop is no emergency stop: {stop}")
         self._state = state
-        self._stop: SessionControl | None = stop if isinstance(stop, SessionControl) else None
+        self._stop: SessionControl | None = stop
 
     @property
     def identifier(self) -> str:

@@ -1,8 +1,8 @@
 """Read height maps from files: .gsf, .npy and text here, formats of other instruments by the readers of packages.
 
-In .gsf and text files the first row is the top of the picture; in a surface y rises with the row. The size that a
-header states is compared with the length of the file before memory is allocated. Readers of packages run in a child
-process with limits.
+In these three the first row is the top of the picture, as Gwyddion exports them; in a surface y rises with the row. The
+size that a header states is compared with the length of the file before memory is allocated. Readers of packages run in
+a child process with limits.
 """
 
 import math
@@ -132,7 +132,7 @@ def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
             raise ValueError(f"has the shape {shape}; with one side given, it must be square")
         _check_pixels(shape)
         file.seek(0)
-        values = npy.read_array(file, allow_pickle=False)
+        values = npy.read_array(file, allow_pickle=False)[::-1]
     return [_Channel("heights", values, size_m, size_m, "m", "m")]
 
 

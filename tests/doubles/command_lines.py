@@ -35,22 +35,25 @@ WORDS = {
     "device monitor": "--device simulated_impedance",
     "device trial": "haply",
     "push": "--from 0,0 --to 100,0",
+    "curve": "--out out/made",
+    "sample": "--out out/made",
     "study advise": "--delay 20",
     "study stability": "--environment spring --law wave --out out/made",
 }
 
 
 def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield the words of each command and the command."""
+    """Yield the words of each command and the command; a group that runs without one of its commands is one as well."""
 
     def below(group: Any, words: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
         context = typer.Context(group)
         for name in group.list_commands(context):
             _, command, _ = group.resolve_command(context, [name])
-            if hasattr(command, "commands"):
-                yield from below(command, (*words, name))
-            else:
+            is_group = hasattr(command, "commands")
+            if not is_group or command.invoke_without_command:
                 yield (*words, name), command
+            if is_group:
+                yield from below(command, (*words, name))
 
     yield from below(typer.main.get_command(app), ())
 

@@ -13,8 +13,9 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import command_lines
 import given_files
@@ -101,15 +102,20 @@ COMMANDS: Mapping[str, str] = {
     "push": "push --from 0,0 --to 100,0",
     "assemble": "assemble --pattern line --count 1 --out {out}",
     "sample import": "sample import {curve} --set stiffness_n_per_m=2 --out {out}/map.npz",
+    "sample": "sample --out {out}",
     "sample info": "sample info {map}",
+    "curve": "curve --points 60 --out {out}",
     "curve fit": "curve fit {curve} --model hertz --radius 30 --set stiffness_n_per_m=2 --out {out}/table.csv",
     "calibrate sensitivity": "calibrate sensitivity --curve {hard}",
     "calibrate stiffness": "calibrate stiffness --spectrum {spectrum} --sensitivity 60",
     "inspect": "inspect {curve}",
 }
+_CELL = "benchmark cell --law wave --network clean --draw 2 --workers 1"
+_OVERLAID = COMMANDS["curve"] + " --overlay {curve} --set stiffness_n_per_m=2"
 # Words with which an option acts that does nothing, or is refused, with those of its command.
 ACTS: Mapping[str, str] = {
     "bag split --size": "bag split {demo} --out {out} --size 400000",
+    "new --node": "new device my_handle --out {out}/made",
     "simulate --overwrite": COMMANDS["simulate"],
     "simulate --table": COMMANDS["simulate"] + " --seeds 2",
     "bag diff --topics": "bag diff {raw} {again}",
@@ -127,6 +133,12 @@ ACTS: Mapping[str, str] = {
     " --out {out}/table.csv",
     "curve fit --most-refused": "curve fit {flat} --model hertz --radius 30 --set stiffness_n_per_m=2"
     " --out {out}/table.csv",
+    **{f"benchmark {option}": _CELL for option in ("--task", "--arm", "--seed", "--draw", "--draw-seed")},
+    "study advise --network": "study advise --network wifi --seeds 1 --workers 1 --out {out}",
+    "assemble --spacing": "assemble --pattern line --count 2 --out {out}",
+    "curve --set": _OVERLAID,
+    "curve --number": _OVERLAID,
+    "curve --reduced-modulus": _OVERLAID,
     "experiment erase --yes": "experiment erase {out}/study P01",
     "law balance --longest": "law balance position_force --cases 4 --longest 5 --kind off --json",
     "device accept --from": COMMANDS["device accept"],
@@ -209,13 +221,26 @@ VALUES: Mapping[str, Sequence[str]] = {
     "--interval": ["0.7"],
     "--size": ["200000"],
     "--to": ["csv", "mcap-protobuf", "parquet"],
-    "--node": ["afm_node@slave"],
     "bag rerun --node": ["afm_node@slave"],
-    "new --language": ["c"],
+    "new --node": ["afm_node"],
     "--topic": ["afm/state"],
     "--from": ["touch"],
     "--scenario": ["touch"],
-    "--points": ["60"],
+    "curve --points": ["80"],
+    "curve --start": ["30"],
+    "curve --load": ["30"],
+    "curve --speed": ["80"],
+    "curve --afm": ["cantilever.stiffness_n_per_m=10"],
+    "curve --overlay": ["{curve} --set stiffness_n_per_m=2"],
+    "curve --set": ["stiffness_n_per_m=3"],
+    "curve --reduced-modulus": ["1e9"],
+    "sample --sample": ["grating"],
+    "sample --size": ["200"],
+    "sample --set": ["dot_count=20"],
+    "sample --tip-radius": ["20"],
+    "sample --align-rows": ["median"],
+    "sample --mask-above": ["1 --align-rows median"],
+    "sample --mask-below": ["1 --align-rows median"],
     "--format": ["svg", "pdf"],
     "--style": ["paper"],
     "--table": ["parquet", "csv"],
@@ -275,7 +300,12 @@ VALUES: Mapping[str, Sequence[str]] = {
     "benchmark --network": ["lte"],
     "benchmark --instrument": ["real"],
     "benchmark --hand": ["trembling"],
-    "benchmark --set": ["force_scale=2e8"],
+    "benchmark --task": ["hold", "touch"],
+    "benchmark --arm": ["soft", "stiff"],
+    "benchmark --seed": ["1", "0"],
+    "benchmark --draw": ["3"],
+    "benchmark --draw-seed": ["7"],
+    "benchmark --set": ["wave.mass_kg=1.0", "wave.force_scale=2e8"],
     "reproduce --pixels": ["9"],
     "bag recalibrate --handle": ["{other_handle}"],
     "bag recalibrate --stage": ["{stage}"],
@@ -340,7 +370,7 @@ VALUES: Mapping[str, Sequence[str]] = {
     "push --pitch": ["0.3 --mode sweep"],
     "push --stop-on-loss": ["--to 2000,500", ""],
     "push --afm": ["friction.coefficient=0.3", "cantilever.stiffness_n_per_m=2"],
-    "assemble --pattern": ["square"],
+    "assemble --pattern": ["ring", "square --count 4"],
     "assemble --count": ["2"],
     "assemble --spacing": ["1500"],
     "assemble --afm": ["friction.coefficient=0.3", "cantilever.stiffness_n_per_m=2"],
@@ -383,6 +413,8 @@ VALUES: Mapping[str, Sequence[str]] = {
 # Options that a command refuses in these circumstances, because what is read there does not need them, and the reason.
 REFUSES: Mapping[str, str] = {
     "scan --channel": "the sample is not a file",
+    "sample --channel": "the sample is not a file",
+    "curve --number": "a curve in a text is one",
     "study transparency --hand": "an arm would travel further than a hand may at these frequencies",
     "study push --quick": "the words give a number of trials",
     "study stability --mass": "a spring has none",
@@ -392,6 +424,7 @@ REFUSES: Mapping[str, str] = {
     "calibrate stiffness --columns": "the other order is that of no spectrum",
     "calibrate stiffness --unit": "a density in another unit has no resonance",
     "calibrate stiffness --spectrum": "a record is given as well",
+    "keys revoke --dir": "in the other folder no key is allowed",
     "device probe --device": "no such device is connected",
     "device probe --port": "no handle is connected",
     "device probe --calibration": "the instrument is not connected",
@@ -518,8 +551,15 @@ def values_of(command: str, option: Any) -> list[list[str]]:
     known = VALUES.get(f"{command} {flag}", VALUES.get(flag))
     if option.is_flag:
         return [[flag, *shlex.split(value)] for value in known or [""]]
-    choices = list(getattr(getattr(option, "type", None), "choices", ()))
-    return [[flag, *shlex.split(str(value))] for value in (known or choices or ["2", "0.5", "1"])]
+    return [[flag, *shlex.split(str(value))] for value in (known or choices_of(option) or ["2", "0.5", "1"])]
+
+
+def choices_of(option: Any) -> list[str]:
+    """Return the values of an option that has one of several, else none."""
+    kind = option.type_descriptor.annotation
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return [str(member.value) for member in kind]
+    return list(map(str, get_args(kind))) if get_origin(kind) is Literal else []
 
 
 def words_of(command: str, folder: Path, flag: str = "") -> list[str]:

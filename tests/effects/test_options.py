@@ -7,7 +7,18 @@ from typing import Any
 
 import pytest
 from changed_files import touches
-from option_effects import ACTS, BEFORE, COMMANDS, COSTLY, OF_A_RIG, WITHOUT, commands, effect_of
+from option_effects import (
+    ACTS,
+    BEFORE,
+    COMMANDS,
+    COSTLY,
+    OF_A_RIG,
+    REFUSES,
+    VALUES,
+    WITHOUT,
+    commands,
+    effect_of,
+)
 
 ROOT = Path(__file__).parents[2]
 SEED = 93
@@ -76,5 +87,13 @@ def test_every_command_is_tried_or_has_its_reason() -> None:
         "give a row in COMMANDS of tests/effects/option_effects.py, or in OF_A_RIG the reason for none"
     )
     assert not COMMANDS.keys() & OF_A_RIG.keys()
-    options = {f"{name} {option.opts[0]}" for name, command in commands() for option in command.params}
-    assert every | options >= ACTS.keys() | BEFORE.keys() | set(COSTLY)
+
+
+def test_every_row_is_of_a_command_and_an_option_that_is_tried() -> None:
+    tried = {(name, option.opts[0]) for name, command in commands() if name in COMMANDS for option in command.params}
+    known = COMMANDS.keys() | {f"{name} {option}" for name, option in tried}
+    assert known >= ACTS.keys() | BEFORE.keys() | set(COSTLY)
+    # A value for options of all commands is that of one which has none of its own.
+    general = {option for name, option in tried if f"{name} {option}" not in VALUES}
+    assert known | general >= VALUES.keys()
+    assert known | {option for _, option in tried} >= REFUSES.keys() | WITHOUT.keys()

@@ -1,16 +1,19 @@
 """Two sites behind a cable that flips, cuts, delays and drops, by a seed, for as long as one likes; what came of it.
 
-    python tests/stack/damaged_nights.py --minutes 5 --seed 1
+    python tests/stack/damaged_nights.py --minutes 5 --seed 1 --out nights
 
 A person arms the tip again whenever it is withdrawn and both sites hear each other. It prints a line of JSON: what the
-cable did, for how long each node was away at the most, how often it was started again, whether both launchers live, and
-for how long the tip followed though no sample of the hand had come within its deadline.
+cable did, for how long each node was away at the most and how much of that the machine itself let it stand still, how
+often it was started again, whether both launchers live, and for how long the tip followed though no sample of the hand
+had come within its deadline.
 """
 
 import argparse
+import contextlib
 import itertools
 import json
 import random
+import re
 import sys
 import tempfile
 import time
@@ -64,10 +67,23 @@ def away_s(rig: TwoSites) -> dict[str, float]:
     return found
 
 
+def stalled_s(folder: Path) -> dict[str, float]:
+    """Return for how long the machine let each node stand still at the most, by its log [s]."""
+    return {
+        path.stem: max((int(found) for found in re.findall(r"this process stalled for (\d+) ms", text)), default=0)
+        / 1e3
+        for path in sorted(folder.rglob("logs/*.log"))
+        if (text := path.read_text())
+    }
+
+
 def follows_alone_s(site: Site) -> float:
-    """Return for how long the tip followed though no command of the controller was within its deadline [s]."""
-    commands = sorted(times_ns(site, "afm/command"))
+    """Return for how long the tip followed though no command of the controller was within its deadline [s].
+
+    The recording grows meanwhile: the states are read first, so that all commands before them are there.
+    """
     states = [(one.publish_ns, str(one.fields()["mode"])) for one in site.recording().messages("afm/state")]
+    commands = sorted(times_ns(site, "afm/command"))
     total_ns, place = 0, 0
     for (at_ns, mode), (after_ns, _) in itertools.pairwise(states):
         while place + 1 < len(commands) and commands[place + 1] <= at_ns:
@@ -107,6 +123,7 @@ def night(folder: Path, minutes: float, seed: int) -> dict[str, Any]:
             "aborted": sum(text.count("killed by SIGABRT") for text in logs),
             "restarted": sum(text.count("restarted") for text in logs),
             "away_s": away_s(rig),
+            "stalled_s": stalled_s(folder),
             "launchers_live": all(launcher is not None and launcher.poll() is None for launcher in launchers),
             "followed_without_command_s": round(follows_alone_s(rig.slave), 3),
             "modes": Counter(str(one.fields()["mode"]) for one in rig.slave.recording().messages("afm/state")),
@@ -118,9 +135,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="folder in which logs and recordings stay; otherwise they are removed")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="tn") as folder:
-        sys.stdout.write(json.dumps(night(Path(folder), options.minutes, options.seed)) + "\n")
+    with contextlib.ExitStack() as stack:
+        folder = options.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tn")))
+        folder.mkdir(parents=True, exist_ok=True)
+        sys.stdout.write(json.dumps(night(folder, options.minutes, options.seed)) + "\n")
     return 0
 
 

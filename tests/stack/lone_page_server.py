@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import doubles_path  # noqa: F401
 import uvicorn
 from made_source import MadeSource
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import doubles_path  # noqa: F401
 import machine
 import pytest
 from commands import COMMANDS

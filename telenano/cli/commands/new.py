@@ -7,7 +7,7 @@ from typing import Annotated, get_args
 import typer
 
 from telenano.cli.new_package import Kind, new_package
-from telenano.cli.options import JsonOption
+from telenano.cli.options import JsonOption, refuse_unused
 from telenano.cli.output import print_json, report_errors
 from telenano.wire.errors import ConfigError
 from telenano.wire.printable import quoted
@@ -20,13 +20,20 @@ def new(
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
     ] = None,
     node: Annotated[
-        str, typer.Option("--node", metavar="NODE", help="Node of a device: afm_node is the same as `instrument`.")
-    ] = "haptic_node",
+        str | None,
+        typer.Option(
+            "--node",
+            metavar="NODE",
+            help="Node of a device; afm_node is the same as `instrument`; default: haptic_node.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a package with one of these of yours, a test of it and all that pip needs."""
     with report_errors(as_json):
-        if node not in ("haptic_node", "afm_node"):
+        if kind != "device":
+            refuse_unused({"--node": node}, f"not with {kind}, only a device has one")
+        if node not in (None, "haptic_node", "afm_node"):
             raise ConfigError(f"--node {node}: devices are those of haptic_node and of afm_node")
         if kind == "device" and node == "afm_node":
             kind = "instrument"

@@ -36,6 +36,10 @@ class Operation(NamedTuple):
     words: tuple[int, ...] = ()
 
 
+class FramingError(TelenanoError, ValueError):
+    """The bytes received are no message in Modbus TCP: the connection has to be made again."""
+
+
 class FeedbackRequest(ModbusPDU):
     """A request of function 76; the device carries out `operations` in this order."""
 
@@ -51,17 +55,28 @@ class FeedbackRequest(ModbusPDU):
         return b"".join(parts)
 
     def decode(self, data: bytes) -> None:
-        """Read the body of a request; raise ValueError for an unknown type, struct.error if the body is cut."""
+        """Read the body of a request.
+
+        Raises:
+            FramingError: A frame has an unknown type, or the body ends within a frame.
+        """
         frames, at = [], 0
         while at < len(data):
+            if len(data) - at < _FRAME.size:
+                raise FramingError(f"a frame of function 76 has {len(data) - at} bytes; its head needs {_FRAME.size}")
             kind, address, count = _FRAME.unpack_from(data, at)
             at += _FRAME.size
             words: tuple[int, ...] = ()
             if kind == _WRITE:
+                if len(data) - at < 2 * count:
+                    raise FramingError(
+                        f"a frame of function 76 writes {count} registers at {address}, which are {2 * count} bytes; it"
+                        f" has {len(data) - at}"
+                    )
                 words = struct.unpack_from(f">{count}H", data, at)
                 at += 2 * count
             elif kind != _READ:
-                raise ValueError(f"frame type {kind} of function 76 is neither 0 (read) nor 1 (write)")
+                raise FramingError(f"frame type {kind} of function 76 is neither 0 (read) nor 1 (write)")
             frames.append(Operation(address, count, words))
         self.operations = tuple(frames)
 
@@ -80,7 +95,13 @@ class FeedbackAnswer(ModbusPDU):
         return struct.pack(f">{len(self.registers)}H", *self.registers)
 
     def decode(self, data: bytes) -> None:
-        """Read the body of an answer; raise struct.error if half a register is missing."""
+        """Read the body of an answer.
+
+        Raises:
+            FramingError: Half a register is missing.
+        """
+        if len(data) % 2:
+            raise FramingError(f"an answer to function 76 has {len(data)} bytes; registers have 2 each")
         self.registers = list(struct.unpack(f">{len(data) // 2}H", data))
 
 
@@ -89,10 +110,6 @@ class Answer(NamedTuple):
 
     words: tuple[int, ...]
     exception: int
-
-
-class FramingError(TelenanoError, ValueError):
-    """The bytes received are no answer in Modbus TCP: the connection has to be made again."""
 
 
 class Conversation:

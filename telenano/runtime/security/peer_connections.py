@@ -82,6 +82,11 @@ class PeerConnection:
     # The time of the next reconnection by this module, if any.
     reconnect_ns: int | None = None
 
+    @property
+    def is_given_up(self) -> bool:
+        """Whether the socket has no connection to the endpoint until the reconnection."""
+        return self.reconnect_ns is not None and not self.lost
+
 
 class PeerConnections:
     """The connections to the nodes of one machine, which share a socket."""
@@ -180,7 +185,7 @@ class PeerConnections:
             self.subscriber.socket.connect(peer.endpoint)
 
     def _schedule_reconnect(self, peer: PeerConnection) -> None:
-        if peer.reconnect_ns is None or peer.lost:
+        if not peer.is_given_up:
             self._let_go(peer.endpoint)
         peer.lost, peer.reconnect_ns = False, self._clock.monotonic_ns() + _RECONNECT_NS
 
@@ -206,7 +211,7 @@ class PeerConnections:
     def _disconnect(self) -> None:
         self._active = False
         for peer in self.connections:
-            if peer.reconnect_ns is None or peer.lost:
+            if not peer.is_given_up:
                 self._let_go(peer.endpoint)
             peer.lost, peer.reconnect_ns = False, None
             self._record_down(peer, f"was closed: the key of {self.machine} that it used is no longer allowed")
@@ -227,7 +232,10 @@ class PeerConnections:
         if not self._active:
             return
         if event == CONNECTED:
-            self._record_up(peer)
+            # A connection that libzmq made by itself may have become ready just before this module gave it up. It is
+            # closed, so the reconnection is still due: without it the peer would never be heard again.
+            if not peer.is_given_up:
+                self._record_up(peer)
         elif event == DISCONNECTED and peer.up:
             self._record_down(peer, "was lost")
             # libzmq first tries to reconnect itself for a while, but does not report that it has given up.

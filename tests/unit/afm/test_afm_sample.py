@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from telenano_lab.microscopy.image_files import Image, write_gsf
+from telenano_lab.microscopy.image_files import Image, write_gsf, write_gwy
 
 from telenano.sections.sample_section import SampleConfig
 from telenano.sections.surface_files import read_surface
@@ -39,6 +39,25 @@ def test_a_simple_field_comes_back_as_it_was_written(gsf):
     surface = read_surface(gsf)
     assert np.array_equal(surface.height_m, HEIGHTS)
     assert (surface.width_m, surface.depth_m) == pytest.approx((110e-9, 35e-9), rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda folder, image: write_gsf(folder / "a.gsf", image),
+        lambda folder, image: write_gwy(folder / "a.gwy", {"height": image}),
+        lambda folder, image: np.save(folder / "a.npy", image.values[::-1]),
+        lambda folder, image: np.savetxt(folder / "a.txt", image.values[::-1]),
+        lambda folder, image: np.savetxt(folder / "a.csv", image.values[::-1], delimiter=","),
+    ],
+    ids=["gsf", "gwy", "npy", "txt", "csv"],
+)
+def test_the_first_row_of_a_file_is_the_top_of_the_picture_and_y_rises_with_the_row_of_a_surface(tmp_path, write):
+    heights = HEIGHTS[:, :7]
+    write(tmp_path, Image("Height", "m", heights, 70e-9, 70e-9))
+    (path,) = tmp_path.iterdir()
+    surface = read_surface(path, size_m=None if path.suffix in (".gsf", ".gwy") else 70e-9)
+    assert np.array_equal(surface.height_m, heights)
 
 
 def test_a_file_in_nanometres_is_converted(tmp_path):

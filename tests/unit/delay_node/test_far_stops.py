@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.afm_node.node import AfmNode
+from services.delay_node.far_stop import FarStop, FarStopState
 from services.delay_node.node import DelayNode
 from telenano.afm import safety
 from telenano.afm.sim import simulated_afm
@@ -349,6 +350,15 @@ def test_a_stop_that_is_kept_once_more_after_it_was_obeyed_is_not_sent_again() -
         here.arm()
         here.run(1500 * MS)
         assert here.mode == "follow"
+
+
+@pytest.mark.parametrize("command", ["arm", "stop"])
+def test_a_state_whose_stop_is_another_command_is_refused(command: str) -> None:
+    fields = {"id": "a", "command": command, "target": TIP, "parameters": {}}
+    with world() as here:
+        payload = encode(here.message("session/control", "console@master", **fields))
+    with pytest.raises(ValueError, match=f"is no emergency stop.*command='{command}'"):
+        FarStop(None, FarStopState(payload=payload))
 
 
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]

@@ -12,7 +12,7 @@ from telenano_devices.t7.stage_line import PARAMS, StageLine, StageRig, calibrat
 
 from telenano.afm.sim import simulated_afm
 from telenano.devices.afm.modbus_driver import ModbusAfm
-from telenano.devices.afm.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
+from telenano.devices.afm.modbus_frames import Conversation, FeedbackAnswer, FeedbackRequest, FramingError, Operation
 from telenano.devices.afm.register_map import Register, RegisterMap, read_map
 from telenano.extend.instruments import DeviceError
 from telenano.sections.afm_section import AfmConfig
@@ -304,6 +304,22 @@ def test_function_76_has_the_bytes_of_the_manual() -> None:
     assert request.operations == (Operation(1000, 2, (0x4020, 0)), Operation(0, 2))
     with pytest.raises(FramingError):
         conversation.answer(b"\0" * 12)
+
+
+@pytest.mark.parametrize(
+    ("pdu", "body", "what"),
+    [
+        (FeedbackRequest, "0003e8", "a frame of function 76 has 3 bytes; its head needs 4"),
+        (FeedbackRequest, "000000020103e8024020", "writes 2 registers at 1000, which are 4 bytes; it has 2"),
+        (FeedbackRequest, "0203e802", "frame type 2 of function 76 is neither 0 .read. nor 1 .write."),
+        (FeedbackAnswer, "402000", "an answer to function 76 has 3 bytes"),
+    ],
+)
+def test_a_body_of_function_76_that_is_cut_is_refused_with_what_it_lacks(
+    pdu: type[ModbusPDU], body: str, what: str
+) -> None:
+    with pytest.raises(FramingError, match=what):
+        pdu().decode(bytes.fromhex(body))
 
 
 def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:

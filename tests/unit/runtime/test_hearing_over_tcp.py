@@ -6,6 +6,7 @@ advance with the real time, because libzmq has its own; the sockets are real.
 """
 
 import contextlib
+import errno
 import random
 import shutil
 import socket as sockets
@@ -75,20 +76,34 @@ class Between(NamedTuple):
             self.turn()
 
     def hears_more(self, count: int = 3) -> float:
-        """Go on until the reader hears the sender; return how long that took [s]."""
-        before, begin_s = self.heard(), time.monotonic()
+        """Go on until the reader hears the sender; return how long that took by the clock of the reader [s].
+
+        By that clock the reader looks after its connections; on a busy machine a turn takes longer than it advances.
+        """
+        before, begin_s, begin_ns = self.heard(), time.monotonic(), self.reader.clock.monotonic_ns()
         while self.heard() < before + count:
             assert time.monotonic() - begin_s < PATIENCE_S, (self.reader.events, self.reader.network.rejected)
             self.turn()
-        return time.monotonic() - begin_s
+        return (self.reader.clock.monotonic_ns() - begin_ns) * 1e-9
 
     def unbind(self) -> None:
         self.sender.publishers.pop(self.node).close()
 
+    def listening(self) -> sockets.socket:
+        """Return a socket at the port, which libzmq leaves a moment after its own socket was closed."""
+        begin_s = time.monotonic()
+        while True:
+            try:
+                return sockets.create_server(("127.0.0.1", self.port), backlog=100)
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE or time.monotonic() - begin_s > PATIENCE_S:
+                    raise
+                time.sleep(TURN_NS * 1e-9)
+
     def stand_in(self, *pieces: bytes) -> None:
         """Have something else stand at the port for a while, which sends pieces and ends."""
         self.unbind()
-        with sockets.create_server(("127.0.0.1", self.port), backlog=100) as listening:
+        with self.listening() as listening:
             listening.settimeout(0.5)
             with contextlib.ExitStack() as accepted, contextlib.suppress(TimeoutError):
                 while True:
@@ -231,13 +246,10 @@ def test_a_reader_hears_the_other_site_again_within_two_seconds(
     mended(folder, pair, way, insecure=insecure)
 
 
-@pytest.mark.endurance("takes 10 min")
-@pytest.mark.timeout(1800)
-def test_every_reader_hears_the_other_site_again(folder: Path) -> None:
-    for place, (pair, way, insecure) in enumerate(CASES):
-        below = folder / str(place)
-        below.mkdir()
-        mended(below, pair, way, insecure=insecure)
+@pytest.mark.endurance("all take 10 min")
+@pytest.mark.parametrize(("pair", "way", "insecure"), CASES)
+def test_every_reader_hears_the_other_site_again(folder: Path, pair: tuple[str, str], way: str, insecure: bool) -> None:
+    mended(folder, pair, way, insecure=insecure)
 
 
 def test_the_table_has_every_connection_to_another_machine_of_the_site_file() -> None:

@@ -33,8 +33,16 @@ from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from telenano.runtime.security.keyring import Keyring
-from telenano.runtime.security.peer_connections import MessagePermissions
-from telenano.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
+from telenano.runtime.security.peer_connections import MessagePermissions, PeerConnections
+from telenano.runtime.security.socket_monitor import (
+    CLOSED_IN_HANDSHAKE,
+    CONNECTED,
+    DISCONNECTED,
+    FAILURES,
+    PROTOCOL_FAILED,
+    Monitor,
+    MonitorEvent,
+)
 from telenano.runtime.security.zap_authenticator import _is_of_this_user
 from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
@@ -731,6 +739,35 @@ def test_a_server_that_goes_away_and_comes_back_is_reported(world: Callable[...,
     assert 2.0 <= up.data["gone_s"] <= (master.clock.monotonic_ns() - gone_ns) * 1e-9 + 1.0
     assert up.text == f"{AFM} is connected again after {up.data['gone_s']:.1f} s ({endpoint})"
     assert (up.level, master.texts("up", CONTROLLER)) == ("info", [])
+
+
+@pytest.mark.parametrize(
+    "reported",
+    [
+        # the connection that libzmq made by itself was ready when this module gave it up for the failure before
+        [[(AFM, DISCONNECTED), (AFM, CLOSED_IN_HANDSHAKE), (AFM, CONNECTED)]],
+        # and when it gave it up to reconnect to another node of that machine
+        [[(CONTROLLER, DISCONNECTED)], [(AFM, DISCONNECTED)], [(AFM, CONNECTED)]],
+    ],
+    ids=["after a failed handshake", "beside another node"],
+)
+def test_a_connection_that_was_ready_as_it_was_given_up_is_made_again(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch, reported: list[list[tuple[str, int]]]
+) -> None:
+    master, slave = world()
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
+    until(lambda: master.received_from(AFM) and master.received_from(CONTROLLER), master, slave)
+    (peers,) = (one for one in master.network._handlers if isinstance(one, PeerConnections))
+    for part in reported:
+        found = [MonitorEvent(kind, 0, master.book.endpoint(node, "master")) for node, kind in part]
+        with monkeypatch.context() as patch:
+            patch.setattr(peers.monitor, "events", lambda found=found: found)
+            master.turn()
+        # Three quarters of the time until a reconnection.
+        turns(38, master, slave)
+    for node in (AFM, CONTROLLER):
+        until(receives_more(master, node, 100), master, slave)
 
 
 def test_what_is_not_reached_is_reported_after_5_s_and_every_minute(world: Callable[..., list[Machine]]) -> None:

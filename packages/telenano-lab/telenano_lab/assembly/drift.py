@@ -4,8 +4,8 @@ Each axis has an offset p and a speed v, which changes by a white acceleration o
 
     p' = p + v T,    Q = q [[T^3 / 3, T^2 / 2], [T^2 / 2, T]],
 
-and a look measures p with the standard deviation sigma (a Kalman filter, after B. Mokaberi and A. A. G. Requicha, IEEE
-Trans. Autom. Sci. Eng. 3 (2006) 199).
+and a particle that is seen twice measures v T with the standard deviation sigma (a Kalman filter, after B. Mokaberi and
+A. A. G. Requicha, IEEE Trans. Autom. Sci. Eng. 3 (2006) 199).
 """
 
 import math
@@ -52,22 +52,6 @@ def predicted(axis: Axis, elapsed_s: float, density_m2_per_s3: float = DENSITY_M
         axis.offset_variance + t * (2.0 * axis.covariance + t * axis.speed_variance) + q * t**3 / 3.0,
         axis.covariance + t * axis.speed_variance + q * t**2 / 2.0,
         axis.speed_variance + q * t,
-    )
-
-
-def looked(axis: Axis, offset_m: float, error_m: float) -> Axis:
-    """Return an axis after a measurement of its offset [m] with a standard error [m]."""
-    whole = axis.offset_variance + error_m**2
-    if whole <= 0.0:
-        return axis
-    gain, speed_gain = axis.offset_variance / whole, axis.covariance / whole
-    missed = offset_m - axis.offset_m
-    return Axis(
-        axis.offset_m + gain * missed,
-        axis.speed_m_per_s + speed_gain * missed,
-        (1.0 - gain) * axis.offset_variance,
-        (1.0 - gain) * axis.covariance,
-        axis.speed_variance - speed_gain * axis.covariance,
     )
 
 

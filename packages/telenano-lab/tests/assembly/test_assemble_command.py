@@ -27,7 +27,8 @@ def image(tmp_path: Path) -> Path:
     axis = (np.arange(40) - 19.5) * 62.5e-9
     distance = np.hypot(axis[None, :] - 3e-7, axis[:, None] + 2e-7)
     heights = sphere_m(tip_shape(10e-9, np.radians(15.0)), 250e-9, distance)
-    np.save(tmp_path / "scan.npy", heights)
+    # the first row of a file is the top of the picture
+    np.save(tmp_path / "scan.npy", heights[::-1])
     return tmp_path / "scan.npy"
 
 

@@ -17,14 +17,23 @@ SIX = [(-700, -500), (300, 600), (650, -350), (-200, 150), (-600, 700), (100, -7
 LINE = [(-500 + 200 * i, 0) for i in range(6)]
 
 
-def test_the_filter_of_the_drift_settles_at_its_gains() -> None:
-    axis, before = drift.unknown(), drift.unknown()
-    for _ in range(400):
-        before = drift.predicted(axis, 60.0, 1.3889e-6 * NM**2)
-        axis = drift.looked(before, 0.0, NM)
-    after = drift.looked(before._replace(offset_m=0.0, speed_m_per_s=0.0), 1.0, NM)
-    assert (after.offset_m, after.speed_m_per_s) == pytest.approx((0.6488, 5.4096e-3), rel=1e-3)
-    assert (before.error_m / NM, axis.error_m / NM) == pytest.approx((1.3593, 0.8055), rel=1e-3)
+def test_the_filter_of_the_drift_is_that_of_kalman() -> None:
+    """Compare with the filter in matrices, of which a motion measures the speed times the time."""
+    random = np.random.Generator(np.random.PCG64(1))
+    density, axis = 1.3889e-6 * NM**2, drift.unknown()
+    mean, covariance = np.zeros(2), np.diag([0.0, drift.FASTEST_M_PER_S**2])
+    for _ in range(40):
+        t, by_m, error_m = float(random.uniform(20.0, 90.0)), float(random.normal(0.0, 5 * NM)), NM
+        axis = drift.moved(drift.predicted(axis, t, density), by_m, t, error_m)
+        step = np.array([[1.0, t], [0.0, 1.0]])
+        noise = density * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+        mean, covariance = step @ mean, step @ covariance @ step.T + noise
+        seen = np.array([0.0, t])
+        gain = covariance @ seen / (seen @ covariance @ seen + error_m**2)
+        mean, covariance = mean + gain * (by_m - seen @ mean), covariance - np.outer(gain, seen @ covariance)
+        assert (axis.offset_m, axis.speed_m_per_s) == pytest.approx(tuple(mean), rel=1e-9, abs=1e-18)
+        found = (axis.offset_variance, axis.covariance, axis.speed_variance)
+        assert found == pytest.approx((covariance[0, 0], covariance[0, 1], covariance[1, 1]), rel=1e-9, abs=0.0)
 
 
 def test_the_filter_finds_a_steady_drift_and_keeps_its_error() -> None:
@@ -32,10 +41,13 @@ def test_the_filter_finds_a_steady_drift_and_keeps_its_error() -> None:
     speed, state = 0.05 * NM, drift.Drift(0.0, drift.unknown(), drift.unknown())
     for look in range(1, 30):
         ahead = drift.drift_at(state, 60.0 * look)
-        seen = random.normal(speed * 60.0 * look, NM)
-        state = drift.Drift(ahead.time_s, drift.looked(ahead.x, seen, NM), drift.looked(ahead.y, 0.0, NM))
+        by_m = random.normal(speed * 60.0, NM)
+        moved = drift.moved(ahead.x, by_m, 60.0, NM), drift.moved(ahead.y, 0.0, 60.0, NM)
+        state = drift.Drift(ahead.time_s, *moved)
     assert state.x.speed_m_per_s == pytest.approx(speed, abs=3.0 * math.sqrt(state.x.speed_variance))
-    assert drift.drift_at(state, state.time_s + 60.0).x.offset_m == pytest.approx(speed * 60.0 * 30, abs=5 * NM)
+    assert drift.drift_at(state, state.time_s + 60.0).x.offset_m == pytest.approx(
+        speed * 60.0 * 30, abs=5.0 * state.x.error_m
+    )
 
 
 def test_the_least_squared_ways_decide_who_goes_where() -> None:
