@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig, arm, mode
+from stack_rig import BOTH_WAYS, Rig, apart, arm, mode
 
 from telenano.console.send_commands import send_control
 from telenano.runtime.loop.commands import Command
@@ -62,6 +62,7 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
 
 
+@apart("the AFM answers the stop while the half beside it is stopped")
 @pytest.mark.endurance
 def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
@@ -90,6 +91,7 @@ def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: py
     record("an arm behind a stopped controller, then an emergency stop", f"void; the tip approached by {way}")
 
 
+@BOTH_WAYS
 def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig) -> None:
     begin_ns = time.time_ns()
     assert rig.telenano("estop").returncode == 0
@@ -111,6 +113,7 @@ def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig
     arm(rig)
 
 
+@BOTH_WAYS
 def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_back_latched(rig: Rig) -> None:
     with stopped(rig, TIP):
         sent = rig.telenano("estop")
@@ -130,6 +133,7 @@ def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_b
     arm(rig)
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressing_rig: Rig) -> None:
     rig = pressing_rig
@@ -144,6 +148,7 @@ def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressin
     arm(rig)
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(pressing_rig: Rig) -> None:
     rig = pressing_rig

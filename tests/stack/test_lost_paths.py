@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from ledger import record
-from stack_rig import CONSTANT_PUSH, Rig, mode
+from stack_rig import BOTH_WAYS, CONSTANT_PUSH, Rig, mode
 
 from telenano.runtime.bus.local_endpoint import is_bound
 
@@ -99,9 +99,9 @@ def start(rig: Rig) -> Rig:
 
 
 @pytest.fixture(scope="module")
-def losing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def losing(tmp_path_factory: pytest.TempPathFactory, processes: str) -> Iterator[Rig]:
     """Run a rig whose paths are removed over and over."""
-    with closing(Rig(tmp_path_factory.mktemp("losing"))) as rig:
+    with closing(Rig(tmp_path_factory.mktemp("losing"), processes)) as rig:
         yield start(rig)
         for other in rig.sockets.parent.glob(f"{rig.sockets.name}-*"):
             shutil.rmtree(other)
@@ -111,6 +111,7 @@ def losing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 IN_CHECK = ("folder removed", "socket of the AFM removed", "locks of the rig removed")
 
 
+@BOTH_WAYS
 @pytest.mark.parametrize(
     "loss", [loss if loss in IN_CHECK else pytest.param(loss, marks=pytest.mark.endurance) for loss in LOSSES]
 )
@@ -139,6 +140,7 @@ def test_a_rig_whose_paths_are_removed_is_found_stopped_and_commanded(losing: Ri
     assert rig.log_has("launcher@master", "made again") or rig.log_has(TIP, "made again")
 
 
+@BOTH_WAYS
 def test_it_says_so_and_its_recording_lacks_nothing(losing: Rig) -> None:
     rig = losing
     removed(rig.sockets)
@@ -154,15 +156,16 @@ def test_it_says_so_and_its_recording_lacks_nothing(losing: Rig) -> None:
 
 
 @pytest.fixture
-def pair(tmp_path: Path) -> Iterator[list[Rig]]:
+def pair(tmp_path: Path, processes: str) -> Iterator[list[Rig]]:
     """Two rigs of one user, which have one runtime folder."""
-    both = [Rig(tmp_path / name) for name in ("1", "2")]
+    both = [Rig(tmp_path / name, processes) for name in ("1", "2")]
     both[1].sockets, both[1].environment = both[0].sockets, both[0].environment
     yield both
     for rig in both:
         rig.close()
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 def test_a_second_rig_sees_the_first_and_outlives_it(pair: list[Rig]) -> None:
     first, second = pair
@@ -186,9 +189,12 @@ def test_a_second_rig_sees_the_first_and_outlives_it(pair: list[Rig]) -> None:
     record("a second rig is started after the folder of the first was removed", "it was rig 2 and kept its sockets")
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
-def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_rig_is_made_safe(tmp_path: Path) -> None:
-    with closing(Rig(tmp_path / "1")) as first, closing(Rig(tmp_path / "2")) as second:
+def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_rig_is_made_safe(
+    tmp_path: Path, processes: str
+) -> None:
+    with closing(Rig(tmp_path / "1", processes)) as first, closing(Rig(tmp_path / "2", processes)) as second:
         start(first)
         start(second)
         while first.sockets.exists():
@@ -213,6 +219,7 @@ def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_r
         assert first.recording().messages("afm/state")[-1].decode().mode != "follow"
 
 
+@BOTH_WAYS
 def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_stop_has_not(pair: list[Rig]) -> None:
     rig = start(pair[0])
     removed(rig.sockets)
@@ -235,6 +242,7 @@ def taken_by_another_user(folder: Path) -> None:
     os.chown(folder, STRANGER, STRANGER)
 
 
+@BOTH_WAYS
 @pytest.mark.parametrize(
     ("take", "asked"),
     [
@@ -291,6 +299,7 @@ def follows(rig: Rig) -> bool:
     return mode(rig) in ("follow", "place")
 
 
+@BOTH_WAYS
 @pytest.mark.drawn(0.0, "telenano/runtime/bus/", "telenano/console/")
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.endurance)])
 def test_in_any_order_a_stop_is_obeyed_and_no_rig_is_called_absent(pair: list[Rig], seed: int) -> None:

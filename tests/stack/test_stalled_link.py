@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig, arm, mode
+from stack_rig import BOTH_WAYS, Rig, arm, mode
 
 STALL = ("forward.outage.schedule=0:600", "forward.outage.mode=hold", "forward.queue.limit_messages=100")
 
@@ -16,6 +16,7 @@ def forward(rig: Rig) -> dict[str, Any]:
     return shown
 
 
+@BOTH_WAYS
 # it kills a node of the rig, which no other test may find started again
 @pytest.mark.check
 @pytest.mark.drawn(0.0, "services/delay_node/", "telenano/link/")
