@@ -89,14 +89,11 @@ def read_in_child(
         ValueError: The file is larger than `LARGEST_FILE_BYTES`, or the function raised any other error or reached a
             limit; the message tells which.
     """
-    size = path.stat().st_size
-    if size > LARGEST_FILE_BYTES:
-        raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
+    size = _size_of(path)
     limits = limits or Limits.of_size(size)
     command = [sys.executable, "-m", __name__, function]
     orders = [limits, os.fspath(path), *arguments]
-    # A single thread, because each thread of a linear algebra library reserves memory.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+    environment = _environment()
     with _answer_file() as out:
         try:
             if watch is None:
@@ -110,6 +107,55 @@ def read_in_child(
             raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
         out.seek(0)
         return _answer(out, code, limits)
+
+
+class ChildReading:
+    """A call of a reading function in a child process that this process does not wait for; `close` ends it.
+
+    Args:
+        function: The function, as `module:name`; it returns facts and arrays.
+        path: Its first argument.
+        *arguments: Its further arguments.
+
+    Raises:
+        OSError: The file cannot be found, or no child can be started.
+        ValueError: The file is larger than `LARGEST_FILE_BYTES`.
+    """
+
+    def __init__(self, function: str, path: Path, *arguments: str) -> None:
+        self._limits = Limits.of_size(_size_of(path))
+        self._out = _answer_file()
+        orders = json.dumps([self._limits, os.fspath(path), *arguments])
+        self._process = children.start(
+            [sys.executable, "-m", __name__, function, orders], stdin=subprocess.DEVNULL, stdout=self._out,
+            stderr=subprocess.DEVNULL, env=_environment(),
+        )  # fmt: skip
+
+    def answer(self) -> Answer | None:
+        """Return the answer, None while the child reads; raise as `read_in_child`."""
+        code = self._process.poll()
+        if code is None:
+            return None
+        self._out.seek(0)
+        return _answer(self._out, code, self._limits)
+
+    def close(self) -> None:
+        """End the child, if it still reads."""
+        self._process.kill()
+        self._process.wait()
+        self._out.close()
+
+
+def _size_of(path: Path) -> int:
+    size = path.stat().st_size
+    if size > LARGEST_FILE_BYTES:
+        raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
+    return size
+
+
+def _environment() -> dict[str, str]:
+    # A single thread, because each thread of a linear algebra library reserves memory.
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _watched(

@@ -18,6 +18,7 @@ from telenano.link.fate import Direction, Fate, Release
 from telenano.runtime.loop.deadlines import deadline_after
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings, Setting
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.errors import ConfigError, RefusedError
@@ -87,6 +88,8 @@ class ImpairedLink(Node):
         to_slave: SiteEndpoint,
         to_master: SiteEndpoint,
         folder: Path,
+        *,
+        traces: Traces = OWN_TRACES,
     ) -> None:
         """Start with the settings.
 
@@ -96,12 +99,13 @@ class ImpairedLink(Node):
             to_slave: The endpoint at the slave's site.
             to_master: The endpoint at the master's site.
             folder: The folder of the files that the settings name.
+            traces: Reads these files.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
-        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
+        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, traces=traces)
         # The settings whose network name was determined last, and this name; restoring a link changes its settings.
         self._named = settings, settings.network_name
         self.forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
@@ -164,7 +168,12 @@ class ImpairedLink(Node):
                 self.defer(task)
 
     def on_control(self, control: SessionControl) -> str:
-        """Change the settings for messages that arrive from now on; messages in flight keep their fate."""
+        """Change the settings for messages that arrive from now on; messages in flight keep their fate.
+
+        Raises:
+            LaterError: A file is being read.
+            RefusedError: The settings cannot be used.
+        """
         if control.command != "set":
             return super().on_control(control)
         if not control.parameters:

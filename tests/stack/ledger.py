@@ -87,6 +87,7 @@ FAULTS = {
         for node in ("delay_node@master", "controller@slave")
         for seconds in (30, 300)
     },
+    "two sites over a network, a process each": "both press, an emergency stop crosses, and the recording is whole",
     "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",
@@ -125,6 +126,7 @@ FAULTS = {
     "an AFM stopped for longer than the emergency stop is sent": "in emergency stop when it goes on, before it obeys",
     "kill -9 of an AFM in emergency stop": "it comes back in emergency stop",
     "an emergency stop while the AFM is being started again": "it comes back in emergency stop",
+    "an emergency stop while the AFM is being started again without a folder": "it comes back in emergency stop",
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",

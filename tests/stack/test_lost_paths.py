@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from ledger import record
-from stack_rig import BOTH_WAYS, CONSTANT_PUSH, Rig, mode
+from stack_rig import BOTH_WAYS, CONSTANT_PUSH, Rig, apart, mode
 
 from telenano.runtime.bus.local_endpoint import is_bound
 
@@ -219,7 +219,7 @@ def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_r
         assert first.recording().messages("afm/state")[-1].decode().mode != "follow"
 
 
-@BOTH_WAYS
+@apart("the AFM answers the stop while the half beside it is started again")
 def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_stop_has_not(pair: list[Rig]) -> None:
     rig = start(pair[0])
     removed(rig.sockets)
@@ -231,6 +231,19 @@ def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_
     removed(rig.sockets)
     assert_stopped(rig)
     rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+
+
+@BOTH_WAYS
+def test_a_stop_for_an_instrument_that_is_started_again_in_the_gap_is_kept_for_it(pair: list[Rig]) -> None:
+    rig = start(pair[0])
+    removed(rig.sockets)
+    rig.kill(TIP)
+    # Whoever restarts it has not made the folder again yet, or just has.
+    removed(rig.sockets)
+    rig.telenano("estop")
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
+    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+    record("an emergency stop while the AFM is being started again without a folder", "it came back in emergency stop")
 
 
 def taken_by_a_file(folder: Path) -> None:
