@@ -105,6 +105,7 @@ class ImpairedLink(Node):
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
+        self._traces = traces
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, traces=traces)
         # The settings whose network name was determined last, and this name; restoring a link changes its settings.
         self._named = settings, settings.network_name
@@ -187,7 +188,8 @@ class ImpairedLink(Node):
         return text
 
     def make_safe(self) -> None:
-        """Do nothing: the silence of a stopped link makes the devices safe."""
+        """End the reading of files; the silence of a stopped link makes the devices safe."""
+        self._traces.close()
 
     def publish_fates(self, way: DirectionPath) -> None:
         """Publish the fates of the messages of a direction since the last report."""

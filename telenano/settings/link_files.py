@@ -59,6 +59,9 @@ class Traces:
     def forget_unused(self) -> None:
         """Forget the files that were not asked for since the last call."""
 
+    def close(self) -> None:
+        """End what is being read."""
+
 
 # It keeps nothing, so that all may share it.
 OWN_TRACES = Traces()

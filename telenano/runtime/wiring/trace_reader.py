@@ -69,6 +69,10 @@ class TraceReader(Traces):
         self._known = {file: known for file, known in self._known.items() if file in self._asked}
         self._asked.clear()
 
+    def close(self) -> None:
+        while self._reading:
+            self._reading.popitem()[1][1].close()
+
     def _begin(self, file: TraceFile, path: Path, state: tuple[int, int, int]) -> None:
         words = (file.kind, file.name, str(file.by_number), repr(file.unit_s))
         try:

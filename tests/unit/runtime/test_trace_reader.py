@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -22,10 +22,11 @@ TEXTS = {
 
 
 @pytest.fixture
-def running() -> TraceReader:
+def running() -> Iterator[TraceReader]:
     reader = TraceReader()
     reader.begin()
-    return reader
+    yield reader
+    reader.close()
 
 
 def made(folder: Path, kind: str, text: str | None = None) -> TraceFile:
