@@ -6,7 +6,10 @@ from pathlib import Path
 import pytest
 from stack_rig import BOTH_WAYS, Rig
 
-pytestmark = pytest.mark.stack
+pytestmark = [
+    pytest.mark.stack,
+    pytest.mark.drawn(0.0, "telenano/runtime/wiring/", "telenano/settings/link_files.py", "services/delay_node/"),
+]
 # Parsing them takes seconds, far longer than a turn may take in a process of several nodes, or of one.
 LINES = 300_000
 
