@@ -375,7 +375,8 @@ def main() -> None:
     if load != USUAL and given.processes != "paired":
         parser.error("--rate, --page and --burner are for --processes paired: the floors have none of them")
     if given.smoke:
-        given.rounds, given.duration = 1, 1.5
+        # The server of a page needs its time to start.
+        given.rounds, given.duration = 1, 6.0 if load.page else 1.5
     if given.processes == "paired":
         found = compare(given.rounds, given.duration, load)
     else:

@@ -5,7 +5,7 @@ that displays, settings and recordings of a link work with both.
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
@@ -22,7 +22,7 @@ from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings, Setting
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import LinkDirection, LinkFate, Message, SessionControl
+from telenano.wire.messages import LinkDirection, LinkFate, Message, Scalar, SessionControl
 from telenano.wire.nodes import LINK
 from telenano.wire.received import Received
 
@@ -33,6 +33,8 @@ _CLOCK_WINDOW = 64
 FATES_AT_ONCE = 32
 # Most rows in a message, with a margin to its limit.
 _MOST_FATES = 1000
+# Most settings of single topics with which a running link is changed. The change takes 50 us for each, in one turn.
+_MOST_OF_TOPICS = 250
 
 
 class SiteEndpoint(Protocol):
@@ -179,6 +181,7 @@ class ImpairedLink(Node):
             return super().on_control(control)
         if not control.parameters:
             raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
+        self._check_topics(control.parameters)
         try:
             self.engine.reconfigure(self.engine.settings.changed(control.parameters), self.clock.now_ns())
         except ConfigError as error:
@@ -186,6 +189,15 @@ class ImpairedLink(Node):
         text = "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         self.event("link", "info", f"link settings changed: {text}")
         return text
+
+    def _check_topics(self, parameters: Mapping[str, Scalar]) -> None:
+        """Refuse a change with more settings of single topics than one turn may take."""
+        settings = self.engine.settings
+        kept = 0 if "profile" in parameters else len(settings.forward.topics) + len(settings.backward.topics)
+        count = kept + sum(".topics." in key for key in parameters)
+        if count > _MOST_OF_TOPICS:
+            text = f"topics: with {count} settings of single topics the change would hold up the loop"
+            raise RefusedError(f"{text}: a running link takes {_MOST_OF_TOPICS}, and one that starts takes more")
 
     def make_safe(self) -> None:
         """End the reading of files; the silence of a stopped link makes the devices safe."""
