@@ -135,6 +135,29 @@ FAULTS = {
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }
 
+# What a fault is called that was injected into a rig with a process a site; the promise is the same.
+A_SITE = ", a process a site"
+FAULTS |= {
+    fault + A_SITE: promise
+    for fault, promise in FAULTS.items()
+    if fault.startswith(
+        (
+            "each process ",
+            "each process, ",
+            "the runtime folder ",
+            "a second rig ",
+            "a flood into ",
+            "an arm that waited in a stopped AFM",
+            "an arm at a stopped AFM",
+            "an AFM stopped ",
+            "kill -9 of an AFM ",
+            "an emergency stop while the AFM ",
+            "an emergency stop while a console ",
+            "an emergency stop from the page ",
+        )
+    )
+}
+
 
 def record(fault: str, happened: str) -> None:
     """Enter what happened on a fault, where a run is to fill the table."""

@@ -11,6 +11,7 @@ import pytest
 from commands import COMMANDS
 from figure_layout import arrows, faults
 from following import Following, Recorded
+from ledger import A_SITE
 
 from telenano.analysis import Session
 from telenano.analysis.fig12 import draw_fig12
@@ -133,6 +134,11 @@ class Rig(LiveRig):
         self.usual = ("--set", f"realtime.processes={processes}")
         self.processes = processes
         self._recorded = Recorded()
+
+    @property
+    def way(self) -> str:
+        """What the table of faults adds to a fault that was injected into a rig with a process a site."""
+        return A_SITE if self.processes == "site" else ""
 
     def mates_of(self, node: str) -> tuple[str, ...]:
         """Return the nodes that run in the process of a node, itself among them."""

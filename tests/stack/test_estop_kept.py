@@ -108,7 +108,7 @@ def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig
     assert waiting.returncode == 1, out + err
     assert "emergency stop" in err
     way = stays_stopped(rig, begin_ns)
-    record("an arm at a stopped AFM, then an emergency stop", f"void; the tip approached by {way}")
+    record(f"an arm at a stopped AFM, then an emergency stop{rig.way}", f"void; the tip approached by {way}")
     # who arms now means this stop
     arm(rig)
 
@@ -129,7 +129,7 @@ def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_b
     (at_ns, *_) = (state.t_ns for state in states(rig, begin_ns) if state.mode == "estop")
     assert "follow" not in {state.mode for state in states(rig, begin_ns + 50_000_000)}
     took = f"in emergency stop {(at_ns - begin_ns) / 1e6:.0f} ms after it went on"
-    record("an AFM stopped for longer than the emergency stop is sent", took)
+    record(f"an AFM stopped for longer than the emergency stop is sent{rig.way}", took)
     arm(rig)
 
 
@@ -144,7 +144,7 @@ def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressin
     rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
     rig.wait_until(lambda: rig.log_has(TIP, "an emergency stop that was kept for this device is in force"), "its word")
     stays_stopped(rig, begin_ns)
-    record("kill -9 of an AFM in emergency stop", "it came back in emergency stop")
+    record(f"kill -9 of an AFM in emergency stop{rig.way}", "it came back in emergency stop")
     arm(rig)
 
 
@@ -157,4 +157,4 @@ def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(pre
     time.sleep(0.05)
     rig.telenano("estop")
     stays_stopped(rig, begin_ns)
-    record("an emergency stop while the AFM is being started again", "it came back in emergency stop")
+    record(f"an emergency stop while the AFM is being started again{rig.way}", "it came back in emergency stop")

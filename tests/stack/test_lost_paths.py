@@ -152,7 +152,7 @@ def test_it_says_so_and_its_recording_lacks_nothing(losing: Rig) -> None:
         for node in {found.decode().src for found in rig.recording().messages(topic)} & set(NODES):
             seqs = [state.seq for found in rig.recording().messages(topic) if (state := found.decode()).src == node]
             assert seqs == list(range(seqs[0], seqs[0] + len(seqs))), f"messages of {node} on {topic} are missing"
-    record("the runtime folder is removed under a rig", "made again; stopped, armed and listed at once")
+    record(f"the runtime folder is removed under a rig{rig.way}", "made again; stopped, armed and listed at once")
 
 
 @pytest.fixture
@@ -186,7 +186,10 @@ def test_a_second_rig_sees_the_first_and_outlives_it(pair: list[Rig]) -> None:
     folder = second.sockets / "rig-2"
     assert all(is_bound(f"ipc://{folder}/{node}") for node in NODES)
     assert_stopped(second, "--rig", "2")
-    record("a second rig is started after the folder of the first was removed", "it was rig 2 and kept its sockets")
+    record(
+        f"a second rig is started after the folder of the first was removed{first.way}",
+        "it was rig 2 and kept its sockets",
+    )
 
 
 @BOTH_WAYS
@@ -243,7 +246,10 @@ def test_a_stop_for_an_instrument_that_is_started_again_in_the_gap_is_kept_for_i
     rig.telenano("estop")
     rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
     rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
-    record("an emergency stop while the AFM is being started again without a folder", "it came back in emergency stop")
+    record(
+        f"an emergency stop while the AFM is being started again without a folder{rig.way}",
+        "it came back in emergency stop",
+    )
 
 
 def taken_by_a_file(folder: Path) -> None:
@@ -302,7 +308,9 @@ def test_devices_that_cannot_have_their_paths_again_are_made_safe(
     base_m = [state.base_position_m[2] for state in states[at:]]
     # Towards the sample is down.
     assert max(before - after for before, after in pairwise(base_m)) <= 0.0
-    record("the runtime folder is removed and cannot be made again", "both devices stopped; the rig ended with 1")
+    record(
+        f"the runtime folder is removed and cannot be made again{rig.way}", "both devices stopped; the rig ended with 1"
+    )
 
 
 # --- a random order of all that may happen to the paths of a rig ---

@@ -310,7 +310,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
     rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
     stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
     took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the command"
-    record("an emergency stop while a console is at work", f"both stopped, {took}")
+    record(f"an emergency stop while a console is at work{rig.way}", f"both stopped, {took}")
     rig.wait_until(
         lambda: (
             {message.src for message in rig.recording().messages("session/control", begin_ns)}
@@ -345,7 +345,7 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
     assert {state.mode for state in states} == {"estop"}
     base_m = [state.base_position_m[2] for state in states]
     approach_nm = 1e9 * (max(base_m) - base_m[0])
-    record("an arm that waited in a stopped AFM", f"{text}; the tip approached by {approach_nm:.1f} nm")
+    record(f"an arm that waited in a stopped AFM{rig.way}", f"{text}; the tip approached by {approach_nm:.1f} nm")
     # who is still there is obeyed
     for device in ("haptic_node", "afm_node"):
         armed = rig.telenano("session", "arm", "--target", device)
@@ -445,7 +445,7 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
         rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
         stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
         took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the request of the page"
-        record("an emergency stop from the page of the view", f"both stopped, {took}")
+        record(f"an emergency stop from the page of the view{rig.way}", f"both stopped, {took}")
         # the AFM first: the hand must not move a reference that nothing follows
         for device in ("afm_node", "haptic_node"):
             armed = ask(OPERATOR, k="command", command="arm", target=device, parameters={})

@@ -215,7 +215,8 @@ def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: P
         found = session.end()
     check(found)
     record(
-        "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms",
+        "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms"
+        f"{session.rig.way}",
         f"{ways_of(found)}; the tip bore {found.force_ratio:.2f} times the force of the swings at most",
     )
 
@@ -238,6 +239,6 @@ def test_every_process_for_every_time_under_every_law_and_link(
         session.rig.close()
     check(found)
     record(
-        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms",
+        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms{session.rig.way}",
         f"{ways_of(found)}; each of 15 reported",
     )
