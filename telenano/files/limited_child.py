@@ -9,6 +9,7 @@ The answer is a line of JSON followed by the bytes of the arrays, in an unnamed 
 
 import importlib
 import json
+import mmap
 import os
 import select
 import signal
@@ -132,12 +133,15 @@ class ChildReading:
         )  # fmt: skip
 
     def answer(self) -> Answer | None:
-        """Return the answer, None while the child reads; raise as `read_in_child`."""
+        """Return the answer, None while the child reads; raise as `read_in_child`.
+
+        The arrays are read-only views of the file that the child has written: a copy of a long one takes too long.
+        """
         code = self._process.poll()
         if code is None:
             return None
         self._out.seek(0)
-        return _answer(self._out, code, self._limits)
+        return _answer(self._out, code, self._limits, _view)
 
     def close(self) -> None:
         """End the child, if it still reads."""
@@ -196,7 +200,12 @@ def _answer_file() -> BinaryIO:
     return cast(BinaryIO, tempfile.TemporaryFile())
 
 
-def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
+def _answer(
+    out: BinaryIO,
+    code: int,
+    limits: Limits,
+    array: "Callable[[BinaryIO, str, list[int]], npt.NDArray[Any]] | None" = None,
+) -> Answer:
     line = out.readline(1 << 16)
     if not line.endswith(b"\n"):
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
@@ -206,7 +215,7 @@ def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
     head = json.loads(line)
     match head.get("error"):
         case None:
-            return Answer(head["facts"], [_array(out, *each) for each in head["arrays"]])
+            return Answer(head["facts"], [(array or _array)(out, *each) for each in head["arrays"]])
         case ["ImportError", name]:
             raise ImportError(name=name)
         case ["OSError", number, text]:
@@ -223,6 +232,16 @@ def _array(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
     count = int(np.prod(shape))
     content = out.read(count * dtype.itemsize)
     return np.frombuffer(content, dtype).reshape(shape).copy()
+
+
+def _view(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
+    """Return an array as a view of the file from its position on, and move the position behind it."""
+    dtype, count = np.dtype(kind), int(np.prod(shape))
+    begin = out.tell()
+    out.seek(begin + count * dtype.itemsize)
+    # The view keeps the mapping, also after the file is closed.
+    whole = mmap.mmap(out.fileno(), 0, access=mmap.ACCESS_READ)
+    return np.frombuffer(whole, dtype, count, begin).reshape(shape)
 
 
 def _limit(limits: Limits) -> None:

@@ -18,7 +18,7 @@ from telenano.wire.errors import ConfigError
 T = TypeVar("T")
 TraceKind = Literal["delay", "loss", "delivery", "table"]
 # The columns of a file: times [ns] and values of a trace, or one of the two.
-Columns = tuple["array[Any]", ...]
+Columns = tuple["array[Any] | memoryview[Any]", ...]
 
 LARGEST_FILE_BYTES = 32_000_000
 # The longest delay in a trace [s].
@@ -70,7 +70,9 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: is not UTF-8 text") from error
 
 
-def read_columns(path: Path, kind: TraceKind, name: str, *, by_number: bool = False, unit_s: float = 1.0) -> Columns:
+def read_columns(
+    path: Path, kind: TraceKind, name: str, *, by_number: bool = False, unit_s: float = 1.0
+) -> tuple["array[Any]", ...]:
     """Read and parse a file; return its columns as arrays, those of a table of jitter in ascending order.
 
     Args:

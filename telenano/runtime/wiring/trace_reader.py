@@ -1,10 +1,7 @@
 """The files of the link, read in a child process while the link runs, so that no turn of it takes as long as a file."""
 
-from array import array
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy.typing as npt
+from typing import NamedTuple
 
 from telenano.files.held_files import standing
 from telenano.files.limited_child import ChildReading
@@ -90,15 +87,13 @@ class TraceReader(Traces):
         try:
             if (answer := child.answer()) is None:
                 return
-            columns = tuple(map(_as_array, answer.facts["codes"], answer.arrays))
+            # A view that keeps the file of the child, and has the elements of `array` when it is indexed.
+            columns = tuple(
+                column.data.cast("B").cast(code)
+                for code, column in zip(answer.facts["codes"], answer.arrays, strict=True)
+            )
         except (ImportError, OSError, ValueError) as error:
             fault = str(error)
         self._known[file] = _Known(state, columns, fault)
         del self._reading[file]
         child.close()
-
-
-def _as_array(code: str, column: npt.NDArray[Any]) -> "array[Any]":
-    made = array(code)
-    made.frombytes(column.data.cast("B"))
-    return made
