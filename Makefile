@@ -145,7 +145,9 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/f
 	  tests/stack/test_full_disk.py tests/stack/test_full_runtime_folder.py tests/stack/test_flooded_endpoints.py tests/stack/test_wall_clock.py \
 	  tests/stack/test_two_sites.py tests/stack/test_relay.py tests/stack/test_blocked_ways.py tests/stack/test_compose.py tests/stack/test_hangs.py \
 	  tests/stack/test_full_line.py --deselect tests/stack/test_full_line.py::test_a_law_rests_in_contact_over_1_mbit_each_way \
-	  "tests/stack/test_faulty_packages.py::test_code_of_a_package_that_fails_leaves_hand_and_tip_safe[never returns-law]"
+	  tests/stack/test_lost_paths.py tests/stack/test_two_joined_sites.py \
+	  "tests/stack/test_faulty_packages.py::test_code_of_a_package_that_fails_leaves_hand_and_tip_safe[node-law-never returns]" \
+	  "tests/stack/test_faulty_packages.py::test_code_of_a_package_that_fails_leaves_hand_and_tip_safe[site-law-never returns]"
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/faults-measured.md
 
 # schemas of messages, scenarios, sites and summaries, golden vectors, the tables of SPEC.md, the pages of keys and commands

@@ -18,61 +18,26 @@ baseline had no run, the ratio to it is a lower bound (>).
 """
 
 import argparse
-import contextlib
 import json
-import os
 import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from burner import burning
 from chains import PERIOD_NS, measure_waiting, measure_zeromq
 from cycles import LATE_MS, Cycle, Interval, Late, later_than, responses_ms, runs_in_million
 from loop import measure_rig
 
 from telenano.runtime.loop.realtime import shallow_idle
-from telenano.signals import children
 
 PERIOD_MS = PERIOD_NS * 1e-6
-# The process takes pages from the kernel, writes to each, gives them back, and then computes for about as long.
-BURNER = """
-import sys
-size = int(sys.argv[1])
-while True:
-    block = bytearray(size)
-    block[::4096] = b"1" * len(range(0, size, 4096))
-    del block
-    sum(range(1_000_000))
-"""
-BURNED_BYTES = 128 << 20
 LOOPS: dict[str, tuple[str, Callable[[float], list[Cycle]]]] = {
     "waiting": ("one thread that only waits", lambda duration_s: measure_waiting(round(duration_s * 1000))),
     "zeromq": ("eight hops over ZeroMQ", lambda duration_s: measure_zeromq(round(duration_s * 1000), placed=True)),
     "rig": ("the whole rig", lambda duration_s: measure_rig(duration_s, trace=False).cycles),
 }
 BESIDE = {"nothing": "nothing", "burner": "a burning process"}
-
-
-@contextlib.contextmanager
-def burning(wanted: bool) -> Iterator[Callable[[], float]]:
-    """Run the burning process beside the block if `wanted`; yield a function for its processor time so far [s]."""
-    if not wanted:
-        yield lambda: 0.0
-        return
-    burner = children.start([sys.executable, "-c", BURNER, str(BURNED_BYTES)], stdin=subprocess.DEVNULL)
-
-    def used_s() -> float:
-        after_name = Path(f"/proc/{burner.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
-
-    try:
-        yield used_s
-    finally:
-        burner.kill()
-        burner.wait()
 
 
 def ratio(found: Interval, base: Interval) -> tuple[float, bool]:

@@ -1,6 +1,7 @@
 """The age of the zero-delay loop, as a ratio to the same hops without the project's work in the same run.
 
     python benchmarks/loop.py [--rounds N] [--duration S] [--processes node|site|paired] [--json]
+    python benchmarks/loop.py --processes paired [--rate HZ] [--page] [--burner]
 
 For the floors (`chains.py`), five processes pass bytes of the sizes of our messages along the eight hops of the loop
 (hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, and do nothing else.
@@ -12,7 +13,10 @@ nodes measures each part of a hop. All take turns, and the medians of the rounds
 
 `--processes site` runs the rig with `realtime.processes: site`, the nodes of each site in one process, beside the same
 recorder and launcher. `--processes paired` compares both ways, with no floors: each round has a rig of either kind, and
-one more of either in the opposite order (A B B A); the ratio is that of the pairs.
+one more of either in the opposite order (A B B A); the ratio is that of the pairs. `--rate` is the rate of the loop,
+and the rates reached at hand and tip are reported; `--page` keeps an observer's page open, whose server counts to the
+processor time; `--burner` runs a process beside the rig that burns a core (`burner.py`). Late cycles are those of the
+hand that ended more than 1 ms after the median of their run (`cycles.py`).
 """
 
 import argparse
@@ -30,10 +34,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from chains import PERIOD_NS, ages_ms, measure_sockets, measure_zeromq
-from cycles import Cycle, cycles_of
+import numpy as np
+from burner import burning
+from chains import ages_ms, measure_sockets, measure_zeromq
+from cycles import LATE_MS, Cycle, Late, cycles_of, later_than, responses_ms, runs_in_million
 from hop_trace import PARTS
+from soak import open_page
 
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
 from telenano.runtime.loop.realtime import shallow_idle
 from telenano.signals import children
@@ -60,7 +68,8 @@ class RigRun(NamedTuple):
     `start_s`: time from the command to the first sample of the hand, and to the first tick of its programme [s].
     `parts_us`: parts of a hop [us] by process, empty in a run without trace. `late_share`: share of late messages for
     the topics in PACED. `cycles`: those of the hand in the session. `age_parts_ms`: contributions to the median age.
-    `turns_us`: time of a turn in a traced process of a site, by node and cause.
+    `turns_us`: time of a turn in a traced process of a site, by node and cause. `rate_hz`: the rates reached at hand
+    and tip.
     """
 
     age_ms: dict[str, float]
@@ -72,10 +81,32 @@ class RigRun(NamedTuple):
     cycles: list[Cycle]
     age_parts_ms: dict[str, float]
     turns_us: dict[str, float]
+    rate_hz: dict[str, float]
+
+
+class Load(NamedTuple):
+    """The rate of a rig [Hz], and what runs beside it: a page, and a process that burns a core."""
+
+    rate_hz: float = 1000.0
+    page: bool = False
+    burner: bool = False
+
+    @property
+    def period_ns(self) -> int:
+        """The period of the loop [ns]."""
+        return round(1e9 / self.rate_hz)
+
+
+USUAL = Load()
 
 
 def measure_rig(
-    duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12"), processes: str = "node"
+    duration_s: float,
+    *,
+    trace: bool,
+    words: Sequence[str] = ("--scenario", "fig12"),
+    processes: str = "node",
+    load: Load = USUAL,
 ) -> RigRun:
     """Run a rig with these words once; with `trace` the time of each part of a hop is in its logs.
 
@@ -86,25 +117,34 @@ def measure_rig(
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
         command = [sys.executable, "-m", "telenano", "up", *words, "--json", "--set", f"realtime.processes={processes}"]
         command += ["--duration", str(duration_s), "--out", str(out)]
+        if load.rate_hz != USUAL.rate_hz:
+            command += ["--set", f"realtime.rate_hz={load.rate_hz:g}"]
         if trace:
             before = environment.get("PYTHONPATH", "")
             environment["PYTHONPATH"] = os.pathsep.join([str(TRACED_NODE), *([before] if before else [])])
         begin_ns = time.time_ns()
-        with children.start(command, env=environment, stdout=subprocess.PIPE, text=True) as rig:
+        with contextlib.ExitStack() as beside:
+            beside.enter_context(burning(load.burner))
+            rig = beside.enter_context(children.start(command, env=environment, stdout=subprocess.PIPE, text=True))
             watch = ProcessWatch(rig.pid)
+            beside.callback(watch.end)
+            if load.page:
+                beside.enter_context(open_page(lambda number: watch.add(number, "page"), environment))
             printed = rig.communicate()[0]
-            watch.end()
-        if rig.returncode:
+        # With more load than the machine can bear, a recording that lacks something is a result.
+        if rig.returncode not in (0, *([EXIT_INCOMPLETE] if load != USUAL else [])):
             raise SystemExit(f"the rig ended with exit code {rig.returncode}")
         recording = Recording(out / "session.mcap")
-        start_s, late = _start_s(recording, begin_ns), {topic: _late_share(recording, topic) for topic in PACED}
+        start_s = _start_s(recording, begin_ns)
+        late = {topic: _late_share(recording, topic, load.period_ns) for topic in PACED}
         share, memory = watch.while_running(duration_s)
-        summary, cycles = json.loads(printed), cycles_of(out, PERIOD_NS)
+        summary, cycles = json.loads(printed), cycles_of(out, load.period_ns)
+        rate_hz = {topic: summary["rate_hz"][topic] for topic in PACED}
         parts_ms = {name: parts[0] for name, parts in summary.get("loop_age_parts_ms", {}).items()}
         turns = _logged(out / "logs", "turns")
         turns_us = {turn: us for rows in turns.values() for turn, (count, us) in rows.items() if count > 100}
         traced = _logged(out / "logs", "parts")
-        return RigRun(summary["loop_age_ms"], share, memory, start_s, traced, late, cycles, parts_ms, turns_us)
+        return RigRun(summary["loop_age_ms"], share, memory, start_s, traced, late, cycles, parts_ms, turns_us, rate_hz)
 
 
 class ProcessWatch:
@@ -122,6 +162,10 @@ class ProcessWatch:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
+
+    def add(self, process_id: int, name: str) -> None:
+        """Sample this process and its descendants from now on, under one name."""
+        self._groups = {**self._groups, process_id: name}
 
     def end(self) -> None:
         self._ended.set()
@@ -195,10 +239,10 @@ def _start_s(recording: Recording, begin_ns: int) -> dict[str, float]:
     return found
 
 
-def _late_share(recording: Recording, topic: str) -> float:
-    """Return the share of the messages of a topic that were sent more than 1.5 ms after the previous one."""
+def _late_share(recording: Recording, topic: str, period_ns: int) -> float:
+    """Return the share of the messages of a topic that were sent more than 1.5 periods after the previous one."""
     sent_ns = [message.publish_ns for message in recording.messages([topic])]
-    return sum(b - a > 1_500_000 for a, b in pairwise(sent_ns)) / max(len(sent_ns) - 1, 1)
+    return sum(b - a > 1.5 * period_ns for a, b in pairwise(sent_ns)) / max(len(sent_ns) - 1, 1)
 
 
 def _logged(logs: Path, key: str) -> dict[str, Any]:
@@ -239,7 +283,18 @@ def measure(rounds: int, duration_s: float, processes: str = "node") -> dict[str
     }
 
 
-def compare(rounds: int, duration_s: float) -> dict[str, Any]:
+def _late_in_million(runs: Sequence[RigRun], period_ns: int) -> dict[str, float]:
+    """Return the late cycles of the hand in a million, and the interval (95 %) of the number of their runs."""
+    late = Late((), 0)
+    for run in runs:
+        found_ms = responses_ms(run.cycles, period_ns)
+        if found_ms.size:
+            late += later_than(found_ms, float(np.median(found_ms)) + LATE_MS)
+    runs_found = runs_in_million(late)
+    return {"cycles": late.in_million, "runs": runs_found.rate, "low": runs_found.low, "high": runs_found.high}
+
+
+def compare(rounds: int, duration_s: float, load: Load = USUAL) -> dict[str, Any]:
     """Return the results of both ways, and the ratios of their pairs, site to node, A B B A in each round."""
     runs: dict[str, list[RigRun]] = {name: [] for name in PROCESSES}
     traced: dict[str, list[RigRun]] = {name: [] for name in PROCESSES}
@@ -247,9 +302,9 @@ def compare(rounds: int, duration_s: float) -> dict[str, Any]:
     for _ in range(rounds):
         for name in (*PROCESSES, *reversed(PROCESSES)):
             loads.append(os.getloadavg()[0])
-            runs[name].append(measure_rig(duration_s, trace=False, processes=name))
+            runs[name].append(measure_rig(duration_s, trace=False, processes=name, load=load))
         for name in PROCESSES:
-            traced[name].append(measure_rig(duration_s, trace=True, processes=name))
+            traced[name].append(measure_rig(duration_s, trace=True, processes=name, load=load))
     totals = {name: [sum(run.processor_percent.values()) for run in found] for name, found in runs.items()}
     pairs = list(zip(runs["site"], runs["node"], strict=True))
     ratios: dict[str, list[float]] = {
@@ -264,6 +319,8 @@ def compare(rounds: int, duration_s: float) -> dict[str, Any]:
         "processor_together_percent": {name: statistics.median(values) for name, values in totals.items()},
         "memory_mb": {name: _medians(run.memory_mb for run in found) for name, found in runs.items()},
         "late_share": {name: _medians(run.late_share for run in found) for name, found in runs.items()},
+        "rate_hz": {name: _medians(run.rate_hz for run in found) for name, found in runs.items()},
+        "late_in_million": {name: _late_in_million(found, load.period_ns) for name, found in runs.items()},
         "age_parts_ms": {name: _medians(run.age_parts_ms for run in found) for name, found in runs.items()},
         "turns_us": {
             "node": _medians({node: sum(us.values()) for node, us in run.parts_us.items()} for run in traced["node"]),
@@ -292,6 +349,8 @@ def print_pairs(found: Mapping[str, Any]) -> None:
         ("part of the median age, ms", "age_parts_ms"),
         ("turn, us", "turns_us"),
         ("late share", "late_share"),
+        ("rate reached, Hz", "rate_hz"),
+        ("late cycles of the hand in a million", "late_in_million"),
     ):
         print(f"\n{title}")
         for name, rows in found[key].items():
@@ -308,11 +367,18 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     about = "whether each node of the rig has a process, or each site, or both ways in turns"
     parser.add_argument("--processes", choices=(*PROCESSES, "paired"), default="node", help=about)
+    parser.add_argument("--rate", type=float, default=USUAL.rate_hz, help="rate of the loop [Hz], with paired")
+    parser.add_argument("--page", action="store_true", help="keep a page of an observer open, with paired")
+    parser.add_argument("--burner", action="store_true", help="burn a core beside the rig, with paired")
     given = parser.parse_args()
+    load = Load(given.rate, given.page, given.burner)
+    if load != USUAL and given.processes != "paired":
+        parser.error("--rate, --page and --burner are for --processes paired: the floors have none of them")
     if given.smoke:
-        given.rounds, given.duration = 1, 1.5
+        # The server of a page needs its time to start.
+        given.rounds, given.duration = 1, 6.0 if load.page else 1.5
     if given.processes == "paired":
-        found = compare(given.rounds, given.duration)
+        found = compare(given.rounds, given.duration, load)
     else:
         found = measure(given.rounds, given.duration, given.processes)
     if given.json:

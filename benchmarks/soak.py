@@ -24,7 +24,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
@@ -158,11 +158,16 @@ class Watch:
 
 
 @contextlib.contextmanager
-def open_page(watch: Watch) -> Iterator[None]:
-    """Serve the page of the rig, and keep an observer's page open that reads all that is sent to it."""
+def open_page(add: Callable[[int], None], environment: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Serve the page of the rig, and keep an observer's page open that reads all that is sent to it.
+
+    Args:
+        add: Called with the process of the server.
+        environment: The environment of the rig; None for that of this process.
+    """
     command = [sys.executable, "-m", "telenano", "view", "--port", "0"]
-    with children.start(command, stdout=subprocess.PIPE, text=True) as server:
-        watch.add(server.pid)
+    with children.start(command, stdout=subprocess.PIPE, text=True, env=environment) as server:
+        add(server.pid)
         assert server.stdout is not None
         lines = [server.stdout.readline() for _ in range(2)]
         addresses = dict(line.split() for line in Path(lines[1].split()[-1]).read_text().splitlines())
@@ -258,7 +263,7 @@ def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0,
         rig = children.start(command, stdout=subprocess.DEVNULL)
         watch.add(rig.pid)
         if page:
-            stack.enter_context(open_page(watch))
+            stack.enter_context(open_page(watch.add))
         try:
             code = rig.wait()
         finally:

@@ -37,8 +37,12 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     bus = wiring.bus_of(to_master, [*listeners, *ends.readers, *wiring.estop_inlet()])
     try:
         folder, apart = wiring.scenario_file.parent, wiring.book.spans_machines
-        context = wiring.context(bus)
-        node = DelayNode(context, settings, to_slave, to_master, folder, spans_machines=apart, send_train=ends.measure)
+        context, traces = wiring.context(bus), wiring.traces()
+        node = DelayNode(
+            context, settings, to_slave, to_master, folder,
+            spans_machines=apart, send_train=ends.measure, traces=traces,
+        )  # fmt: skip
+        traces.begin()
     except ConfigError as error:
         raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
     return node, bus

@@ -15,6 +15,7 @@ from telenano.runtime.bus.publisher import publish_end
 from telenano.runtime.impaired_link import DirectionPath, ImpairedLink, SiteEndpoint
 from telenano.runtime.loop.node import NodeBus, NodeContext
 from telenano.runtime.wiring.link_transports import TRAIN
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings
 from telenano.timing.clock_offset import OffsetState
 from telenano.wire import TOPICS
@@ -76,6 +77,7 @@ class DelayNode(ImpairedLink):
         *,
         spans_machines: bool = False,
         send_train: Callable[[], bool] | None = None,
+        traces: Traces = OWN_TRACES,
     ) -> None:
         """Start with the settings.
 
@@ -87,11 +89,12 @@ class DelayNode(ImpairedLink):
             folder: The folder of the files that the settings name.
             spans_machines: Whether the sites have separate clocks, and a network between them.
             send_train: Sends a train of datagrams between the machines and returns whether that was possible, or None.
+            traces: Reads the files that the settings name.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
-        super().__init__(context, settings, to_slave, to_master, folder)
+        super().__init__(context, settings, to_slave, to_master, folder, traces=traces)
         self._forwarded = {way.endpoint: 0 for way in self.directions}
         # Fate of the newest message sent on, by endpoint and topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self.directions}

@@ -335,6 +335,9 @@ def emergency_stop(
 def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list[str]:
     """Save a stop in a file for each target device of this machine, including those that a launcher will restart.
 
+    The folder is made again if it was removed, because a device that is being started again has no other way to learn
+    of the stop: no socket of it is open yet.
+
     Returns:
         The devices for which it is saved. An error of writing is ignored, because the stop is sent anyway.
     """
@@ -344,7 +347,11 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
     link = (_LINK,) if is_far and _LINK in rig.endpoints and (reach.by_link or rig.is_supervised()) else ()
     devices = [device for device in (*reach.direct, *absent, *link) if rig.is_ours(device)]
     messages = {device: _Sender(site_of(device), identifier, target, ()).message() for device in devices}
-    return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
+    paths = {device: kept_stop_path(rig.endpoints[device]) for device in devices}
+    for folder in {path.parent for path in paths.values()}:
+        with suppress(OSError):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return [device for device, message in messages.items() if not keep(paths[device], message)]
 
 
 def _of_signalled(rig: LocalRig, node: str, process: int) -> str:

@@ -9,6 +9,7 @@ The answer is a line of JSON followed by the bytes of the arrays, in an unnamed 
 
 import importlib
 import json
+import mmap
 import os
 import select
 import signal
@@ -89,14 +90,11 @@ def read_in_child(
         ValueError: The file is larger than `LARGEST_FILE_BYTES`, or the function raised any other error or reached a
             limit; the message tells which.
     """
-    size = path.stat().st_size
-    if size > LARGEST_FILE_BYTES:
-        raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
+    size = _size_of(path)
     limits = limits or Limits.of_size(size)
     command = [sys.executable, "-m", __name__, function]
     orders = [limits, os.fspath(path), *arguments]
-    # A single thread, because each thread of a linear algebra library reserves memory.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+    environment = _environment()
     with _answer_file() as out:
         try:
             if watch is None:
@@ -110,6 +108,58 @@ def read_in_child(
             raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
         out.seek(0)
         return _answer(out, code, limits)
+
+
+class ChildReading:
+    """A call of a reading function in a child process that this process does not wait for; `close` ends it.
+
+    Args:
+        function: The function, as `module:name`; it returns facts and arrays.
+        path: Its first argument.
+        *arguments: Its further arguments.
+
+    Raises:
+        OSError: The file cannot be found, or no child can be started.
+        ValueError: The file is larger than `LARGEST_FILE_BYTES`.
+    """
+
+    def __init__(self, function: str, path: Path, *arguments: str) -> None:
+        self._limits = Limits.of_size(_size_of(path))
+        self._out = _answer_file()
+        orders = json.dumps([self._limits, os.fspath(path), *arguments])
+        self._process = children.start(
+            [sys.executable, "-m", __name__, function, orders], stdin=subprocess.DEVNULL, stdout=self._out,
+            stderr=subprocess.DEVNULL, env=_environment(),
+        )  # fmt: skip
+
+    def answer(self) -> Answer | None:
+        """Return the answer, None while the child reads; raise as `read_in_child`.
+
+        The arrays are read-only views of the file that the child has written: a copy of a long one takes too long.
+        """
+        code = self._process.poll()
+        if code is None:
+            return None
+        self._out.seek(0)
+        return _answer(self._out, code, self._limits, _view)
+
+    def close(self) -> None:
+        """End the child, if it still reads."""
+        self._process.kill()
+        self._process.wait()
+        self._out.close()
+
+
+def _size_of(path: Path) -> int:
+    size = path.stat().st_size
+    if size > LARGEST_FILE_BYTES:
+        raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
+    return size
+
+
+def _environment() -> dict[str, str]:
+    # A single thread, because each thread of a linear algebra library reserves memory.
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _watched(
@@ -150,7 +200,12 @@ def _answer_file() -> BinaryIO:
     return cast(BinaryIO, tempfile.TemporaryFile())
 
 
-def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
+def _answer(
+    out: BinaryIO,
+    code: int,
+    limits: Limits,
+    array: "Callable[[BinaryIO, str, list[int]], npt.NDArray[Any]] | None" = None,
+) -> Answer:
     line = out.readline(1 << 16)
     if not line.endswith(b"\n"):
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
@@ -160,7 +215,7 @@ def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
     head = json.loads(line)
     match head.get("error"):
         case None:
-            return Answer(head["facts"], [_array(out, *each) for each in head["arrays"]])
+            return Answer(head["facts"], [(array or _array)(out, *each) for each in head["arrays"]])
         case ["ImportError", name]:
             raise ImportError(name=name)
         case ["OSError", number, text]:
@@ -177,6 +232,16 @@ def _array(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
     count = int(np.prod(shape))
     content = out.read(count * dtype.itemsize)
     return np.frombuffer(content, dtype).reshape(shape).copy()
+
+
+def _view(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
+    """Return an array as a view of the file from its position on, and move the position behind it."""
+    dtype, count = np.dtype(kind), int(np.prod(shape))
+    begin = out.tell()
+    out.seek(begin + count * dtype.itemsize)
+    # The view keeps the mapping, also after the file is closed.
+    whole = mmap.mmap(out.fileno(), 0, access=mmap.ACCESS_READ)
+    return np.frombuffer(whole, dtype, count, begin).reshape(shape)
 
 
 def _limit(limits: Limits) -> None:

@@ -41,7 +41,18 @@ from telenano.runtime.wiring.link_transports import LineCheck, fetching_transpor
 from telenano.runtime.wiring.participant import Participant, StopSignals
 from telenano.sections.controller_section import ControllerConfig
 from telenano.wire.errors import ConfigError, RecordingError, ReportError, RigError, TelenanoError
-from telenano.wire.nodes import DEVICES, FAR_RECORDER, KEEPERS, RECORDER, RELAY, STOP_ORDER, TIP, name_of
+from telenano.wire.nodes import (
+    DEVICES,
+    FAR_RECORDER,
+    KEEPERS,
+    LINK,
+    RECORDER,
+    RELAY,
+    STOP_ORDER,
+    TIP,
+    name_of,
+    site_of,
+)
 from telenano.wire.printable import quoted
 
 # Descriptors that a node has open at its start: the standard streams, the pair by which a signal wakes it, and the held
@@ -177,7 +188,10 @@ def run_rig(
         )
         stack.callback(plan.remake_folder)
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
-        supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
+        # This launcher hears the nodes of the other site, which run here as well, through the link.
+        carriers = {node: f"{LINK}@master" for node in plan.nodes if site_of(node) != site_of(plan.launcher)}
+        watchdog = Watchdog(clock, ProcFiles(), carriers)
+        supervisor = Supervisor(clock, plan.nodes, children, watchdog, tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
         rig.advisers = _advisers(plan, participant, name)

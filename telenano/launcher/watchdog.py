@@ -4,12 +4,15 @@ A node that hangs and one that does not get a processor are both silent. Their p
 that never returns to its messages uses all it can get, and a process that is stopped or waits for a processor uses
 none. Only a hanging process is killed; the others are reported, and continue when they can.
 
+On one machine the reports of the slave's nodes cross the link on their way to the launcher. While the process of the
+link is started again they cannot arrive, and no silence counts for these nodes.
+
 The limit that the nodes of the loop set themselves (`telenano/runtime/loop/hang_guard.py`) cannot replace the watchdog:
 recorder and page have none, and a stopped or starved node uses no processor time and so never reaches it.
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
@@ -97,10 +100,17 @@ class _Watched:
 
 
 class Watchdog:
-    """Detects own nodes that are silent for two seconds, and distinguishes those that hang from those that wait."""
+    """Detects own nodes that are silent for two seconds, and distinguishes those that hang from those that wait.
 
-    def __init__(self, clock: Clock, times: ProcessTimes) -> None:
+    Args:
+        clock: The clock of the rig.
+        times: The source of samples of the processes.
+        carriers: The node whose process passes on the reports of another one, by the other one.
+    """
+
+    def __init__(self, clock: Clock, times: ProcessTimes, carriers: Mapping[str, str] | None = None) -> None:
         self._clock, self._times = clock, times
+        self._carriers = carriers or {}
         self._watched: dict[str, _Watched] = {}
         self._checked_ns = clock.monotonic_ns()
 
@@ -146,7 +156,10 @@ class Watchdog:
             hangs.append(Finding("", "paused", elapsed_s, text))
         for node, watched in self._watched.items():
             if watched.last_ns is not None:
-                watched.silence_s += awake_s
+                if self._can_be_heard(node):
+                    watched.silence_s += awake_s
+                else:
+                    watched.silence_s = 0.0
                 if now - watched.looked_ns >= LOOK_S * 1e9:
                     self._look(watched, now)
                 is_recorder = name_of(node) == name_of(RECORDER)
@@ -154,8 +167,17 @@ class Watchdog:
                 if kind is not None and kind != watched.reported and (kind == "hung" or watched.reported is None):
                     watched.reported = kind
                     silence_s = (now - watched.last_ns) * 1e-9
-                    hangs.append(Finding(node, kind, silence_s, _sentence(node, kind, silence_s, watched)))
+                    carrier = self._carriers.get(node, "")
+                    hangs.append(Finding(node, kind, silence_s, _sentence(node, kind, silence_s, watched, carrier)))
         return hangs
+
+    def _can_be_heard(self, node: str) -> bool:
+        """Return whether the process that passes on the reports of a node, if any, runs and has reported itself."""
+        carrier = self._carriers.get(node)
+        if carrier is None:
+            return True
+        row = self._watched.get(carrier)
+        return row is not None and row.last_ns is not None
 
     def _look(self, watched: _Watched, now_ns: int) -> None:
         """Take a sample; add the time since the last one to the busy time, or reset it if the process was idle."""
@@ -185,12 +207,15 @@ def _judged(watched: _Watched, longest_busy_s: float) -> Kind | None:
     return "hung" if watched.busy_s >= longest_busy_s else None
 
 
-def _sentence(node: str, kind: Kind, silence_s: float, watched: _Watched) -> str:
+def _sentence(node: str, kind: Kind, silence_s: float, watched: _Watched, carrier: str) -> str:
     silent = f"{node} has not reported for {silence_s:.1f} s"
     if kind == "hung":
         return f"{silent} and has taken a processor for the last {watched.busy_s:.1f} s: it hangs and is killed"
     if kind == "stopped":
         return f"{silent}: it is stopped, by a signal or a debugger, and is left alone"
+    if kind == "starved" and carrier:
+        way = f"its reports pass {carrier}, where they may be held up or lost"
+        return f"{silent}: {way}; it does not hang, and is left alone"
     if kind == "starved":
         return f"{silent} and used little or no processor time: it is idle, not hung, and is left alone"
     return f"{silent}; whether it hangs cannot be decided here ({watched.why_not}), and it is left alone"

@@ -16,7 +16,7 @@ from telenano.link.models.jitter import RandomDelay
 from telenano.link.models.outages import Outages
 from telenano.link.models.queueing import ServedQueue, Waiting
 from telenano.link.pipeline import InFlight, Pipeline, PipelineState, SharedModels, TopicPipeline
-from telenano.settings.link_files import Files, read_files
+from telenano.settings.link_files import OWN_TRACES, Files, Traces, read_files
 from telenano.settings.link_settings import DirectionSettings, LinkSettings
 from telenano.wire.node_state import FindInput
 
@@ -67,8 +67,18 @@ class DirectionEngine:
     together with that one.
     """
 
-    def __init__(self, direction: Direction, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
+    def __init__(
+        self,
+        direction: Direction,
+        settings: LinkSettings,
+        start_ns: int,
+        *,
+        folder: Path = Path(),
+        traces: Traces = OWN_TRACES,
+    ) -> None:
         """Start with settings whose files are searched in `folder`; `start_ns` is the origin of their times [ns].
+
+        `traces` reads the files.
 
         The caller must call `take_fates` regularly, because fates are kept until then.
 
@@ -76,7 +86,7 @@ class DirectionEngine:
             ConfigError: A file cannot be used; the message names file and line.
         """
         self._direction: Direction = direction
-        self._folder = folder
+        self._folder, self._traces = folder, traces
         self._fates: list[Fate] = []
         self._heap: list[tuple[int, int, Release]] = []
         self._now_ns = start_ns
@@ -206,9 +216,10 @@ class DirectionEngine:
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
+            LaterError: A file is being read.
         """
         direction: DirectionSettings = getattr(settings, self._direction)
-        return read_files(direction, self._folder, self._direction)
+        return read_files(direction, self._folder, self._direction, self._traces)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         """Apply settings to the messages that arrive from now on; the second half of a change, which cannot fail.

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from telenano.link.direction import DirectionEngine, DirectionState
 from telenano.link.fate import Fate
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings
 from telenano.wire.node_state import FindInput
 
@@ -20,8 +21,16 @@ class LinkState(NamedTuple):
 class LinkEngine:
     """Both directions of the link under one set of settings."""
 
-    def __init__(self, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
+    def __init__(
+        self, settings: LinkSettings, start_ns: int, *, folder: Path = Path(), traces: Traces = OWN_TRACES
+    ) -> None:
         """Start with the settings at `start_ns` [ns], the origin of outage schedules, traces and slots.
+
+        Args:
+            settings: The settings.
+            start_ns: The origin of their times [ns].
+            folder: The folder of the files that they name.
+            traces: Reads these files.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
@@ -29,18 +38,21 @@ class LinkEngine:
         self.settings = settings
         # Settings changed since the start, as a dict; cached because dumping the model is slow.
         self._changed_settings: dict[str, Any] | None = None
-        self.forward = DirectionEngine("forward", settings, start_ns, folder=folder)
-        self.backward = DirectionEngine("backward", settings, start_ns, folder=folder)
+        self._traces = traces
+        self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, traces=traces)
+        self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, traces=traces)
 
     def reconfigure(self, settings: LinkSettings, now_ns: int) -> None:
         """Apply new settings to the messages that arrive from now on; those in flight keep their fate.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line, and the old settings stay.
+            LaterError: A file is being read; the old settings stay until another call.
         """
         files = [(engine, engine.files_of(settings)) for engine in (self.forward, self.backward)]
         for engine, read in files:
             engine.adopt(settings, read, now_ns)
+        self._traces.forget_unused()
         self.settings = settings
         self._changed_settings = settings.model_dump(exclude_unset=True)
 

@@ -5,7 +5,7 @@ belong to a block of settings and are shared by all topics under it (`carry_over
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -265,7 +265,7 @@ class Pipeline:
         return self._table.take(("shared", "count", pattern), definition, MessageCount)
 
     def _queue(
-        self, pattern: str, s: Impairment, delivery_ns: tuple[int, ...] | None, now_ns: int
+        self, pattern: str, s: Impairment, delivery_ns: Sequence[int] | None, now_ns: int
     ) -> ServedQueue[InFlight] | None:
         rate_bytes_per_s = s.rate.rate_bytes_per_s
         server: Server

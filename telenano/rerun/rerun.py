@@ -29,6 +29,7 @@ from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import NoNetwork
 from telenano.settings.config import flag_overrides, merge, parse_yaml
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.named_instruments import on_instrument
 from telenano.settings.scenario import LoadedScenario
 from telenano.timing.clock import TurnClock
@@ -298,6 +299,10 @@ class _RerunWiring(Wiring):
     ) -> list[Subscriber]:
         """Return no subscribers, because the re-run passes the messages to the node itself."""
         return []
+
+    def traces(self) -> Traces:
+        """Return what reads files at once, because a re-run waits for nothing."""
+        return OWN_TRACES
 
     def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:
         """Return no transport, because the re-run passes the messages to the node itself."""

@@ -5,7 +5,7 @@ that displays, settings and recordings of a link work with both.
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
@@ -18,10 +18,11 @@ from telenano.link.fate import Direction, Fate, Release
 from telenano.runtime.loop.deadlines import deadline_after
 from telenano.runtime.loop.deferred import Task
 from telenano.runtime.loop.node import Node, NodeContext
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings, Setting
 from telenano.timing.clock_offset import OffsetFilter
 from telenano.wire.errors import ConfigError, RefusedError
-from telenano.wire.messages import LinkDirection, LinkFate, Message, SessionControl
+from telenano.wire.messages import LinkDirection, LinkFate, Message, Scalar, SessionControl
 from telenano.wire.nodes import LINK
 from telenano.wire.received import Received
 
@@ -32,6 +33,8 @@ _CLOCK_WINDOW = 64
 FATES_AT_ONCE = 32
 # Most rows in a message, with a margin to its limit.
 _MOST_FATES = 1000
+# Most settings of single topics with which a running link is changed. The change takes 50 us for each, in one turn.
+_MOST_OF_TOPICS = 250
 
 
 class SiteEndpoint(Protocol):
@@ -87,6 +90,8 @@ class ImpairedLink(Node):
         to_slave: SiteEndpoint,
         to_master: SiteEndpoint,
         folder: Path,
+        *,
+        traces: Traces = OWN_TRACES,
     ) -> None:
         """Start with the settings.
 
@@ -96,12 +101,14 @@ class ImpairedLink(Node):
             to_slave: The endpoint at the slave's site.
             to_master: The endpoint at the master's site.
             folder: The folder of the files that the settings name.
+            traces: Reads these files.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
-        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
+        self._traces = traces
+        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, traces=traces)
         # The settings whose network name was determined last, and this name; restoring a link changes its settings.
         self._named = settings, settings.network_name
         self.forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
@@ -164,11 +171,17 @@ class ImpairedLink(Node):
                 self.defer(task)
 
     def on_control(self, control: SessionControl) -> str:
-        """Change the settings for messages that arrive from now on; messages in flight keep their fate."""
+        """Change the settings for messages that arrive from now on; messages in flight keep their fate.
+
+        Raises:
+            LaterError: A file is being read.
+            RefusedError: The settings cannot be used.
+        """
         if control.command != "set":
             return super().on_control(control)
         if not control.parameters:
             raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
+        self._check_topics(control.parameters)
         try:
             self.engine.reconfigure(self.engine.settings.changed(control.parameters), self.clock.now_ns())
         except ConfigError as error:
@@ -177,8 +190,18 @@ class ImpairedLink(Node):
         self.event("link", "info", f"link settings changed: {text}")
         return text
 
+    def _check_topics(self, parameters: Mapping[str, Scalar]) -> None:
+        """Refuse a change with more settings of single topics than one turn may take."""
+        settings = self.engine.settings
+        kept = 0 if "profile" in parameters else len(settings.forward.topics) + len(settings.backward.topics)
+        count = kept + sum(".topics." in key for key in parameters)
+        if count > _MOST_OF_TOPICS:
+            text = f"topics: with {count} settings of single topics the change would hold up the loop"
+            raise RefusedError(f"{text}: a running link takes {_MOST_OF_TOPICS}, and one that starts takes more")
+
     def make_safe(self) -> None:
-        """Do nothing: the silence of a stopped link makes the devices safe."""
+        """End the reading of files; the silence of a stopped link makes the devices safe."""
+        self._traces.close()
 
     def publish_fates(self, way: DirectionPath) -> None:
         """Publish the fates of the messages of a direction since the last report."""

@@ -4,14 +4,21 @@ The files are text with one record a line; `#` begins a comment, empty lines are
 line but quotes no content: a client that may set the link could otherwise read any file that the node can read.
 """
 
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from telenano.files.held_files import standing
 from telenano.wire.errors import ConfigError
 
 T = TypeVar("T")
+TraceKind = Literal["delay", "loss", "delivery", "table"]
+# The columns of a file: times [ns] and values of a trace, or one of the two.
+Columns = tuple["array[Any] | memoryview[Any]", ...]
 
 LARGEST_FILE_BYTES = 32_000_000
 # The longest delay in a trace [s].
@@ -25,15 +32,15 @@ _LONGEST_TRACE_S = 1e9
 class DelayCourse(NamedTuple):
     """A delay over time: strictly increasing times_ns from the origin, delays_ns >= 0, both not empty."""
 
-    times_ns: tuple[int, ...]
-    delays_ns: tuple[int, ...]
+    times_ns: Sequence[int]
+    delays_ns: Sequence[int]
 
 
 class LossCourse(NamedTuple):
     """Loss over time: whether messages are lost from each of times_ns to the next; increasing, from the origin."""
 
-    times_ns: tuple[int, ...]
-    lost: tuple[bool, ...]
+    times_ns: Sequence[int]
+    lost: Sequence[bool]
 
 
 def read_text(path: Path) -> str:
@@ -61,6 +68,48 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: is not UTF-8 text") from error
+
+
+def read_columns(
+    path: Path, kind: TraceKind, name: str, *, by_number: bool = False, unit_s: float = 1.0
+) -> tuple["array[Any]", ...]:
+    """Read and parse a file; return its columns as arrays, those of a table of jitter in ascending order.
+
+    Args:
+        path: The file.
+        kind: What it is.
+        name: Its name in errors.
+        by_number: Whether the first column of a delay or loss trace counts messages.
+        unit_s: The unit of the times of a delivery trace [s].
+
+    Raises:
+        ConfigError: The file cannot be used; the message names file and line.
+    """
+    text = read_text(path)
+    match kind:
+        case "delay":
+            course = parse_delay_trace(text, name, by_number=by_number)
+            return array("q", course.times_ns), array("q", course.delays_ns)
+        case "loss":
+            losses = parse_loss_trace(text, name, by_number=by_number)
+            return array("q", losses.times_ns), array("b", losses.lost)
+        case "delivery":
+            return (array("q", parse_delivery_trace(text, name, unit_s)),)
+        case "table":
+            return (array("d", sorted(parse_jitter_table(text, name))),)
+
+
+def columns_in_child(
+    path: str, kind: TraceKind, name: str, by_number: str, unit_s: str
+) -> tuple[dict[str, str], list[npt.NDArray[Any]]]:
+    """Return the type codes and the columns of `read_columns`, for `limited_child`, which passes texts.
+
+    Raises:
+        ConfigError: The file cannot be used; the message names file and line.
+    """
+    columns = read_columns(Path(path), kind, name, by_number=by_number == "True", unit_s=float(unit_s))
+    codes = "".join(column.typecode for column in columns)
+    return {"codes": codes}, [np.frombuffer(column, dtype=column.typecode) for column in columns]
 
 
 def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> DelayCourse:

@@ -10,6 +10,7 @@ from telenano.runtime.loop.node import NodeContext
 from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring
 from telenano.runtime.wiring.participant import SITES, NoNetwork
+from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.virtual.bus import RecordingBus, VirtualBus
 from telenano.virtual.world import World
 from telenano.wire.nodes import site_of
@@ -57,6 +58,9 @@ class VirtualWiring(Wiring):
 
     def recording_bus(self, make: Callable[..., Any], publisher: Any, listeners: Any, intake: Any) -> Any:
         return RecordingBus(publisher, listeners, intake)
+
+    def traces(self) -> Traces:
+        return OWN_TRACES
 
     def link_ends(self, outgoing: Any, reports: Any, readers: Sequence[Subscriber]) -> LinkEnds:
         return LinkEnds()

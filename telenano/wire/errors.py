@@ -105,6 +105,10 @@ class RefusedError(TelenanoError):
     """A session/control command was refused by a node; the text goes into the session/event."""
 
 
+class LaterError(TelenanoError):
+    """A node prepares a session/control command in another process; it executes and answers a later copy of it."""
+
+
 class PackageError(TelenanoError):
     """The code of an installed package failed; the text names the package and the place in it."""
 

@@ -1,11 +1,11 @@
 """Tests on real processes: every rig is taken down, whatever became of the test.
 
-`make test` has the tests of the one rig that they share, `shared_rig`; all others start rigs of their own, and are in
-`make check` or `make endurance`.
+`make test` has the tests of the one rig that they share, `shared_rig`, with a process a node; all others start rigs of
+their own, and are in `make check` or `make endurance`.
 """
 
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.stack)
-            if "shared_rig" not in getattr(item, "fixturenames", ()) and item.get_closest_marker("endurance") is None:
+            of_make_test = "shared_rig" in getattr(item, "fixturenames", ()) and not shares_processes(item)
+            if not of_make_test and item.get_closest_marker("endurance") is None:
                 item.add_marker(pytest.mark.check)
-    # the tests that end the shared rig judge what all others left
-    items.sort(key=lambda item: item.get_closest_marker("ends_shared_rig") is not None)
+    # one way after the other, for their rigs stay; the tests that end the shared rig judge what all others left
+    items.sort(key=lambda item: (shares_processes(item), item.get_closest_marker("ends_shared_rig") is not None))
+
+
+def shares_processes(item: pytest.Item) -> bool:
+    """Return whether a test has a rig whose nodes share processes."""
+    return hasattr(item, "callspec") and item.callspec.params.get("processes") == "site"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -86,19 +92,35 @@ def sites(tmp_path: Path) -> Iterator[TwoSites]:
 
 
 @pytest.fixture(scope="module")
-def pressing_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def pressing_rig(tmp_path_factory: pytest.TempPathFactory, processes: str) -> Iterator[Rig]:
     """Run a rig of the module's own, whose hand stays pressed onto the sample."""
-    with closing(Rig(tmp_path_factory.mktemp("pressing"))) as rig:
+    with closing(Rig(tmp_path_factory.mktemp("pressing"), processes)) as rig:
         rig.start("--duration", "600", "--set", CONSTANT_PUSH)
         rig.wait_until(rig.running, "a running session")
         yield rig
 
 
 @pytest.fixture(scope="session")
-def shared_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """Run the programme of Fig. 12 once, and then press: one rig for all tests that leave it as they found it."""
-    with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
-        rig.start("--duration", "900", "--set", FIGURE_AND_PUSH)
-        rig.wait_until(rig.running, "a running session")
-        rig.wait_until(lambda: rig.session_s() > FIGURE_S, "the end of the programme of Fig. 12")
-        yield rig
+def shared_rigs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Rig]]:
+    """Yield what gives the shared rig of a way; whoever asks for that of the other way ends this one."""
+    with ExitStack() as running:
+        started: dict[str, Rig] = {}
+
+        def of(processes: str) -> Rig:
+            if processes not in started:
+                running.close()
+                started.clear()
+                rig = running.enter_context(closing(Rig(tmp_path_factory.mktemp("shared"), processes)))
+                rig.start("--duration", "900", "--set", FIGURE_AND_PUSH)
+                rig.wait_until(rig.running, "a running session")
+                rig.wait_until(lambda: rig.session_s() > FIGURE_S, "the end of the programme of Fig. 12")
+                started[processes] = rig
+            return started[processes]
+
+        yield of
+
+
+@pytest.fixture(scope="module")
+def shared_rig(shared_rigs: Callable[[str], Rig], processes: str) -> Rig:
+    """Give the rig that has run Fig. 12 once, and then presses: one for all tests that leave it as they found it."""
+    return shared_rigs(processes)

@@ -87,6 +87,7 @@ FAULTS = {
         for node in ("delay_node@master", "controller@slave")
         for seconds in (30, 300)
     },
+    "two sites over a network, a process each": "both press, an emergency stop crosses, and the recording is whole",
     "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",
@@ -125,12 +126,36 @@ FAULTS = {
     "an AFM stopped for longer than the emergency stop is sent": "in emergency stop when it goes on, before it obeys",
     "kill -9 of an AFM in emergency stop": "it comes back in emergency stop",
     "an emergency stop while the AFM is being started again": "it comes back in emergency stop",
+    "an emergency stop while the AFM is being started again without a folder": "it comes back in emergency stop",
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",
     "an emergency stop from the page of the view": "both devices stop, for an observer as well",
     "the wall clock is set by an hour, forwards and back": "commands given afterwards are obeyed, a stop too",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
+}
+
+# What a fault is called that was injected into a rig with a process a site; the promise is the same.
+A_SITE = ", a process a site"
+FAULTS |= {
+    fault + A_SITE: promise
+    for fault, promise in FAULTS.items()
+    if fault.startswith(
+        (
+            "each process ",
+            "each process, ",
+            "the runtime folder ",
+            "a second rig ",
+            "a flood into ",
+            "an arm that waited in a stopped AFM",
+            "an arm at a stopped AFM",
+            "an AFM stopped ",
+            "kill -9 of an AFM ",
+            "an emergency stop while the AFM ",
+            "an emergency stop while a console ",
+            "an emergency stop from the page ",
+        )
+    )
 }
 
 

@@ -12,6 +12,7 @@ import pytest
 from commands import COMMANDS
 from figure_layout import arrows, faults
 from following import Following, Recorded
+from ledger import A_SITE
 
 from telenano.analysis import Session
 from telenano.analysis.fig12 import draw_fig12
@@ -30,6 +31,23 @@ FIGURE_AND_PUSH = "haptic_node.operator.points=[{time_s: 0.8, force_n: 0.0}, {ti
 {time_s: 2.6, force_n: 1.0}, {time_s: 2.9, force_n: 2.0}, {time_s: 4.5, force_n: 2.0}, {time_s: 4.6, force_n: 0.0}, \
 {time_s: 8.2, force_n: 0.0}, {time_s: 8.6, force_n: 1.0}]"
 ROOT = Path(__file__).resolve().parents[2]
+# A test about safety has a rig of either way. That of `site` is in `make check` where the change touches what joins
+# nodes, and in `make endurance` otherwise: the guards that it tries are those of `node`, in one order with their mates.
+# Tests that follow one another on one rig keep their order, so the parameter sorts none of them.
+BOTH_WAYS = pytest.mark.parametrize(
+    "processes",
+    ["node", pytest.param("site", marks=pytest.mark.drawn(0.0, "telenano/runtime/site/", "services/site/"))],
+    indirect=True,
+    scope="function",
+)
+
+
+def apart(reason: str) -> pytest.MarkDecorator:
+    """Have a test with a process a node alone, for a reason that its name has."""
+    rows = [pytest.param("node", id=f"node: {reason}")]
+    return pytest.mark.parametrize("processes", rows, indirect=True, scope="function")
+
+
 # the deepest pull of Fig. 12 [nN], the longest step of the tip there at 1 kHz [nm], and how
 # steeply the force leaves the deepest place on its flatter side, in contact [nN/nm]
 PULL_NN, PULL_STEP_NM, PULL_SLOPE = -12.5, 0.035, 10.0
@@ -117,6 +135,11 @@ class Rig(LiveRig):
         self.usual = ("--set", f"realtime.processes={processes}")
         self.processes = processes
         self._recorded = Recorded()
+
+    @property
+    def way(self) -> str:
+        """What the table of faults adds to a fault that was injected into a rig with a process a site."""
+        return A_SITE if self.processes == "site" else ""
 
     def mates_of(self, node: str) -> tuple[str, ...]:
         """Return the nodes that run in the process of a node, itself among them."""

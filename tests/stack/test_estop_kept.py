@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig, arm, mode
+from stack_rig import BOTH_WAYS, Rig, apart, arm, mode
 
 from telenano.console.send_commands import send_control
 from telenano.runtime.loop.commands import Command
@@ -62,6 +62,7 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
 
 
+@apart("the AFM answers the stop while the half beside it is stopped")
 @pytest.mark.endurance
 def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
@@ -90,6 +91,7 @@ def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: py
     record("an arm behind a stopped controller, then an emergency stop", f"void; the tip approached by {way}")
 
 
+@BOTH_WAYS
 def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig) -> None:
     begin_ns = time.time_ns()
     assert rig.telenano("estop").returncode == 0
@@ -106,11 +108,12 @@ def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig
     assert waiting.returncode == 1, out + err
     assert "emergency stop" in err
     way = stays_stopped(rig, begin_ns)
-    record("an arm at a stopped AFM, then an emergency stop", f"void; the tip approached by {way}")
+    record(f"an arm at a stopped AFM, then an emergency stop{rig.way}", f"void; the tip approached by {way}")
     # who arms now means this stop
     arm(rig)
 
 
+@BOTH_WAYS
 def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_back_latched(rig: Rig) -> None:
     with stopped(rig, TIP):
         sent = rig.telenano("estop")
@@ -126,10 +129,11 @@ def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_b
     (at_ns, *_) = (state.t_ns for state in states(rig, begin_ns) if state.mode == "estop")
     assert "follow" not in {state.mode for state in states(rig, begin_ns + 50_000_000)}
     took = f"in emergency stop {(at_ns - begin_ns) / 1e6:.0f} ms after it went on"
-    record("an AFM stopped for longer than the emergency stop is sent", took)
+    record(f"an AFM stopped for longer than the emergency stop is sent{rig.way}", took)
     arm(rig)
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressing_rig: Rig) -> None:
     rig = pressing_rig
@@ -140,10 +144,11 @@ def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressin
     rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
     rig.wait_until(lambda: rig.log_has(TIP, "an emergency stop that was kept for this device is in force"), "its word")
     stays_stopped(rig, begin_ns)
-    record("kill -9 of an AFM in emergency stop", "it came back in emergency stop")
+    record(f"kill -9 of an AFM in emergency stop{rig.way}", "it came back in emergency stop")
     arm(rig)
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(pressing_rig: Rig) -> None:
     rig = pressing_rig
@@ -152,4 +157,4 @@ def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(pre
     time.sleep(0.05)
     rig.telenano("estop")
     stays_stopped(rig, begin_ns)
-    record("an emergency stop while the AFM is being started again", "it came back in emergency stop")
+    record(f"an emergency stop while the AFM is being started again{rig.way}", "it came back in emergency stop")

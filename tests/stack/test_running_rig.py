@@ -19,9 +19,11 @@ import zmq
 from killed import check_killed, kill_recorders
 from ledger import record
 from stack_rig import (
+    BOTH_WAYS,
     FIGURE_S,
     HELD_UP_MS,
     Rig,
+    apart,
     assert_drawn_as_in_the_paper,
     first_of_the_session,
     judged,
@@ -289,6 +291,7 @@ def rejected(rig: Rig, node: str) -> set[str]:
     return set(health[-1].fields()["rejected"]) - {"superseded", "stale"} if health else set()
 
 
+@BOTH_WAYS
 def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
     begin_ns = time.time_ns()
     with zmq.Context() as context:
@@ -307,7 +310,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
     rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
     stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
     took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the command"
-    record("an emergency stop while a console is at work", f"both stopped, {took}")
+    record(f"an emergency stop while a console is at work{rig.way}", f"both stopped, {took}")
     rig.wait_until(
         lambda: (
             {message.src for message in rig.recording().messages("session/control", begin_ns)}
@@ -317,6 +320,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
     )
 
 
+@BOTH_WAYS
 def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert rig.newest("afm/state").mode == "estop", "left by the test before"
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
@@ -341,7 +345,7 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
     assert {state.mode for state in states} == {"estop"}
     base_m = [state.base_position_m[2] for state in states]
     approach_nm = 1e9 * (max(base_m) - base_m[0])
-    record("an arm that waited in a stopped AFM", f"{text}; the tip approached by {approach_nm:.1f} nm")
+    record(f"an arm that waited in a stopped AFM{rig.way}", f"{text}; the tip approached by {approach_nm:.1f} nm")
     # who is still there is obeyed
     for device in ("haptic_node", "afm_node"):
         armed = rig.telenano("session", "arm", "--target", device)
@@ -379,6 +383,7 @@ def answer_to(page: Any, identifier: str) -> dict[str, Any]:
             return dict(frame)
 
 
+@apart("the AFM answers the stop while the half beside it is stopped")
 @pytest.mark.parametrize(
     "leaves",
     [pytest.param(False, marks=pytest.mark.endurance, id="the page stays"), pytest.param(True, id="the page leaves")],
@@ -417,6 +422,7 @@ def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_
         assert armed.returncode == 0, armed.stdout + armed.stderr
 
 
+@BOTH_WAYS
 def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # the test before has armed both; the recording comes behind
     rig.wait_until(lambda: rig.newest("afm/state").mode != "estop", "an instrument that was armed before")
@@ -439,7 +445,7 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
         rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
         stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
         took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the request of the page"
-        record("an emergency stop from the page of the view", f"both stopped, {took}")
+        record(f"an emergency stop from the page of the view{rig.way}", f"both stopped, {took}")
         # the AFM first: the hand must not move a reference that nothing follows
         for device in ("afm_node", "haptic_node"):
             armed = ask(OPERATOR, k="command", command="arm", target=device, parameters={})
@@ -458,6 +464,7 @@ def test_killed_recorders_leave_files_that_lack_no_more_than_a_flush(rig: Any) -
     check_killed(rig, kill_recorders(rig, 2))
 
 
+@BOTH_WAYS
 @pytest.mark.ends_shared_rig
 def test_after_all_of_it_the_rig_ends_in_order_without_a_kept_stop_and_nobody_was_started_again(rig: Rig) -> None:
     rig.telenano("estop")

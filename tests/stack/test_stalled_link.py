@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import Rig, arm, mode
+from stack_rig import BOTH_WAYS, Rig, arm, mode
 
 STALL = ("forward.outage.schedule=0:600", "forward.outage.mode=hold", "forward.queue.limit_messages=100")
 
@@ -16,6 +16,7 @@ def forward(rig: Rig) -> dict[str, Any]:
     return shown
 
 
+@BOTH_WAYS
 # it kills a node of the rig, which no other test may find started again
 @pytest.mark.check
 @pytest.mark.drawn(0.0, "services/delay_node/", "telenano/link/")
@@ -54,7 +55,8 @@ def test_a_stalled_link_is_bounded_set_stopped_through_and_killed(pressing_rig: 
     arm(rig)
     assert forward(rig)["queue_depth"] < 100
     record(
-        "a flood into a link that stands still and holds, `link set` in the middle, an emergency stop, kill -9",
+        "a flood into a link that stands still and holds, `link set` in the middle, an emergency stop, kill -9"
+        f"{rig.way}",
         f"{depth} waited at a limit of 100, {dropped} dropped and counted; the tip stopped {stopped_ms:.0f} ms after "
         "the command; set and cleared at once; what it held went with the killed process, armed and going on",
     )

@@ -20,7 +20,7 @@ import pytest
 import yaml
 from browser_page import View
 from ledger import record
-from stack_rig import PATIENCE_S, Rig
+from stack_rig import BOTH_WAYS, PATIENCE_S, Rig
 
 from telenano.recording.reader import Recording
 from telenano.wire.topics import LOOP_DEADLINE_S
@@ -69,8 +69,8 @@ class Findings(NamedTuple):
 class Session:
     """A rig under a law, over a link, with a hand that swings; its processes are stopped one after the other."""
 
-    def __init__(self, folder: Path, law: str, link_ms: float) -> None:
-        self.rig, self.link_ms, self.stalls = Rig(folder), link_ms, list[Stall]()
+    def __init__(self, folder: Path, processes: str, law: str, link_ms: float) -> None:
+        self.rig, self.link_ms, self.stalls = Rig(folder, processes), link_ms, list[Stall]()
         scenario = {
             "name": "stalls",
             "description": "A hand swings, and processes are stopped",
@@ -184,9 +184,10 @@ def check(findings: Findings) -> None:
         assert stall.node not in NODES or stalled_s >= 0.9 * (stall.end_ns - stall.begin_ns) * 1e-9, stall
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
-def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path) -> None:
-    session = Session(tmp_path, "wave", 150.0)
+def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path, processes: str) -> None:
+    session = Session(tmp_path, processes, "wave", 150.0)
     try:
         for node, duration_s in ((TIP, 0.2), ("controller@slave", 0.2), (LINK, 1.0)):
             session.stall(node, duration_s)
@@ -195,10 +196,11 @@ def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path) -> None:
         session.rig.close()
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
-def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: Path) -> None:
+def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: Path, processes: str) -> None:
     """The recorder and the page's server as well; what they keep back is no matter of hand and tip."""
-    session = Session(tmp_path, "wave", 20.0)
+    session = Session(tmp_path, processes, "wave", 20.0)
     with contextlib.ExitStack() as open_parts:
         open_parts.callback(session.rig.close)
         view = open_parts.enter_context(contextlib.closing(View(session.rig.environment)))
@@ -213,16 +215,20 @@ def test_each_process_of_a_rig_with_a_page_stands_still_for_a_moment(tmp_path: P
         found = session.end()
     check(found)
     record(
-        "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms",
+        "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms"
+        f"{session.rig.way}",
         f"{ways_of(found)}; the tip bore {found.force_ratio:.2f} times the force of the swings at most",
     )
 
 
+@BOTH_WAYS
 @pytest.mark.endurance
 @pytest.mark.parametrize("link_ms", [0, 150])
 @pytest.mark.parametrize("law", ["virtual_impedance", "wave", "model_mediated"])
-def test_every_process_for_every_time_under_every_law_and_link(tmp_path: Path, law: str, link_ms: int) -> None:
-    session = Session(tmp_path, law, float(link_ms))
+def test_every_process_for_every_time_under_every_law_and_link(
+    tmp_path: Path, processes: str, law: str, link_ms: int
+) -> None:
+    session = Session(tmp_path, processes, law, float(link_ms))
     try:
         for node in NODES:
             for duration_s in (0.2, 1.0, 3.0):
@@ -233,6 +239,6 @@ def test_every_process_for_every_time_under_every_law_and_link(tmp_path: Path, l
         session.rig.close()
     check(found)
     record(
-        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms",
+        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms{session.rig.way}",
         f"{ways_of(found)}; each of 15 reported",
     )

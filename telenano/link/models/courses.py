@@ -29,7 +29,7 @@ def lost_at(course: LossCourse, elapsed_ns: int, *, repeat: bool) -> bool:
     if repeat and times[-1] > 0:
         elapsed_ns %= times[-1]
     above = bisect_right(times, elapsed_ns)
-    return above > 0 and lost[above - 1]
+    return above > 0 and bool(lost[above - 1])
 
 
 def _between(times: Sequence[int], delays: Sequence[int], above: int, elapsed_ns: int) -> int:

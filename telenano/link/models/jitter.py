@@ -59,9 +59,8 @@ def hyperexponential_quantile(second_share: float, second_mean: float) -> Callab
     return quantile
 
 
-def table_quantile(samples: Sequence[float]) -> Callable[[float], float]:
-    """Quantile of measured samples: linear between the sorted values, first at u = 0, last at u = 1."""
-    ordered = sorted(samples)
+def table_quantile(ordered: Sequence[float]) -> Callable[[float], float]:
+    """Quantile of measured samples in ascending order: linear between them, first at u = 0, last at u = 1."""
     last = len(ordered) - 1
 
     def quantile(u: float) -> float:
@@ -98,7 +97,14 @@ class JitterState(NamedTuple):
 
 
 class JitterSource:
-    """Source of random delays [ns, may be negative], one for each message."""
+    """Source of random delays [ns, may be negative], one for each message.
+
+    Args:
+        settings: The settings of the jitter.
+        samples: The table of the distribution `table` in ascending order, else empty.
+        draw: The stream of random numbers.
+        now_ns: Time at which it begins [ns].
+    """
 
     __slots__ = ("_quantile", "_scale_ns", "_step", "_step_ns", "_u", "_uniform")
 

@@ -81,7 +81,7 @@ class DeliveryServer:
     __slots__ = ("_bytes", "_times_ns", "state")
     is_instant = False
 
-    def __init__(self, times_ns: tuple[int, ...], bytes_per_opportunity: int | None, origin_ns: int) -> None:
+    def __init__(self, times_ns: Sequence[int], bytes_per_opportunity: int | None, origin_ns: int) -> None:
         self._times_ns = times_ns
         self._bytes = bytes_per_opportunity
         self.state = DeliveryState(origin_ns, 0, bytes_per_opportunity or 1)

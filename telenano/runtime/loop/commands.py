@@ -25,7 +25,7 @@ from telenano.runtime.loop.machine import OWN_MACHINE
 from telenano.timing.clock import Clock
 from telenano.wire import encode
 from telenano.wire.ends import read_end
-from telenano.wire.errors import TelenanoError
+from telenano.wire.errors import LaterError, TelenanoError
 from telenano.wire.messages import Message, Scalar, SessionControl, SessionEvent
 from telenano.wire.nodes import LAUNCHER, is_estop, is_meant, is_pattern, name_of, site_of
 
@@ -462,7 +462,8 @@ class CommandHandler:
             now_ns: The time on the clock that stamps the node's messages [ns].
 
         Returns:
-            Whether the node executed the command now; False if it repeated an answer, refused or ignored the command.
+            Whether the node executed the command now; False if it repeated an answer, refused, prepares or ignored the
+            command.
         """
         if not is_meant(self._node, control.target):
             return False
@@ -478,7 +479,11 @@ class CommandHandler:
                 facts = {"command": control.command, **facts, "sent_t_ns": control.t_ns, **_giver(control)}
                 self._event("refused", "warning", text, answer_to=control.id, **facts)
                 return False
-            answer = self._answers[control.id] = self._answer(control)
+            try:
+                answer = self._answers[control.id] = self._answer(control)
+            except LaterError:
+                # Its sender sends it again until it is answered.
+                return False
             if len(self._answers) > _REMEMBERED_ANSWERS:
                 self._answers.popitem(last=False)
             if answer.kind == "ack" and control.command == "estop":
@@ -534,6 +539,8 @@ class CommandHandler:
         begins = begins_motion(control.command, control.parameters)
         try:
             return _Answer("ack", "info", self._execute(control), begins)
+        except LaterError:
+            raise
         except TelenanoError as error:
             return _Answer("refused", "warning", str(error), begins)
 

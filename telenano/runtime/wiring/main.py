@@ -27,7 +27,9 @@ from telenano.runtime.loop.realtime import (
 )
 from telenano.runtime.security.private_files import check_rig_name
 from telenano.runtime.wiring.participant import Participant, StopSignals
+from telenano.runtime.wiring.trace_reader import TraceReader
 from telenano.settings.included import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from telenano.settings.link_files import Traces
 from telenano.settings.plugins import fault_of_package
 from telenano.settings.scenario import LoadedScenario, RealtimeConfig
 from telenano.signals.children import die_with_parent
@@ -46,6 +48,10 @@ class Wiring(Participant):
 
     site_file: Path
     scenario_file: Path
+
+    def traces(self) -> Traces:
+        """Return what reads the files of the link: in a child process once it has begun."""
+        return TraceReader()
 
 
 W = TypeVar("W", bound=Wiring)

@@ -248,6 +248,20 @@ def test_a_device_that_does_not_answer_is_named(
     assert (kept.src, kept.command, kept.target) == ("estop@slave", "estop", "*")
 
 
+def test_a_stop_is_kept_for_a_device_whose_folder_was_removed_while_it_is_started_again(
+    run: Callable[..., Device], site_file: Path
+) -> None:
+    nodes = json.loads(site_file.read_text())["nodes"]
+    gone = site_file.parent / "gone"
+    site_file.write_text(json.dumps({"nodes": nodes | {TIP: f"ipc://{gone}/{TIP}"}}))
+    run(HAND)
+    run_estop(EstopRequest(site_file=site_file))
+    kept = decode("session/control", (gone / f"{TIP}.estop.kept").read_bytes())
+    assert isinstance(kept, SessionControl)
+    assert (kept.src, kept.command) == ("estop@slave", "estop")
+    assert gone.stat().st_mode & 0o777 == 0o700
+
+
 def test_a_stop_for_the_other_site_is_kept_at_the_link(
     run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -159,6 +159,21 @@ def test_bad_settings_are_refused_and_the_last_good_ones_stay(link_of: Any, para
     assert link.node.engine.settings == before
 
 
+def test_more_settings_of_single_topics_than_a_turn_may_take_are_refused_with_their_number(link_of: Any) -> None:
+    link = link_of()
+
+    def topics(count: int, way: str = "forward") -> dict[str, float]:
+        return {f"{way}.topics.own/{n}.delay_s": 0.001 for n in range(count)}
+
+    assert link.node.on_control(control(link, **topics(250))).startswith("set forward.topics.own/0")
+    for more in (topics(1, "backward"), {**topics(251), "profile": "clean"}):
+        with pytest.raises(RefusedError, match=r"^topics: with 251 settings .* a running link takes 250, and one that"):
+            link.node.on_control(control(link, **more))
+    assert len(link.node.engine.settings.forward.topics) == 250
+    link.node.on_control(control(link, **topics(3), profile="clean"))
+    assert len(link.node.engine.settings.forward.topics) == 3
+
+
 @pytest.mark.parametrize(("there_ms", "back_ms"), [(0.2, 0.2), (8.0, 2.0)])
 def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     bench_of: Any, there_ms: float, back_ms: float

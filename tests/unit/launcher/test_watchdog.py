@@ -15,7 +15,7 @@ from telenano.launcher.supervisor import Supervisor
 from telenano.launcher.watchdog import LOOK_S, RECORDER_BUSY_S, SILENCE_S, ProcessSample, ProcFiles, Watchdog
 from telenano.testing import VirtualClock
 
-NODE, OTHER = "afm_node@slave", "controller@slave"
+NODE, OTHER, LINK = "afm_node@slave", "controller@slave", "delay_node@master"
 NODES = (NODE, OTHER)
 
 
@@ -245,3 +245,52 @@ def test_a_recorder_may_end_a_long_file_in_one_go() -> None:
         found += watchdog.check()
     assert [finding.kind for finding in found] == ["hung"]
     assert found[0].silence_s >= RECORDER_BUSY_S
+
+
+class Carried:
+    """A node whose reports pass another one, as those of the slave's nodes pass the link of a rig on one machine."""
+
+    def __init__(self) -> None:
+        self.clock, self.times = VirtualClock(start_ns=SECOND_NS), FakeTimes()
+        self.watchdog = Watchdog(self.clock, self.times, {OTHER: LINK})
+        self.pids = {LINK: 1, OTHER: 2}
+        for node in self.pids:
+            self.watchdog.record_start(node, self.pids[node])
+
+    def run(self, duration_s: float, *heard: str) -> list[str]:
+        """Go on: these nodes are heard twice a second; give what was found."""
+        found = []
+        for tick in range(round(duration_s / 0.05)):
+            for node in heard if tick % 10 == 0 else ():
+                found += self.watchdog.record_report(node, self.pids[node], is_stopping=False)
+            self.clock.advance_ns(TICK_NS)
+            self.times.pass_time(0.05)
+            found += self.watchdog.check()
+        return [finding.text for finding in found]
+
+
+def test_a_node_that_is_heard_through_another_is_not_judged_while_that_is_started_again() -> None:
+    rig = Carried()
+    assert rig.run(2.0, LINK, OTHER) == []
+    # The link ends, and its new process takes its time, in which this node may even be busy.
+    rig.watchdog.forget([LINK])
+    assert rig.run(1.0) == []
+    rig.pids[LINK] = 3
+    rig.watchdog.record_start(LINK, 3)
+    rig.times.share[2] = 1.0
+    assert rig.run(4.0) == []
+    rig.times.share[2] = 0.3
+    assert rig.run(1.5, LINK) == []
+    assert rig.run(2.0, LINK, OTHER) == []
+
+
+def test_a_node_that_is_not_heard_though_the_link_is_may_be_unheard_or_hang() -> None:
+    rig = Carried()
+    assert rig.run(2.0, LINK, OTHER) == []
+    (text,) = rig.run(3.0, LINK)
+    assert text.endswith(
+        f"its reports pass {LINK}, where they may be held up or lost; it does not hang, and is left alone"
+    )
+    rig.times.share[2] = 1.0
+    (text,) = rig.run(3.0, LINK)
+    assert text.endswith("it hangs and is killed")

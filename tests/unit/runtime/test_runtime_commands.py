@@ -9,7 +9,7 @@ import pytest
 from telenano.runtime.loop.commands import Command, CommandClient, CommandHandler
 from telenano.testing import VirtualClock
 from telenano.wire import decode
-from telenano.wire.errors import RefusedError
+from telenano.wire.errors import LaterError, RefusedError
 from telenano.wire.messages import Scalar, SessionControl, SessionEvent
 
 MS = 1_000_000
@@ -533,6 +533,20 @@ def test_a_command_sent_again_is_carried_out_once_and_answered_again() -> None:
     assert node.carried_out == ["once", "twice"]
     assert node.answers == [("once", "ack", "set is done")] * 3 + [("twice", "ack", "set is done")]
     assert {data["command"] for data in node.data} == {"set"}
+
+
+def test_a_command_that_is_being_prepared_is_answered_and_carried_out_by_a_later_copy() -> None:
+    node = Receiver()
+    prepared = node.carry_out
+
+    def prepare(control: SessionControl) -> str:
+        node.handler._execute = prepared
+        raise LaterError("a file is being read")
+
+    node.handler._execute = prepare
+    assert [node.take(gain=1.0) for _ in range(3)] == [False, True, False]
+    assert node.carried_out == ["a"]
+    assert node.answers == [("a", "ack", "set is done")] * 2
 
 
 def test_a_refusal_says_why_and_is_remembered_too() -> None:
