@@ -123,18 +123,23 @@ def delay(page: Page, one_way_ms: int) -> None:
 
 
 def swing(page: Page) -> None:
-    """Hold the hand on the sample, and raise the delay in steps until the loop swings."""
+    """Hold the hand on the sample, raise the delay in steps, and push until the loop swings."""
     page.lower_until(0.7)
     for one_way_ms in STEPS_MS:
         delay(page, one_way_ms)
         # commands come again before the delay grows further
-        page.page.wait_for_timeout(1000.0 + 2.0 * one_way_ms)
+        page.page.wait_for_timeout(2.0 * one_way_ms)
     end = time.monotonic() + PATIENCE_S
     while "OSCILLATES" not in page.banners():
-        assert time.monotonic() < end, f"no oscillation was seen: {page.banners()}"
+        mode = page.fact("afm/state/slave", "mode")
+        assert time.monotonic() < end, f"no oscillation was seen, the tip is in mode {mode}: {page.banners()}"
         # a machine that is held up may lose the hand for a moment, or leave the tip without commands for too long
-        if page.fact("afm/state/slave", "mode") in ("retracting", "retracted"):
+        if mode in ("retracting", "retracted"):
             page.follow()
-        if not page.value("telenano.cockpit.hand.isHeld"):
-            page.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(5e-3), 0")
-        page.page.wait_for_timeout(500.0)
+        # a loop at rest needs a push, and what comes of it takes some turns to grow
+        page.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(5e-3), 0")
+        for _ in range(8):
+            if "OSCILLATES" in page.banners():
+                return
+            page.page.wait_for_timeout(500.0)
+        page.value("telenano.cockpit.hand.lower(-4e-3), 0")
