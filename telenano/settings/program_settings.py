@@ -14,6 +14,8 @@ Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
 
 # A pixel lasts at least so many steps of the instrument.
 PIXEL_STEPS = 2
+# The time on a pixel where none is given and it has enough steps [s].
+_DWELL_S = 4e-3
 
 
 class ProgramSettings(Settings):
@@ -35,12 +37,10 @@ class ScanSettings(ProgramSettings):
     y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
     pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line.")
     lines: int = Field(64, ge=1, le=4096, description="Lines of the image.")
-    dwell_s: float = Field(
-        4e-3,
-        gt=0.0,
-        le=10.0,
-        description="Time on each pixel, each way [s].",
-        json_schema_extra={"least_steps": PIXEL_STEPS},
+    dwell_s: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        None,
+        description=f"Time on each pixel, each way [s]; default: {1e3 * _DWELL_S:g} ms, or {PIXEL_STEPS} steps of a"
+        " slow instrument.",
     )
     setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
     amplitude_m: float = Field(20e-9, ge=1e-12, le=1e-3, description="Amplitude without a sample, in tapping mode [m].")
@@ -49,6 +49,16 @@ class ScanSettings(ProgramSettings):
     proportional: float = Field(0.0, ge=0.0, le=100.0, description="Proportional gain of the feedback, no unit.")
     approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
     settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")
+
+    def pixel_s(self, period_s: float = 0.0) -> float:
+        """Return the time on each pixel, each way [s]: as given, or what fits an instrument with this period [s].
+
+        An instrument that takes the image by its own scan counts no steps of the program, and has no period here.
+
+        >>> ScanSettings().pixel_s(1e-3), ScanSettings().pixel_s(4e-3), ScanSettings(dwell_s=3e-3).pixel_s(4e-3)
+        (0.004, 0.008, 0.003)
+        """
+        return max(_DWELL_S, PIXEL_STEPS * period_s) if self.dwell_s is None else self.dwell_s
 
     @property
     def free_amplitude_m(self) -> float:

@@ -73,6 +73,18 @@ def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_a
     imaging.stop()
 
 
+def test_an_image_of_a_rig_at_a_lower_rate_needs_no_dwell(rig: Rig, tmp_path: Path) -> None:
+    rig.start(scenario="image", rate=machine.LOWER_RATE)
+    rig.wait_until(rig.running, "the session")
+    done = rig.telenano(*SCAN, "--gain", "300", "--out", str(tmp_path / "no"), "--dwell", "4", patience_s=90.0)
+    assert done.returncode == 1
+    assert "a dwell of 0.008 s or more" in done.stderr
+    done = rig.telenano(*SCAN, "--gain", "300", "--out", str(tmp_path / "scan"), patience_s=90.0)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["state"] == "finished"
+    rig.stop()
+
+
 def test_the_dynamic_cantilever_taps_a_sample_on_the_bus_and_runs_again_from_the_recording(
     rig: Rig, tmp_path: Path
 ) -> None:

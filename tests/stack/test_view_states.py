@@ -17,6 +17,8 @@ from stack_rig import Rig
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 
 STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
+# One way: the tip has no command for as long as a delay grows, and 0.3 s without one withdraw it.
+STEPS_MS = (100, 200, 300)
 
 
 @contextmanager
@@ -121,13 +123,23 @@ def delay(page: Page, one_way_ms: int) -> None:
 
 
 def swing(page: Page) -> None:
-    """Hold the hand on the sample, and raise the delay until the loop swings."""
+    """Hold the hand on the sample, raise the delay in steps, and push until the loop swings."""
     page.lower_until(0.7)
-    delay(page, 300)
+    for one_way_ms in STEPS_MS:
+        delay(page, one_way_ms)
+        # commands come again before the delay grows further
+        page.page.wait_for_timeout(2.0 * one_way_ms)
     end = time.monotonic() + PATIENCE_S
     while "OSCILLATES" not in page.banners():
-        assert time.monotonic() < end, f"no oscillation was seen: {page.banners()}"
-        # a machine that is held up may lose the hand for a moment
-        if not page.value("telenano.cockpit.hand.isHeld"):
-            page.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(5e-3), 0")
-        page.page.wait_for_timeout(500.0)
+        mode = page.fact("afm/state/slave", "mode")
+        assert time.monotonic() < end, f"no oscillation was seen, the tip is in mode {mode}: {page.banners()}"
+        # a machine that is held up may lose the hand for a moment, or leave the tip without commands for too long
+        if mode in ("retracting", "retracted"):
+            page.follow()
+        # a loop at rest needs a push, and what comes of it takes some turns to grow
+        page.value("telenano.cockpit.hand.holdHere(), telenano.cockpit.hand.lower(5e-3), 0")
+        for _ in range(8):
+            if "OSCILLATES" in page.banners():
+                return
+            page.page.wait_for_timeout(500.0)
+        page.value("telenano.cockpit.hand.lower(-4e-3), 0")

@@ -50,7 +50,7 @@ class OwnScanProgram(Program[ScanSettings, OwnScanPlan, OwnScanState]):
             depth_m if s.depth_m is None else s.depth_m,
             s.pixels,
             s.lines,
-            s.pixels * s.dwell_s,
+            s.pixels * s.pixel_s(),
             s.setpoint_n,
         )
         if fault := _fault(s, image, instrument):

@@ -64,7 +64,7 @@ class ScanPlan(NamedTuple):
     @property
     def line_s(self) -> float:
         """Return the time of a line in one direction [s]."""
-        return self.settings.pixels * self.settings.dwell_s
+        return self.settings.pixels * self.settings.pixel_s(self.period_s)
 
 
 class ScanState(NamedTuple):

@@ -202,6 +202,20 @@ def test_an_emergency_stop_and_the_force_limit_end_an_image_with_the_tip_away(be
     assert other.mode == "retracted"
 
 
+@pytest.mark.parametrize(("period_s", "lines_s"), [(1e-3, 8), (4e-3, 16), (5e-3, 20)])
+def test_the_time_on_a_pixel_follows_from_the_rate_where_none_is_given(
+    bench_of: Any, period_s: float, lines_s: int
+) -> None:
+    bench = bench_of("afm_node@slave")
+    bench.context.period_s = period_s
+    slow = Imager(bench)
+    given = {"program": "scan", "scan.pixels": 40, "scan.lines": 25, "scan.gain_per_s": 300.0}
+    if period_s > 2e-3:
+        with pytest.raises(RefusedError, match=f"a dwell of {2.0 * period_s:g} s or more"):
+            slow.set(**given, **{"scan.dwell_s": 4e-3})
+    assert f"an image of 40 x 25 pixels begins, {lines_s} s for its lines" in slow.set(**given)
+
+
 @pytest.mark.parametrize(
     ("changes", "what"),
     [

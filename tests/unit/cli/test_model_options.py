@@ -51,7 +51,9 @@ def test_what_is_given_arrives_in_si_units_and_what_is_not_is_left_to_the_model(
 def test_the_help_has_unit_bounds_and_default() -> None:
     app, _ = app_of(ScanSettings, ("x_m",))
     text = " ".join(RUNNER.invoke(app, ["--help"], env={"COLUMNS": "300", "TERM": "dumb"}).output.split())
-    assert "Time on each pixel, each way [ms]; above 0 to 10000; default: 4." in text
+    assert (
+        "Time on each pixel, each way [ms]; default: 4 ms, or 2 steps of a slow instrument; above 0 to 10000." in text
+    )
     assert "default: 400." in text
     assert "Force that is held in contact mode [nN]; above -1e+06 to 1e+06; default: 5." in text
     assert "--x " not in text

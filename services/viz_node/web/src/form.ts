@@ -1,15 +1,13 @@
 import { make } from "./dom";
 import { compact, faultLine, faultOf, judge } from "./field";
-import { fitted, type Setting } from "./schema";
+import type { Setting } from "./schema";
 
 export type Values = Record<string, number | boolean | string>;
 
-/** Fields for settings, with units and limits; only those that a person has filled in, or that fit the rig better than a default, are sent. */
+/** Fields for settings, with units and limits; only those that a person has filled in are sent. */
 export class Form {
   readonly element = make("div");
   private readonly inputs = new Map<string, HTMLInputElement | HTMLSelectElement>();
-  /** What is sent where nothing was typed, in the place of the default. */
-  private readonly offered = new Map<string, number>();
   private readonly faults = new Map<string, HTMLElement>();
 
   constructor(
@@ -50,21 +48,9 @@ export class Form {
     }
   }
 
-  /** Offer in the place of a default that is too short for an instrument of so many steps a second one that is not. */
-  fit(rate_hz: number): void {
-    if (!(rate_hz > 0)) return;
-    for (const setting of this.settings) {
-      const offered = fitted(setting, rate_hz);
-      if (offered === undefined) continue;
-      if (offered === setting.initial) this.offered.delete(setting.key);
-      else this.offered.set(setting.key, offered);
-      (this.inputs.get(setting.key) as HTMLInputElement).placeholder = shown(setting, offered);
-    }
-  }
-
-  /** The values that were typed, and those that are offered in the place of a default, in SI units; undefined where one cannot be, which its field then says. */
+  /** The values that were typed, in SI units; undefined where one cannot be, which its field then says. */
   values(): Values | undefined {
-    const found: Values = Object.fromEntries(this.offered);
+    const found: Values = {};
     let isRight = true;
     for (const setting of this.settings) {
       const input = this.inputs.get(setting.key)!;
@@ -100,7 +86,8 @@ function inUnits(value: number, scale: number): number {
 }
 
 function shown(setting: Setting, value: unknown): string {
-  if (value === null || value === undefined) return "none";
+  // a default that the rig finds by itself is described where the field is pointed at
+  if (value === null || value === undefined) return setting.about.includes("default: ") ? "auto" : "none";
   return typeof value === "number" ? compact(value * setting.scale) : String(value);
 }
 

@@ -29,6 +29,8 @@ const DEAD = 0.12;
 /** Above and below the bars of the forces, and how wide each is with the room beside it [px]. */
 const GAUGE_PX = 18;
 const GAUGE_BAR_PX = 10;
+/** Radius of the ring at the place that the person means [px]. */
+const MEANT_PX = 8;
 /** Over this time it is looked whether a free hand moves [s], so often [ms]. */
 const CREEP_S = 4;
 const CREEP_LOOK_MS = 500;
@@ -273,7 +275,8 @@ export class Hand {
       pen.lineTo(x, toY(this.meant));
       pen.stroke();
       pen.setLineDash([]);
-      disc(pen, x, toY(this.meant), 8, colour("hand"), false);
+      // whole also where it is at an end of the pad
+      disc(pen, x, Math.min(Math.max(toY(this.meant), MEANT_PX + 1), height - MEANT_PX - 1), MEANT_PX, colour("hand"), false);
     }
     disc(pen, x, arm, 12, colour("hand"), true);
     const back = this.store.last("command", "tip_force");

@@ -10,8 +10,6 @@ import { Surface } from "./surface";
 import { INSTRUMENT } from "./tip";
 
 const METRE = 1e-9;
-/** The rate of an instrument is the middle one of so many reports of it. */
-const REPORTS = 9;
 
 /** The image that is on the page: the programs of the instrument that make one, its surface, and its files. */
 export class Image {
@@ -33,9 +31,6 @@ export class Image {
   /** Called when what is drawn over the image has changed. */
   redraw: () => void = () => {};
 
-  private rates: number[] = [];
-  private beat = NaN;
-
   constructor(
     private readonly commands: Commands,
     private readonly store: Store,
@@ -45,16 +40,6 @@ export class Image {
   build(): void {
     const schema = (this.store.forms[INSTRUMENT] ?? {}) as Record<string, unknown>;
     this.forms = new Map(programsOf(schema).map(({ name, title }) => [name, { title, form: new Form(settings(schema, name, "instrument"), "program") }]));
-  }
-
-  /** Offer settings that fit the rate of the instrument, which a single report of it tells only nearly. */
-  fit(): void {
-    const node = this.store.nodes.get(`${INSTRUMENT}@slave`);
-    if (!node || node.beat === this.beat) return;
-    this.beat = node.beat;
-    this.rates = [...this.rates.slice(1 - REPORTS), node.rate_hz];
-    const rate_hz = this.rates.toSorted((a, b) => a - b)[this.rates.length >> 1]!;
-    for (const { form } of this.forms.values()) form.fit(rate_hz);
   }
 
   /** Begin a program with what was typed for it; refused in words where something there cannot be. */

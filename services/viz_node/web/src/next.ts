@@ -122,8 +122,9 @@ function touching(now: Situation): Next {
   return { step: "let go", says: `You press ${forceText(now.pressed_n)} N and feel ${forceText(now.felt_n)} N. Press harder or softer as you like; let go when you are done.`, offer: offer("let go", "Let go", "u"), other: offer("lower", "Press 0.5 mm more", "n") };
 }
 
-/** How each step stands: what comes before the one that is next is done. */
-export function stepStates(step: Next["step"]): Record<StepName, StepState> {
+/** How each step stands: what comes before the one that is next is done, but for control that the next act takes by itself. */
+export function stepStates(step: Next["step"], holdsControl: boolean): Record<StepName, StepState> {
   const at = STEPS.indexOf(step as StepName);
-  return Object.fromEntries(STEPS.map((name, i) => [name, at < 0 ? "later" : i < at ? "done" : i === at ? "next" : "later"])) as Record<StepName, StepState>;
+  const stateOf = (name: StepName, i: number): StepState => (i === at ? "next" : i < at && (name !== "control" || holdsControl) ? "done" : "later");
+  return Object.fromEntries(STEPS.map((name, i) => [name, stateOf(name, i)])) as Record<StepName, StepState>;
 }

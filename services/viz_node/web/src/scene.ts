@@ -388,7 +388,7 @@ export class View {
     const text = [
       this.surface.isEmpty ? "No image yet: the plane of contact, grid 10 nm" : `Heights as measured, ${heights}`,
       `cantilever bent ${DEFLECTION_FACTOR} ×${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} ×` : ""}, longest arrow ${quantity(this.greatestForce, "N")}`,
-      isAway ? `the tip is out of the picture, ${quantity(Math.abs(separation), "m")} ${separation < 0 ? "into the sample" : "away"}` : "",
+      isAway ? `the tip is out of the picture, ${+Math.abs(1e9 * separation).toPrecision(3)} nm ${separation < 0 ? "into the sample" : "away"}` : "",
       this.picked,
     ].filter(Boolean).join(" · ");
     if (this.note.textContent !== text) this.note.textContent = this.note.title = text;

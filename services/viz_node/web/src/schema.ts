@@ -13,8 +13,6 @@ export interface Setting {
   /** Limits in `unit`. */
   min?: number;
   max?: number;
-  /** Of a time: so many steps of the instrument it has to last, which with a slow one is more than its default. */
-  leastSteps?: number;
   /** The texts that it may be; any where there are none. */
   choices?: string[];
 }
@@ -71,15 +69,6 @@ function resolved(root: Schema, schema: Schema): Schema {
   return ((root["$defs"] ?? {}) as Record<string, Schema>)[reference.slice(reference.lastIndexOf("/") + 1)] ?? {};
 }
 
-/**
- * The default of a time, or what it has to last with an instrument of so many steps a second where that is more [s]:
- * whole milliseconds, because a report tells the rate only nearly. Undefined for a setting that counts no steps.
- */
-export function fitted(setting: Setting, rate_hz: number): number | undefined {
-  if (setting.leastSteps === undefined || typeof setting.initial !== "number") return undefined;
-  return Math.max(setting.initial, Math.ceil((1e3 * setting.leastSteps) / rate_hz) / 1e3);
-}
-
 /** The end of a key that is its unit, and the unit; undefined for none. */
 export function unitOf(name: string): (typeof UNITS)[number] | undefined {
   // A quotient that is not in the list has no unit here, rather than that of its divisor.
@@ -109,7 +98,6 @@ function settingOf(key: string, name: string, schema: Schema, units: typeof SHOW
     about: String(plain["description"] ?? ""),
     initial: (plain["default"] ?? null) as Setting["initial"],
     ...(Array.isArray(plain["enum"]) && { choices: plain["enum"].map(String) }),
-    ...(typeof plain["least_steps"] === "number" && { leastSteps: plain["least_steps"] }),
     ...(typeof min === "number" && { min: +(min * scale).toPrecision(12) }),
     ...(typeof max === "number" && { max: +(max * scale).toPrecision(12) }),
   };

@@ -33,9 +33,12 @@ function inPrefix(value: number, unit: string): [number, string] {
   return found ? [+(value / found[0]).toPrecision(3), `${found[1]}${unit}`] : [value, unit];
 }
 
+/** Who answers for control, before what it says: `window A holds control` says it whole. */
+const OF_CONTROL = /(?<![\w./])lease: /g;
+
 /** A sentence of a node in the words of the page: no name of the wire, no number of the arithmetic. */
 export function plain(text: string): string {
-  const named = guardText(text).replace(NODE, (_, name: string) => NAMES[name] ?? name.replaceAll("_", " "));
+  const named = guardText(text).replace(OF_CONTROL, "").replace(NODE, (_, name: string) => NAMES[name] ?? name.replaceAll("_", " "));
   const said = named.replace(KEY, (_, key: string, value = "") => {
     const unit = value && unitOf(key)?.[1];
     return `${key.split(".").map(nameOf).join(" ")}${value}${unit ? ` ${unit}` : ""}`;

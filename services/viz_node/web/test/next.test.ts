@@ -69,7 +69,8 @@ describe("what is next", () => {
   });
 
   it("marks what is done before it", () => {
-    expect(stepStates("approach")).toEqual({ connect: "done", control: "done", arm: "done", approach: "next", touch: "later", "let go": "later" });
-    expect(new Set(Object.values(stepStates("")))).toEqual(new Set(["later"]));
+    expect(stepStates("approach", true)).toEqual({ connect: "done", control: "done", arm: "done", approach: "next", touch: "later", "let go": "later" });
+    expect(stepStates("arm", false)).toMatchObject({ connect: "done", control: "later", arm: "next" });
+    expect(new Set(Object.values(stepStates("", true)))).toEqual(new Set(["later"]));
   });
 });

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { fitted, programsOf, settings } from "../src/schema";
+import { programsOf, settings } from "../src/schema";
 
 const schema = {
   $defs: { Circle: { properties: { radius_m: { type: "number", default: 2e-8, minimum: 1e-9, description: "Radius of the circle [m]." } } } },
@@ -27,11 +27,4 @@ test("a quotient is not shown in the unit of its divisor", () => {
     { unit: "", scale: 1, label: "sensitivity per m" },
     { unit: "nm/s", scale: 1e9, label: "speed" },
   ]);
-});
-
-test("a time that counts steps of the instrument has a default that fits its rate", () => {
-  const dwell = { properties: { dwell_s: { type: "number", default: 4e-3, least_steps: 2 }, settle_s: { type: "number", default: 0.2 } } };
-  const [counted, other] = settings(dwell, "", "instrument");
-  expect([1000, 999.2, 251.3, 250, 248.9, 100].map((rate) => fitted(counted!, rate))).toEqual([4e-3, 4e-3, 8e-3, 8e-3, 9e-3, 0.02]);
-  expect(fitted(other!, 250)).toBeUndefined();
 });

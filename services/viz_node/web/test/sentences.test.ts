@@ -45,3 +45,8 @@ it("writes numbers in one way", () => {
   const files = readdirSync("src", { recursive: true, encoding: "utf8" }).filter((name) => name.endsWith(".ts"));
   expect(files.filter((name) => readFileSync(`src/${name}`, "utf8").includes("toFixed("))).toEqual(["numbers.ts"]);
 });
+
+it("who holds control is said without the name of what keeps it", () => {
+  expect(plain("Take: acknowledged · lease: window A holds control")).toBe("Take: acknowledged · window A holds control");
+  expect(plain("lease: control is free")).toBe("control is free");
+});

@@ -44,7 +44,6 @@ export class ImagePanel implements Panel {
 
   write(): void {
     const { surface } = this.cockpit.image;
-    this.cockpit.image.fit();
     for (const button of this.saves) button.disabled = surface.isEmpty;
     const extent = surface.extent;
     const text = extent

@@ -40,16 +40,18 @@ export class NextPanel implements Panel {
   draw(): void {
     const now = performance.now();
     this.lease.write();
-    const next = (this.next = nextOf(this.situation(now)));
+    const situation = this.situation(now);
+    const holds = situation.holdsControl;
+    const next = (this.next = nextOf(situation));
     const going = this.cockpit.commands.goingAt(now);
     this.way.hidden = !going;
     if (going) this.way.value = going.share;
     if (this.says.textContent !== next.says) this.says.textContent = next.says;
     const isLive = this.cockpit.store.source.kind === "live";
-    const state = `${next.step}${isLive}`;
+    const state = `${next.step}${isLive}${holds}`;
     if (state !== this.state) {
       this.state = state;
-      const states = stepStates(next.step);
+      const states = stepStates(next.step, holds);
       this.steps[0]!.parentElement!.hidden = !isLive || next.step === "";
       STEPS.forEach((name, i) => {
         const item = this.steps[i]!;
