@@ -74,7 +74,7 @@ def test_it_is_refused_while_the_programme_runs(hand: Bench) -> None:
     [
         ("{", "operator: "),
         ('{"kind": "octopus"}', "operator: session/control: haptic_node.operator"),
-        ('{"kind": "interactive"}', "operator: a person takes the place"),
+        ('{"kind": "interactive"}', "operator: a change between a person and a simulated hand needs a new rig"),
         ('"press"', "operator: session/control: haptic_node.operator"),
     ],
 )
