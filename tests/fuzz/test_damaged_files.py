@@ -84,7 +84,7 @@ MAPS: list[tuple[str, Content, str]] = [
     ("map.ibw", with_number(files.map_wave(), 76, 1 << 30), "it is not a complete Igor binary wave"),
     ("map.ibw", with_number(files.map_wave(), 12, 1 << 30), "its note, units and labels go beyond its"),
     # MemoryError, BadZipFile
-    ("map.npy", files.npy_head((100_000, 100_000)), "has 0 bytes of heights; the shape (100000, 100000) of"),
+    ("map.npy", files.npy_head((100_000, 100_000)), "has 0 bytes of heights; the shape (100000, 100000) with"),
     ("map.npy", files.npy_head((100_000, 100_000), "<f4") + b"1", "has 1 bytes of heights"),
     ("map.npy", files.npy_head((-1, -64)) + bytes(512), "has 512 bytes of heights"),
     ("map.npy", b"PK\x03\x04" + bytes(100), "magic string is not correct"),
