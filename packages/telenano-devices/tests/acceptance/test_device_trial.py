@@ -509,7 +509,7 @@ def test_what_cannot_be_tried_is_a_sentence(tmp_path: Path, monkeypatch: pytest.
         (["haply", "--port", "/dev/ttyUSB0"], "are not for haply"),
         (
             ["haply", "--set", "controller.law=wave"],
-            "--set controller: only keys haptic_node.* only",
+            "--set controller: only keys haptic_node.* can be set here",
         ),
     ):
         code, output, path = typed(tmp_path, "", *options)

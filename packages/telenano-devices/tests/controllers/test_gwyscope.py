@@ -230,7 +230,7 @@ def test_a_driver_that_compares_z_and_notes_none_is_told_what_is_missing(line: G
     # A driver that is ready has sent the z of the safe state, and noted it.
     line.driver.check_z(line.driver.calibration.z.retract_m, line.now_ns)
     line.driver._history.clear()
-    with pytest.raises(DeviceError, match="notes none: its talk appends each z to `_history` first"):
+    with pytest.raises(DeviceError, match="has none: its talk appends each z to `_history` first"):
         line.driver.check_z(line.driver.calibration.z.retract_m, line.now_ns)
 
 

@@ -410,7 +410,7 @@ def saturate(line: Nanonis) -> None:
     line.model._move_z = move  # type: ignore[method-assign]
 
 
-SEIZED = "somebody else"
+SEIZED = "another program has moved the tip"
 fault = partial(Fault, duration_ms=120, at_ms=30)
 FAULTS = {
     "connection lost": fault(interrupt, "the connection is gone", duration_ms=40),

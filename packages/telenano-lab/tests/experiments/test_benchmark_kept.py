@@ -99,7 +99,7 @@ def test_a_cell_is_named_by_its_columns_and_what_is_not_kept_is_refused() -> Non
         named_runs(table, {"law": ["wavy"]}, OPTIONS, None, 0)
     with pytest.raises(ConfigError, match="--seed 7: no kept run"):
         named_runs(table, {"seed": [7]}, OPTIONS, None, 0)
-    with pytest.raises(ConfigError, match="no kept run of the benchmark has all"):
+    with pytest.raises(ConfigError, match="no kept run of the benchmark matches all options"):
         named_runs(table, {"law": ["smith"], "seed": [1]}, OPTIONS, None, 0)
 
 
