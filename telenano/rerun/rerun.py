@@ -301,7 +301,7 @@ class _RerunWiring(Wiring):
         return []
 
     def traces(self) -> Traces:
-        """Return what reads files at once, because a re-run waits for nothing."""
+        """Return a reader that reads at once: the journal names the turn in which the node had the file."""
         return OWN_TRACES
 
     def link_ends(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> LinkEnds:

@@ -27,7 +27,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             of_make_test = "shared_rig" in getattr(item, "fixturenames", ()) and not shares_processes(item)
             if not of_make_test and item.get_closest_marker("endurance") is None:
                 item.add_marker(pytest.mark.check)
-    # one way after the other, for their rigs stay; the tests that end the shared rig judge what all others left
+    # The tests of one way come before those of the other, because a way keeps its rig for all of them; those that end
+    # the shared rig come last, because they judge the state that all others left.
     items.sort(key=lambda item: (shares_processes(item), item.get_closest_marker("ends_shared_rig") is not None))
 
 
