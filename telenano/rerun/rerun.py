@@ -28,7 +28,7 @@ from telenano.runtime.loop.node import Node
 from telenano.runtime.wiring.link_transports import LinkEnds
 from telenano.runtime.wiring.main import Wiring, node_kind
 from telenano.runtime.wiring.participant import NoNetwork
-from telenano.settings.config import flag_overrides, merge, parse_yaml
+from telenano.settings.config import flag_overrides, merge, parse_yaml, validate
 from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.named_instruments import on_instrument
 from telenano.settings.scenario import LoadedScenario
@@ -137,6 +137,9 @@ def rerun(
         facts = error.facts
     except _EndError as error:
         facts = {"ended_early": str(error)}
+    except _OverError:
+        # The node went on for longer than the recording of one of its sources.
+        pass
     if "difference" not in facts:
         facts |= bus.compare_forwarded()
     total = sum(map(len, recorded.outputs.values())) + sum(map(len, recorded.forwarded.values()))
@@ -176,6 +179,10 @@ def _packages(recording: Recording, key: str) -> list[str]:
 
 class _EndError(Exception):
     """The re-run cannot continue with this recording; the text has the reason, such as a missing input."""
+
+
+class _OverError(Exception):
+    """The recording of a source has ended, so the turns from here on are not covered by the recording."""
 
 
 def _begin(recorded: RecordedNode, batches: Sequence[NodeJournal], states: Sequence[bytes]) -> int:
@@ -225,6 +232,8 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: RecordedNode)
 def _take_message(node: Node, turn: Turn, recorded: RecordedNode) -> None:
     recorded_input = recorded.input(turn)
     if recorded_input is None:
+        if recorded.has_ended(turn):
+            raise _OverError
         raise _EndError(f"the recording lacks {turn.topic}, seq {turn.seq} of {turn.src}, which the node received")
     message = cast(Message, recorded_input.decode())
     node.on_message(Received(turn.topic, message, recorded_input.payload, turn.time_ns, Arrival.NEXT))
@@ -253,7 +262,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         raise ConfigError(f"{text}; its messages are in {recording.path}")
     wiring = _RerunWiring(
         key=key,
-        book=AddressBook(nodes={}),
+        book=_book(recording),
         site_file=Path(),
         period_s=loaded.scenario.period_s,
         # Traces of the link with relative names are searched for in the folder of this file.
@@ -273,6 +282,15 @@ class _NoLog(StructuredLog):
 
     def write(self, level: str, text: str, **facts: Any) -> None:
         """Write nothing."""
+
+
+def _book(recording: Recording) -> AddressBook:
+    """Return the address book that a recording has attached: a link between two machines also measures its line."""
+    attached = recording.attachments.get("site.yaml")
+    if attached is None:
+        return AddressBook(nodes={})
+    origin = f"site.yaml in {recording.path}"
+    return validate(AddressBook, parse_yaml(attached, origin), origin)
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,9 @@ class RecordedNode:
         # The forwarded messages by endpoint.
         self.forwarded: dict[str, list[ForwardedMessage]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
-        # Time at which the recorder first received from a topic and source [ns].
+        # Times at which the recorder first and last received from a topic and source [ns].
         self._first_received_ns: dict[tuple[str, str], int] = {}
+        self._last_received_ns: dict[tuple[str, str], int] = {}
         sources = {(source.topic, source.src) for batch in batches for source in batch.inputs}
         endpoints, is_link = endpoints_of(key), name_of(key) == LINK
 
@@ -62,6 +63,7 @@ class RecordedNode:
             if channel in inputs:
                 self._inputs.setdefault((channel.topic, channel.src, message.seq), []).append(message)
                 self._first_received_ns.setdefault((channel.topic, channel.src), message.log_ns)
+                self._last_received_ns[channel.topic, channel.src] = message.log_ns
             if channel in outputs:
                 self.outputs.setdefault((output_name(channel.topic, message.src), message.seq), []).append(message)
             if channel in forwarded:
@@ -104,6 +106,11 @@ class RecordedNode:
         """Return the first missing input of a batch as text; empty if all are recorded."""
         missing_part = next(self._missing(batch), None)
         return "" if missing_part is None else f"{missing_part.topic}, seq {missing_part.seq} of {missing_part.src}"
+
+    def has_ended(self, turn: Turn) -> bool:
+        """Return whether the recording has messages of the source of a turn, and all of them from before that turn."""
+        last_ns = self._last_received_ns.get((turn.topic, turn.src))
+        return last_ns is not None and last_ns < turn.time_ns
 
     def is_early(self, batch: NodeJournal) -> bool:
         """Return whether a batch lacks an input from before the recorder was connected to its publisher."""

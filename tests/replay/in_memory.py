@@ -28,6 +28,15 @@ class InMemory(Recording):
         )
         return copied
 
+    def without(self, topic: str, begin_s: float, end_s: float) -> "InMemory":
+        """Return a copy that lacks the messages of a topic from `begin_s` until before `end_s` of the recording [s]."""
+        begin_ns, end_ns = (self.span_ns[0] + round(at_s * 1e9) for at_s in (begin_s, end_s))
+        copied = copy(self)
+        copied._messages = tuple(
+            found for found in self._messages if found.topic != topic or not begin_ns <= found.log_ns < end_ns
+        )
+        return copied
+
     def select(
         self,
         wanted: ChannelFilter | None = None,

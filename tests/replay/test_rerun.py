@@ -52,7 +52,7 @@ def path(reference_of: Callable[[str], Path]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def reference(path: Path) -> Recording:
+def reference(path: Path) -> InMemory:
     return InMemory(path)
 
 
@@ -200,6 +200,20 @@ def test_a_changed_gain_within_the_tolerance_is_the_same(reference: Recording) -
     assert not rerun(reference, "controller@master", settings=barely).identical
     allowed = Tolerances({"position_m": 1e-9, "velocity_m_per_s": 1e-6, "force_n": 0.0, "law/status:*": 1e-9})
     assert rerun(reference, "controller@master", allowed, barely).identical
+
+
+def test_a_rerun_covers_a_source_until_its_recording_ends(reference: InMemory) -> None:
+    # As in a joined recording, in which the recorder of the other site ended first.
+    result = rerun(reference.without("afm/state", 0.7, 1e6), "controller@slave")
+    assert result.identical, result.verdict()
+    assert result.left_out > 0
+    assert 0 < result.compared["afm/command"] < rerun(reference, "controller@slave").compared["afm/command"]
+
+
+def test_a_rerun_ends_early_at_a_hole_in_a_source(reference: InMemory) -> None:
+    result = rerun(reference.without("afm/state", 0.7, 0.75), "controller@slave")
+    assert not result.identical
+    assert "the recording lacks afm/state, seq" in result.ended_early
 
 
 def test_what_cannot_be_rerun_is_named(reference: Recording, tmp_path: Path) -> None:

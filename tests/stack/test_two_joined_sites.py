@@ -63,7 +63,7 @@ def test_two_sites_with_a_process_each_press_stop_go_on_and_record(sites: TwoSit
     assert Path(summary["recording"]["file"]).name == both.name
     verified = COMMANDS.run(("bag", "verify", str(both)), rig.master.environment, 60.0)
     assert verified.returncode == 0, verified.stdout + verified.stderr
-    for node in ("controller@slave", "controller@master", HAND, TIP):
+    for node in ("controller@slave", "controller@master", HAND, TIP, "delay_node@master"):
         again = COMMANDS.run(("bag", "rerun", str(both), "--node", node), rig.master.environment, 120.0)
         assert again.returncode == 0, again.stdout + again.stderr
     record("two sites over a network, a process each", "pressed, stopped from the master's site, armed, recorded whole")
