@@ -25,9 +25,9 @@ describe("the banner", () => {
     const [store, document] = replay();
     let place = 5;
     store.recordedSwing = () => document.swingAt(place);
-    expect(texts(store)).toBe("OSCILLATES: 4.4 N peak to peak at 0.8 Hz | REPLAYED: not an instrument");
+    expect(texts(store)).toBe("OSCILLATES: 4.4 N peak to peak at 0.8 Hz | REPLAY: no instrument is connected");
     place = 8;
-    expect(texts(store)).toBe("REPLAYED: not an instrument");
+    expect(texts(store)).toBe("REPLAY: no instrument is connected");
   });
 
   it("says of what the energy and the motion are, which do not contradict each other", () => {
@@ -104,7 +104,7 @@ describe("the banner of arming", () => {
   });
 
   it("does not say of a tip that waits, or is on its way, that it follows the hand", () => {
-    expect(live(false, "retracted", { armed: true })).toContain("the tip is armed, and waits for an armed hand");
+    expect(live(false, "retracted", { armed: true })).toContain("the tip is armed, and waits until the hand is armed");
     expect(live(false, "follow", { placed: false })).toContain("the tip is on its way to the hand");
     expect(live(false, "follow", { placed: true })).toContain("the tip follows the hand");
   });
