@@ -78,7 +78,7 @@ describe("the summary", () => {
     expect(interruptionsText([])).toBe("none");
     const silent = { kind: "source_silent" };
     expect(interruptionsText([silent, { kind: "tip_held" }, silent])).toBe("hand or AFM sent nothing (2 times), the tip was held");
-    expect(coupledText({ coupled_share: 0.05 })).toBe(", both in it for 5 %");
+    expect(coupledText({ coupled_share: 0.05 })).toBe(", hand and tip coupled for 5 %");
     // a recording of before says nothing of it
     expect(coupledText({}) + coupledText({ coupled_share: 1 })).toBe("");
   });
