@@ -118,11 +118,12 @@ def rehearse(home: Home, release: Path, before: Path | None) -> Iterator[str]:
 
 
 def without_an_index(home: Home, release: Path) -> str:
-    """Collect the core with its dependencies, and install it from that folder alone, as on a machine without internet."""
+    """Collect the core with what it needs, and install it from that folder alone, as without internet."""
     home.pip("download", "--find-links", str(release), "--dest", "wheels", "telenano")
     offline = Home(home.folder, "offline")
     offline.pip("install", "--no-index", "--find-links", "wheels", "telenano")
-    return f"without an index telenano is installed from a folder of wheels: {offline.telenano('--version').splitlines()[0]}"
+    version = offline.telenano("--version").splitlines()[0]
+    return f"without an index telenano {version} is installed from a folder of wheels"
 
 
 def recorded(home: Home, out: str) -> str:
