@@ -96,7 +96,9 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
         if fault := recording_fault(status, health[node]):
             problems[node] = fault
         elif deaf_s := health[node].deaf_s:
-            problems[node] = ", ".join(f"deaf to {peer} for {lasts_s:.1f} s" for peer, lasts_s in deaf_s.items())
+            problems[node] = ", ".join(
+                f"has received nothing from {peer} for {lasts_s:.1f} s" for peer, lasts_s in deaf_s.items()
+            )
         elif health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):

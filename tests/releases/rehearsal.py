@@ -103,6 +103,7 @@ def rehearse(home: Home, release: Path, before: Path | None) -> Iterator[str]:
     if unlisted := [name for name in packages if name not in listed]:
         raise StumbleError(f"telenano --version does not name {', '.join(unlisted)}: {listed}")
     yield f"{len(packages)} packages more, each named by `telenano --version`: {size_of(home.environment)}"
+    yield without_an_index(home, release)
     yield recorded(home, "first")
     yield served(home)
     home.telenano("experiment", "run", "delay_and_law", "--apparatus", "lockstep", "--out", "experiment")
@@ -114,6 +115,15 @@ def rehearse(home: Home, release: Path, before: Path | None) -> Iterator[str]:
     if before is not None:
         yield from upgraded(Home(home.folder, "before"), home, release, before)
     yield uninstalled(home, names)
+
+
+def without_an_index(home: Home, release: Path) -> str:
+    """Collect the core with what it needs, and install it from that folder alone, as without internet."""
+    home.pip("download", "--find-links", str(release), "--dest", "wheels", "telenano")
+    offline = Home(home.folder, "offline")
+    offline.pip("install", "--no-index", "--find-links", "wheels", "telenano")
+    version = offline.telenano("--version").splitlines()[0]
+    return f"without an index telenano {version} is installed from a folder of wheels"
 
 
 def recorded(home: Home, out: str) -> str:

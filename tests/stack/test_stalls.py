@@ -238,7 +238,7 @@ def test_every_process_for_every_time_under_every_law_and_link(
         found = session.end()
     finally:
         session.rig.close()
-    # The delay margins of this law are 10 to 48 ms (docs/benchmark.md): over 300 ms there and back it diverges by itself.
+    # The delay margins of this law are 10 to 48 ms: over 300 ms there and back it diverges by itself.
     check(found, law_holds=not (law == "virtual_impedance" and link_ms))
     record(
         f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms{session.rig.way}",

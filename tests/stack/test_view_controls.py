@@ -397,9 +397,9 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     until(lambda: page.last("hand", "force") > 1.0, "a force at the hand")
     # What is felt drops to none, as in the haptic node where it has heard nothing for too long.
     rig.is_deaf = True
-    until(lambda: "NOT AS HELD" in page.banners(), "the banner")
+    until(lambda: "FORCE DIFFERS" in page.banners(), "the banner")
     until(lambda: "the hand presses with 0.0 N" in page.page.inner_text("#hand-text"), "the words at the pad")
-    page.picture("not-as-held-laptop")
+    page.picture("force-differs-laptop")
     # What is said takes room of the pad, and the hand that is still dragged means no other place by it.
     before = page.value("telenano.cockpit.hand.force")
     at = box(page, "#hand-pad")
@@ -407,6 +407,6 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     assert page.value("telenano.cockpit.hand.force") == pytest.approx(before, rel=0.02)
     page.page.mouse.up()
     rig.is_deaf = False
-    until(lambda: "NOT AS HELD" not in page.banners(), "the end of the banner")
+    until(lambda: "FORCE DIFFERS" not in page.banners(), "the end of the banner")
     rig.is_silent = True
     until(lambda: "no data comes from the hand" in page.banners(), "the banner of a silence")

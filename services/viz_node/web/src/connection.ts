@@ -36,7 +36,7 @@ export class Connection {
       else if (data.k === "open") this.greet();
       else this.lose();
     };
-    this.worker.onerror = () => this.onState("lost", "the page was not loaded as a whole: load it again");
+    this.worker.onerror = () => this.onState("lost", "the page is incomplete: load it again");
   }
 
   open(): void {

@@ -22,7 +22,7 @@ export interface Hold {
   peak_to_peak_n: number;
   /** Of a swing that stands in the place of a hold, where a person is the hand [Hz]. */
   frequency_hz?: number | null;
-  /** Share in which hand and tip were both in it, 0 to 1. */
+  /** Share of the hold in which hand and tip were coupled, 0 to 1. */
   coupled_share?: number;
 }
 /** A time in which the loop was open, or a process was away. */

@@ -16,7 +16,7 @@ const MODES: Record<string, string> = {
 };
 /** Why the guard of the tip changed its mode, by the name of the reason. */
 const REASONS: Record<string, string> = {
-  start: "the rig has begun",
+  start: "the rig has just started",
   armed: "it was armed",
   estop: "an emergency stop came",
   force_limit: "the force on the tip was above its limit",
@@ -24,10 +24,10 @@ const REASONS: Record<string, string> = {
   command_deadline: "no fresh command came",
   hold_expired: "no fresh command came for too long",
   commands_resumed: "commands come again",
-  hold_requested: "that was asked for",
-  retract_requested: "that was asked for",
+  hold_requested: "a command asked for it",
+  retract_requested: "a command asked for it",
   device_lost: "the instrument does not answer",
-  lateral_limit: "the force across was above its limit",
+  lateral_limit: "the sideways force on the tip was above its limit",
 };
 const REPORT = /the AFM is in mode (\w+): (\w+)/;
 

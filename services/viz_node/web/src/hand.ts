@@ -282,10 +282,10 @@ export class Hand {
     const back = this.store.last("command", "tip_force");
     this.drawForces(pen, width, height, this.store.last("hand", "force"), back);
     const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
-    const own = this.meant === undefined ? this.freeText() : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
+    const own = this.meant === undefined ? this.freeText() : isFar ? "Held at the end of the travel: the force grows no more" : "Held: release to let go, or press Keep holding";
     const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
-    const apart = this.meant === undefined || !this.store.apart ? "" : `Not as held: ${this.store.apart}`;
-    const mark = slow ? "too slow" : apart ? "not as held" : "";
+    const apart = this.meant === undefined || !this.store.apart ? "" : `Force differs: ${this.store.apart}`;
+    const mark = slow ? "too slow" : apart ? "force differs" : "";
     if (mark) {
       pen.fillStyle = colour("bad");
       pen.fillText(mark, x - pen.measureText(mark).width / 2, 16);

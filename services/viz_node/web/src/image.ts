@@ -46,7 +46,7 @@ export class Image {
   async begin(program: string): Promise<void> {
     const values = this.forms.get(program)?.form.values();
     if (values) await this.commands.command(`${programName(program)} begins`, "set", INSTRUMENT, { program, ...values });
-    else this.commands.show(`${programName(program)} begins`, false, "one of its settings cannot be: the tab Image says which");
+    else this.commands.show(`${programName(program)} begins`, false, "one of its settings is not valid: the tab Image shows which");
   }
 
   /** Save the heights as they are shown, for Gwyddion. */

@@ -67,5 +67,5 @@ const SAME_MS = 4;
 export function otherDelay(inForceMs: number, shownMs: number, longestMs: number): string {
   if (Number.isNaN(inForceMs) || Math.abs(inForceMs - shownMs) <= Math.max(SAME_MS, SAME_SHARE * shownMs)) return "";
   const why = inForceMs > longestMs ? `, and none were computed beyond ${longestMs} ms` : "";
-  return `The loop runs at ${fixed(inForceMs, 0)} ms: verdict and pictures are of another delay, ${shownMs} ms${why}.`;
+  return `The loop runs at ${fixed(inForceMs, 0)} ms: the verdict and the pictures are for another delay, ${shownMs} ms${why}.`;
 }

@@ -69,23 +69,23 @@ const offer = (act: Act, label: string, key = "n", isReady = true): Offer => ({ 
 const nothing = (step: Next["step"], says: string): Next => ({ step, says, offer: undefined, other: undefined });
 
 /** What an instrument does that runs a program. */
-const busy = (program: string): string => `The program ${programName(program)} runs, and the hand rests until it ends`;
+const busy = (program: string): string => `The program ${programName(program)} runs, and the hand moves nothing until it ends`;
 
 /** What is next, why, and which button does it. */
 export function nextOf(now: Situation): Next {
   if (now.link === "connecting") return nothing("connect", "Connecting to the rig.");
   if (now.link !== "open") return { step: "connect", says: `Not connected: ${now.linkText}.`, offer: offer("reload", "Load the page again"), other: undefined };
-  if (now.kind === "recording") return nothing("", "A recording: it moves nothing. The space bar plays it, and e goes to the next event.");
+  if (now.kind === "recording") return nothing("", "This is a recording: nothing moves. The space bar plays it, and e goes to the next event.");
   if (!now.hasRig) return nothing("connect", "Waiting for a rig: no node has reported yet.");
-  if (now.role === "observer" || now.role === "participant") return nothing("", `You look on, and may stop. ${now.lease}.`);
+  if (now.role === "observer" || now.role === "participant") return nothing("", `You are an observer: you can look, and stop the rig. ${now.lease}.`);
   // A stop is armed after, and a tip that goes back ended, by whoever is there; control that is free is then taken for the act.
   const isUrgent = now.isControlFree && (now.isStopped || now.isHeld || now.going !== "" || now.wayBack !== "");
   if (!now.holdsControl && !isUrgent) {
     const isFree = now.isControlFree;
-    const says = now.program ? `${busy(now.program)}. ${now.lease}.` : isFree ? "Nobody holds control: take it, and no other window can act meanwhile." : `${now.lease}.`;
+    const says = now.program ? `${busy(now.program)}. ${now.lease}.` : isFree ? "Nobody holds control. While you have it, no other window can act." : `${now.lease}.`;
     return { step: "control", says, offer: now.leaseAction ? offer("take", isFree ? "Take control" : `${now.leaseAction} for control`, "h") : undefined, other: undefined };
   }
-  if (now.going) return { step: "approach", says: `${now.going}. Any key or press ends it, and the tip stays where it is.`, offer: offer("end way", "End it here"), other: undefined };
+  if (now.going) return { step: "approach", says: `${now.going}. Any key or click stops it there.`, offer: offer("end way", "End it here"), other: undefined };
   return armed(now) ?? touching(now);
 }
 
@@ -95,11 +95,11 @@ function armed(now: Situation): Next | undefined {
   if (now.isStopped) return arm("Stopped. Arm hand and tip: both stay where they are, and then you choose whether the tip goes back.");
   if (now.program) return nothing("arm", `${busy(now.program)}.`);
   if (now.tipMode === "retracting") return nothing("arm", "The tip moves away from the sample: wait until it is away.");
-  if (now.tipMode === "retracted") return arm(now.tipArmed ? "The tip is armed and waits for an armed hand." : "The tip is withdrawn. Arm hand and tip: both stay where they are.");
+  if (now.tipMode === "retracted") return arm(now.tipArmed ? "The tip is armed, and waits until the hand is armed too." : "The tip is withdrawn. Arm hand and tip: both stay where they are.");
   if (now.tipMode !== "follow" && now.tipMode !== "hold") return nothing("arm", "Waiting for the instrument to report what it does.");
   if (!now.runs) return { step: "arm", says: "The session has not begun, or was stopped.", offer: offer("start", "Start"), other: undefined };
   if (now.wayBack && !now.stays) {
-    return { step: "approach", says: "Armed, and the tip is withdrawn. It stays there, or it goes back:", offer: offer("go back", now.wayBack, "g"), other: offer("stay", "Stay withdrawn", "w") };
+    return { step: "approach", says: "Armed. The tip is withdrawn: let it stay there, or let it go back.", offer: offer("go back", now.wayBack, "g"), other: offer("stay", "Stay withdrawn", "w") };
   }
   if (!now.placed) return nothing("approach", "The tip is on its way to the hand.");
   return undefined;
@@ -110,7 +110,7 @@ function touching(now: Situation): Next {
   const distance = Number.isNaN(now.separation_nm) ? "The tip follows the hand" : `The tip is ${fixed(Math.max(0, now.separation_nm), now.separation_nm < 9.95 ? 1 : 0)} nm above the sample`;
   const back = now.wayBack ? offer("go back", now.wayBack, "g") : undefined;
   if (!now.offersHand) {
-    const says = now.touches ? `The tip touches: ${forceText(now.felt_n)} N come back to the hand.` : `${distance}: press with the device.`;
+    const says = now.touches ? `The tip touches: ${forceText(now.felt_n)} N come back to the hand.` : `${distance}: press with the haptic device.`;
     return { ...nothing(now.touches ? "touch" : "approach", says), other: back };
   }
   if (!now.isHeld) {

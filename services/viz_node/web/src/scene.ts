@@ -68,8 +68,8 @@ export class View {
   private readonly tools: Record<Tool, HTMLButtonElement> = {
     press: this.toolButton("press", "tool-press", "Press", "Press and drag down in the scene: the virtual hand pushes the tip (right button turns)"),
     turn: this.toolButton("turn", "tool-turn", "Turn", "Drag turns the scene"),
-    place: this.toolButton("place", "place-tip", "Move tip", "The tip goes over the sample to where the pointer is"),
-    profile: this.toolButton("profile", "section", "Profile", "The heights along a line that is dragged over the surface"),
+    place: this.toolButton("place", "place-tip", "Move tip", "Click, and the tip moves over the sample to the pointer"),
+    profile: this.toolButton("profile", "section", "Profile", "Drag a line over the surface to see the heights along it"),
   };
   /** Called with a place on the sample [nm]. */
   onPlace: (x: number, y: number) => void = () => {};

@@ -19,7 +19,7 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   if (link !== "open") return [["bad", `DISCONNECTED: ${linkText}`]];
   const nodes = [...store.nodes.values()];
   const isLive = store.source.kind === "live";
-  if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAYED: not an instrument"]];
+  if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAY: no instrument is connected"]];
   if (isLive && nodes.every((node) => node.state === "ended" || node.state === "stopping")) return [["bad", "THE RIG HAS ENDED"]];
   const found: Banner[] = [];
   const [hand, tip] = [store.fact("haptic/state/master", "estop") === true, store.fact("afm/state/slave", "mode") === "estop"];
@@ -28,9 +28,9 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
   if (lost.length) found.push(["bad", `LOST: ${lost.map((name) => speakerOf(name, store)).join(", ")}`]);
-  if (store.apart) found.push(["bad", `NOT AS HELD: ${store.apart}`]);
+  if (store.apart) found.push(["bad", `FORCE DIFFERS: ${store.apart}`]);
   if (swing) found.push(["bad", `OSCILLATES: ${fixed(swing.peakToPeak, 1)} N peak to peak at ${fixed(swing.hertz, 1)} Hz`]);
-  if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
+  if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAY: no instrument is connected"]);
   const delay = roundTripOf(store);
   if (delay > 1e-3) found.push(["warn", `DELAYED: ${fixed(delay * 1e3, 1)} ms round trip`]);
   if (store.fact("law/status/master", "passive") === false) found.push(["warn", "NOT PASSIVE: the loop has made energy"]);
@@ -76,7 +76,7 @@ function awayOf(store: Store): string {
   const mode = String(store.fact("afm/state/slave", "mode") ?? "");
   if (mode === "hold") return "THE TIP HOLDS ITS PLACE: no fresh command comes";
   if (!mode.startsWith("retract")) return "";
-  if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits for an armed hand";
+  if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits until the hand is armed";
   const why = whyWithdrawn(store.events);
   return `THE TIP ${mode === "retracted" ? "IS WITHDRAWN" : "MOVES AWAY"}${why && `: ${why}`}`;
 }

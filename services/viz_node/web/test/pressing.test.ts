@@ -53,5 +53,5 @@ test("the banner says it in red, before what else is so", () => {
   const store = new Store();
   store.take({ k: "tick", nodes: { "haptic_node@master": { state: "running" } as never } });
   store.apart = "this page asks for 2.0 N, and the hand presses with 0.0 N";
-  expect(bannersOf(store, "open", "")[0]).toEqual(["bad", "NOT AS HELD: this page asks for 2.0 N, and the hand presses with 0.0 N"]);
+  expect(bannersOf(store, "open", "")[0]).toEqual(["bad", "FORCE DIFFERS: this page asks for 2.0 N, and the hand presses with 0.0 N"]);
 });

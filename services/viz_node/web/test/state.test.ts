@@ -25,9 +25,9 @@ describe("the banner", () => {
     const [store, document] = replay();
     let place = 5;
     store.recordedSwing = () => document.swingAt(place);
-    expect(texts(store)).toBe("OSCILLATES: 4.4 N peak to peak at 0.8 Hz | REPLAYED: not an instrument");
+    expect(texts(store)).toBe("OSCILLATES: 4.4 N peak to peak at 0.8 Hz | REPLAY: no instrument is connected");
     place = 8;
-    expect(texts(store)).toBe("REPLAYED: not an instrument");
+    expect(texts(store)).toBe("REPLAY: no instrument is connected");
   });
 
   it("says of what the energy and the motion are, which do not contradict each other", () => {
@@ -78,7 +78,7 @@ describe("the summary", () => {
     expect(interruptionsText([])).toBe("none");
     const silent = { kind: "source_silent" };
     expect(interruptionsText([silent, { kind: "tip_held" }, silent])).toBe("hand or AFM sent nothing (2 times), the tip was held");
-    expect(coupledText({ coupled_share: 0.05 })).toBe(", both in it for 5 %");
+    expect(coupledText({ coupled_share: 0.05 })).toBe(", hand and tip coupled for 5 %");
     // a recording of before says nothing of it
     expect(coupledText({}) + coupledText({ coupled_share: 1 })).toBe("");
   });
@@ -104,7 +104,7 @@ describe("the banner of arming", () => {
   });
 
   it("does not say of a tip that waits, or is on its way, that it follows the hand", () => {
-    expect(live(false, "retracted", { armed: true })).toContain("the tip is armed, and waits for an armed hand");
+    expect(live(false, "retracted", { armed: true })).toContain("the tip is armed, and waits until the hand is armed");
     expect(live(false, "follow", { placed: false })).toContain("the tip is on its way to the hand");
     expect(live(false, "follow", { placed: true })).toContain("the tip follows the hand");
   });

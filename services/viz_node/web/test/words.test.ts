@@ -50,13 +50,13 @@ it("says in a row what the line between two sites does", () => {
 
 it("judges the numbers of a node in words", () => {
   const node = { state: "running", overruns: 15, lost: 0, rejected: 26, lateness_p99_s: 1e-4, uptime_s: 60, rate_hz: 1000 };
-  expect(judged(node)).toEqual(["", "good (15 late, 26 old ones refused)"]);
+  expect(judged(node)).toEqual(["", "good (15 late, 26 outdated refused)"]);
   expect(judged({ ...node, overruns: 5000 })[0]).toBe("warn");
   expect(judged({ ...node, lateness_p99_s: 0.02 })).toEqual(["warn", "late"]);
   // half of a period is late for a node of twenty messages a second
   expect(judged({ ...node, overruns: 0, rate_hz: 20, lateness_p99_s: 0.015 })[0]).toBe("");
   expect(judged({ ...node, state: "safe" })[0]).toBe("warn");
-  expect(judged({ ...node, state: "safe" }, true)).toEqual(["", "rests while the instrument runs a program"]);
+  expect(judged({ ...node, state: "safe" }, true)).toEqual(["", "idle while the instrument runs a program"]);
   expect(judged({ ...node, overruns: 0, rejected: 0 })).toEqual(["", "good"]);
 });
 
@@ -74,8 +74,8 @@ it("calls a hold in which nobody presses released, and leaves every other verdic
 });
 
 it("names pictures of another delay than the one in force", () => {
-  expect(otherDelay(401, 200, 200)).toBe("The loop runs at 401 ms: verdict and pictures are of another delay, 200 ms, and none were computed beyond 200 ms.");
-  expect(otherDelay(60, 120, 200)).toBe("The loop runs at 60 ms: verdict and pictures are of another delay, 120 ms.");
+  expect(otherDelay(401, 200, 200)).toBe("The loop runs at 401 ms: the verdict and the pictures are for another delay, 200 ms, and none were computed beyond 200 ms.");
+  expect(otherDelay(60, 120, 200)).toBe("The loop runs at 60 ms: the verdict and the pictures are for another delay, 120 ms.");
   // the nearest of steps of 5 ms is the same
   for (const [inForce, shown] of [[62.4, 60], [1.2, 0], [203, 200], [NaN, 40]] as const) expect(otherDelay(inForce, shown, 200)).toBe("");
 });

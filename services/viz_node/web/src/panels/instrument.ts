@@ -14,7 +14,7 @@ const MODES: Record<string, string> = {
   hold: "The tip holds its place: no fresh command comes.",
   retracted: "The tip is withdrawn. Arm it, and then let it go back.",
   retracting: "The tip moves away from the sample.",
-  estop: "Emergency stop: the tip is away. Arm releases it; it stays until it is to go back.",
+  estop: "Emergency stop: the tip is withdrawn. Arm ends the stop; the tip stays until you let it go back.",
 };
 const FARTHEST_NM = 1e5;
 
@@ -51,7 +51,7 @@ export class InstrumentPanel implements Panel {
       ...programs.map(({ name, title }) => explained(button(`program-${name}`, programName(name, short(title)), () => image.begin(name)), programAbout(name, title))),
     );
     const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => commands.command(name, "set", INSTRUMENT, { program: name }));
-    this.modes.firstElementChild!.setAttribute("title", "The tip follows the hand, which feels it");
+    this.modes.firstElementChild!.setAttribute("title", "The tip follows the hand, and the hand feels the tip");
     this.run.replaceChildren(...["pause", "resume", "abort"].map((name) => simple(name, name[0]!.toUpperCase() + name.slice(1))));
     for (const input of [...this.places, this.go]) input.disabled = !may;
   }

@@ -16,7 +16,7 @@ export class LawPanel implements Panel {
     private readonly cockpit: Cockpit,
   ) {
     this.facts.title = ENERGY_ABOUT;
-    this.select.title = "How hand and tip are joined over the delay";
+    this.select.title = "The control law: how it joins hand and tip over the delay";
     root.querySelector("h2")?.append(this.facts);
     root.append(make("div", { class: "row tight" }, this.select));
     this.select.addEventListener("change", () => {

@@ -7,7 +7,7 @@ const COLUMNS: readonly (readonly [string, string])[] = [
   ["node", "Name and site"],
   ["state", "State that it reports"],
   ["messages a second", "Messages that it published in a second"],
-  ["late, ms", "How late its steps begin, of a hundred the latest [ms]"],
+  ["late, ms", "How late its steps begin: 99 of 100 are earlier [ms]"],
   ["judged", "Whether deadlines, losses and refusals are as they should be"],
 ];
 /** Later than this a step of the loop is felt [s], and one of a slow node where it is late by this share of its period. */
@@ -24,10 +24,10 @@ export function judged(node: Pick<Node, "state" | "overruns" | "lost" | "rejecte
   if (node.lateness_p99_s > Math.max(LATE_S, LATE_SHARE / Math.max(1, node.rate_hz))) found.push("late");
   if (node.lost > LOST_MANY) found.push(`${node.lost} messages lost`);
   if (found.length) return ["warn", found.join(", ")];
-  if (node.state === "safe" && rests) return ["", "rests while the instrument runs a program"];
-  if (node.state === "safe") return ["warn", "keeps still: nothing drives it"];
+  if (node.state === "safe" && rests) return ["", "idle while the instrument runs a program"];
+  if (node.state === "safe") return ["warn", "idle: it receives no command"];
   // refused are messages from before a start or of an older session: that is what a guard is for
-  const notes = [node.overruns ? `${node.overruns} late` : "", node.lost ? `${node.lost} lost` : "", node.rejected ? `${node.rejected} old ones refused` : ""].filter(Boolean);
+  const notes = [node.overruns ? `${node.overruns} late` : "", node.lost ? `${node.lost} lost` : "", node.rejected ? `${node.rejected} outdated refused` : ""].filter(Boolean);
   return ["", notes.length ? `good (${notes.join(", ")})` : "good"];
 }
 
@@ -51,7 +51,7 @@ export class NodesPanel implements Panel {
       const [warns, words] = judged(node, this.cockpit.tip.program !== "");
       const kind = isLost || node.state === "stopping" ? "bad" : warns;
       const late = node.lateness_p99_s > 0 ? fixed(node.lateness_p99_s * 1e3, 2) : "";
-      const cells = [name, isLost ? "lost" : node.state, fixed(node.rate_hz, 0), late, isLost ? "no report comes" : words];
+      const cells = [name, isLost ? "lost" : node.state, fixed(node.rate_hz, 0), late, isLost ? "no report arrives" : words];
       const about = `overruns ${node.overruns}, lost ${node.lost}, refused ${node.rejected}, processor ${fixed(node.cpu_percent, 0)} %`;
       return make("tr", { class: kind, title: about }, ...cells.map((cell) => make("td", {}, cell)));
     });

@@ -16,10 +16,10 @@ export class SessionPanel implements Panel {
       make("button", { type: "button", id, onclick: () => void action() }, text);
     this.start = button("start", "Start", () => commands.command("start", "start", "haptic_node"));
     const stop = button("stop", "Stop", () => commands.command("stop", "stop", "haptic_node"));
-    this.start.title = "The session begins: the tip follows, and what the operator is set to do begins";
-    stop.title = "The session ends: the hand is let go; the recording goes on";
+    this.start.title = "Begin the session: the tip follows the hand, and the force profile of a simulated operator starts";
+    stop.title = "End the session: the hand is let go; the recording continues";
     const couple = button("couple", "Meet again", () => commands.couple());
-    couple.title = "Hand and tip meet again (o): the tip is withdrawn, and comes back to where the hand is";
+    couple.title = "Remove an offset between hand and tip (o): the tip is withdrawn, and comes back to where the hand is";
     this.mark = make("input", { id: "mark-text", type: "text", placeholder: "Text of a mark", "aria-label": "Text of the mark", maxlength: 200 });
     this.mark.addEventListener("keydown", (event) => event.key === "Enter" && void this.setMark());
     const mark = button("mark", "Mark", () => this.setMark());

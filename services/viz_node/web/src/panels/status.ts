@@ -33,7 +33,7 @@ export class StatusPanel implements Panel {
     const name = source.name.split("/").at(-1) ?? "";
     this.source.textContent = link !== "open" ? "" : source.kind === "recording" ? `recording ${name}` : "live";
     this.source.title = source.name;
-    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: looks, and may stop" : window ? `${role}, window ${window}` : role;
+    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: can look, and stop the rig" : window ? `${role}, window ${window}` : role;
     document.title = link === "open" && window ? `telenano, window ${window}` : "telenano";
   }
 

@@ -9,7 +9,7 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["law", "Law", (law: string[]) => law.join(", ").replaceAll("_", " ")],
   ["verdict", "Verdict", (text: string) => text.replaceAll("_", " ")],
   ["hold_ratio", "Hold ratio", (value: number) => fixed(value, 3)],
-  ["contact_x_cm", "Reference at the end", (value: number) => `${fixed(value, 3)} cm`],
+  ["contact_x_cm", "Hand reference at the end", (value: number) => `${fixed(value, 3)} cm`],
   ["release_force_nn", "Force after release", (value: number) => `${fixed(value, 2)} nN`],
   ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value, 2)} nN`],
   ["loop_round_trip_ms", "Round trip of the loop", (value: number) => `${fixed(value, 1)} ms`],
@@ -43,9 +43,9 @@ export function interruptionsText(all: readonly { kind: string }[]): string {
   return kinds.map((kind) => `${INTERRUPTIONS[kind] ?? kind.replaceAll("_", " ")}${times(kind) > 1 ? ` (${times(kind)} times)` : ""}`).join(", ") || "none";
 }
 
-/** The part of a hold in which hand and tip were both in it, where that is not all of it. */
+/** The share of a hold in which hand and tip were coupled; empty where it is all of it. */
 export function coupledText({ coupled_share: share = 1 }: Pick<Hold, "coupled_share">): string {
-  return share > 0.995 ? "" : `, both in it for ${Math.round(100 * share)} %`;
+  return share > 0.995 ? "" : `, hand and tip coupled for ${Math.round(100 * share)} %`;
 }
 
 /** More holds of which there is nothing to say are one row. */

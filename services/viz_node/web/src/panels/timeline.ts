@@ -52,7 +52,7 @@ export class TimelinePanel implements Panel {
         this.event,
         make("span", { class: "spacer" }),
         this.stretch,
-        make("div", { class: "segments", role: "group", "aria-label": "Stretch" }, button("stretch-a", "A", "The stretch begins here", () => this.choose(0)), button("stretch-b", "B", "The stretch ends here", () => this.choose(1)), this.loop),
+        make("div", { class: "segments", role: "group", "aria-label": "Stretch" }, button("stretch-a", "A", "The selected part begins here", () => this.choose(0)), button("stretch-b", "B", "The selected part ends here", () => this.choose(1)), this.loop),
         this.rate,
         make("button", { type: "button", class: "icon plain", title: KEYS, "aria-label": KEYS, onclick: () => this.cockpit.commands.tell(KEYS) }, "?"),
       ),
