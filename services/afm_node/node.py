@@ -231,16 +231,18 @@ class AfmNode(DeviceNode):
         """
         if self._programs.name:
             raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
-        begin, text = self._config.begin if way.goes else None, ""
+        begin, text, pointer = self._config.begin if way.goes else None, "", self._memory.pointer
         if begin is not None and self._memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             try:
+                pointer, sentences = self._led(begin)
                 # The guard decides below whether the tip is armed, and no program steps before that.
-                text = self._request(begin, safety.MODE_RETRACTED)
+                text = "; ".join([*sentences, self._request(begin, safety.MODE_RETRACTED)])
             except RefusedError as error:
                 raise RefusedError(f"not armed: {error}") from error
         done = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=way)
         self._memory.places = True
         if done.arm_refusal == safety.ARM_NOT_REFUSED:
+            self._memory.pointer = pointer
             self._report_reach()
             return text or f"{_ARMED[done.mode]}{'' if way.goes else self._stays_text(done)}"
         self._programs.end()
@@ -274,10 +276,8 @@ class AfmNode(DeviceNode):
         changes = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
         request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
         simulated = changed_simulation(self._driver, changes)
-        sentences = [sentence for sentence, _ in simulated]
-        pointer = pointed(self._config, self._driver, request.lateral, self._memory.pointer)
-        if pointer is not self._memory.pointer:
-            sentences.append(f"the tip goes to x = {pointer.x_m:g} m, y = {pointer.y_m:g} m while it follows")
+        pointer, sentences = self._led(request)
+        sentences = [*(sentence for sentence, _ in simulated), *sentences]
         if request.program is not None:
             sentences.append(self._request(request, self._memory.guard.mode))
             self._memory.told_ns = 0
@@ -287,6 +287,13 @@ class AfmNode(DeviceNode):
         for _, change in simulated:
             change()
         return "; ".join(sentences)
+
+    def _led(self, request: InstrumentRequest) -> tuple[Place, list[str]]:
+        """Return the place over the sample that a request leads the tip to, and what is said of it if it is another."""
+        before = self._memory.pointer
+        place = pointed(self._config, self._driver, request.lateral, before)
+        says = f"the tip goes to x = {place.x_m:g} m, y = {place.y_m:g} m while it follows"
+        return place, [] if place is before else [says]
 
     def _request(self, request: InstrumentRequest, mode: int) -> str:
         # Pause and abort concern the running program, and name none.

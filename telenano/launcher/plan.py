@@ -335,7 +335,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         check_sections(loaded, elsewhere)
     except ConfigError as error:
         raise ConfigError(*map(with_meant, error.lines)) from error
-    _check_files(loaded, elsewhere)
+    check_files(loaded, elsewhere)
     if not request.attach and request.site != "slave":
         _check_delay(loaded)
     plan = Plan(
@@ -488,7 +488,7 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
     return str(here if (here.exists() or folder == SCENARIO_DIRECTORY) and not beside.exists() else beside)
 
 
-def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
+def check_files(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> None:
     """Raise ConfigError for the first file of the scenario that a node of this machine cannot use.
 
     `elsewhere`: names of the nodes that run on other machines, whose files are not checked.

@@ -40,7 +40,8 @@ def find_scenario(name: str | os.PathLike[str]) -> Path:
     if not name or "\0" in name:
         raise ConfigError("the name of the scenario is empty" if not name else f"{name}: can be no name of a file")
     own = SCENARIO_DIRECTORY / f"{name}.yaml"
-    if "/" not in name and own.is_file():
+    # `Path.is_file` and `Path.exists` raise for a name that is too long.
+    if "/" not in name and os.path.isfile(own):  # noqa: PTH113
         return own
     packages = scenario_files()
     if name in packages.problems:
@@ -57,7 +58,6 @@ def find_scenario(name: str | os.PathLike[str]) -> Path:
         names = known_scenarios()
         if meant := f"; did you mean {path.stem}?" if path.stem in names else probably_meant(path.stem, names):
             raise ConfigError(f"{path.absolute()}: cannot be read: No such file or directory{meant}")
-    # `Path.exists` raises for a name that is too long.
     if path.suffix in (".yaml", ".yml") or os.path.exists(path):  # noqa: PTH110
         return path
     from telenano.settings.known_packages import where_it_is

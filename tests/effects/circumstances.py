@@ -32,6 +32,7 @@ FILES: Mapping[str, str] = {
     "other_delivered.txt": "".join(f"{n}\n" for n in range(1, 400, 5)),
     "delivered.txt": "".join(f"{n}\n" for n in range(1, 400, 2)),
     "jitter.txt": "-1.0 0.0 0.5 1.0\n",
+    "other_jitter.txt": "-1.0 0.0 2.0 3.0\n",
 }
 DOTS = {"sample": {"name": "dots"}, "cantilever": {"stiffness_n_per_m": 1.0}}
 SCAN = {
@@ -117,7 +118,7 @@ VALUES: Mapping[str, Sequence[Any]] = {
     "controller.switch_limit_s": [0.1],
     "controller.refused_laws": [{"wave": "is too slow for it"}],
     "delay_node.profile": ["lte"],
-    "delay_node.*.jitter.table_file": ["jitter.txt"],
+    "delay_node.*.jitter.table_file": ["jitter.txt", "other_jitter.txt"],
     "delay_node.*.jitter.quantiles": [[[0.0, 0.001], [1.0, 0.004]]],
     "delay_node.*.delay_trace.file": ["delays.txt", "other_delays.txt"],
     "delay_node.*.loss_trace.file": ["lost.txt", "other_lost.txt"],
@@ -325,7 +326,8 @@ SESSIONS: Sequence[tuple[str, Session]] = (
             "second_correlation_share": {"correlation_time_s": 0.1, "second_correlation_time_s": 0.02},
             "pareto_shape": {"distribution": "pareto"},
             "second_scale_s": {"distribution": "hyperexponential", "second_share": 0.5, "second_scale_s": 0.01},
-            "table_file": {"distribution": "table", "quantiles": [[0.0, 0.0], [1.0, 1.0]]},
+            "second_share": {"distribution": "hyperexponential", "second_share": 0.2, "second_scale_s": 0.01},
+            "table_file": {"distribution": "table", "table_file": "jitter.txt"},
             "quantiles": {"distribution": "table", "quantiles": [[0.0, 0.0], [1.0, 1.0]]},
         }.items()
     ),
@@ -342,6 +344,11 @@ SESSIONS: Sequence[tuple[str, Session]] = (
     ("afm_node.begin.scan.**", Session(afm(DOTS, {"begin": SCAN}), is_started=False, end_s=2.5)),
     ("afm_node.begin.curve.**", Session(afm(DOTS, {"begin": CURVE}), is_started=False, end_s=2.5)),
     ("afm_node.begin.tactile.**", Session(afm(DOTS, {"begin": TACTILE}), is_started=False, end_s=2.5)),
+    # A tactile image along the way of a pointer begins above the place of the tip.
+    (
+        "afm_node.begin.lateral.**",
+        Session(afm(DOTS, {"begin": merge(TACTILE, {"tactile": {"drive": "pointer"}})}), is_started=False, end_s=2.5),
+    ),
     ("afm_node.begin.push.**", PUSHES),
     ("afm_node.safety.lateral_limit_n", Session(ACROSS)),
     ("afm_node.friction.**", Session(ACROSS)),
@@ -430,6 +437,13 @@ SESSIONS: Sequence[tuple[str, Session]] = (
     ("controller.bounded_model.force_margin_n", COASTS),
     ("controller.bounded_model.exchange_s", SOFT_PRESS),
     ("afm_node.sample.particles.**", Session(PARTICLE, end_s=2.5)),
+    *(
+        (
+            f"afm_node.sample.particles.{name}",
+            Session(merge(dict(PARTICLE), {"afm_node": {"sample": {"particles": {"places": None}}}}), end_s=2.5),
+        )
+        for name in ("count", "seed")
+    ),
     ("afm_node.sample.particles.places", Session(afm({"sample": {"particles": {}}}))),
     ("afm_node.feel.**", Session(afm({"feel": FEEL, "sample": {"map": "shift.npz"}}))),
     # A branch that goes on behind the turn of the map, and one that pulls.

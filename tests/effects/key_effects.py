@@ -222,11 +222,25 @@ def effect_of(leaf: Leaf, every: Mapping[Path, list[Leaf]], *, bases_only: bool 
             try:
                 difference = before.difference(changed)
             except (ConfigError, ValidationError) as error:
-                refused = refused or f"refused: {str(error).splitlines()[0]}"
+                if not refused and is_usable(before, nested(leaf.path[:-1], {})):
+                    refused = f"refused: {str(error).splitlines()[0]}"
                 continue
             if difference:
                 return difference
     return refused
+
+
+def is_usable(before: Seen | FilesSeen, settings: Mapping[str, Any]) -> bool:
+    """Return whether a session can have these settings.
+
+    If it cannot have the section of a key without the key either, then it is no value that is refused: the session
+    lacks what the section needs.
+    """
+    try:
+        before.difference(settings)
+    except (ConfigError, ValidationError):
+        return False
+    return True
 
 
 def by_section(found: list[Leaf]) -> dict[Path, list[Leaf]]:

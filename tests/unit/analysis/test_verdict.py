@@ -1,5 +1,6 @@
 """Verdicts on motions whose fate is known, with and without noise of the read-out."""
 
+import math
 from typing import get_args
 
 import numpy as np
@@ -180,10 +181,11 @@ def test_seven_kinds_and_no_more() -> None:
     assert len(get_args(Kind)) <= 7
 
 
-def test_the_hand_has_to_press() -> None:
+@pytest.mark.parametrize("force_n", [-1.0, 0.0, math.nan])
+def test_the_hand_has_to_press(force_n: float) -> None:
     assert LEAST_SAMPLES == 16
-    with pytest.raises(ValueError, match=r"-1\.0 N"):
-        judge(TIME_S, TIME_S, -1.0)
+    with pytest.raises(ValueError, match=rf"is {force_n} N, it must be > 0 N"):
+        judge(TIME_S, TIME_S, force_n)
 
 
 @pytest.mark.parametrize("noise_n", [0.0, 0.01])

@@ -20,6 +20,8 @@ from telenano.wire.errors import ConfigError
 CURVE = {"program": "curve", "curve": {"load_n": 5e-9}}
 TOO_HARD = {"program": "curve", "curve": {"load_n": 1e-3}}
 TOO_FAR = {"program": "tactile", "tactile": {"x1_m": 1e-3}}
+# The lateral stage reaches 50 µm.
+LED_TOO_FAR = {**CURVE, "lateral": {"x_m": 1e-3}}
 
 
 class Armed(NamedTuple):
@@ -114,6 +116,7 @@ REFUSALS_OF_THE_TIP: list[tuple[dict[str, Any] | None, Callable[[Armed], None], 
     (TOO_HARD, nothing, "curve.load_n must be below"),
     (TOO_HARD, lambda armed: armed.follow("hold"), "curve.load_n must be below"),
     (TOO_FAR, Armed.follow, "tactile"),
+    (LED_TOO_FAR, Armed.follow, "is beyond lateral.reach_m"),
 ]
 
 
@@ -173,6 +176,19 @@ def test_a_tip_that_is_armed_does_what_it_begins(
     assert not (tmp_path / "kept").exists()
     armed.turn(200)
     assert bool(armed.bench.take("afm/program")) is (begin is not None)
+
+
+def test_a_tip_is_led_to_the_place_that_the_scenario_begins_with_once_it_is_armed(
+    bench_of: Any, tmp_path: Path
+) -> None:
+    armed = tip(bench_of("afm_node@slave"), tmp_path / "kept", {**CURVE, "lateral": {"x_m": 2e-7, "y_m": -1e-7}})
+    still_goes_back(armed)
+    assert armed.command("arm")[0] == "refused"
+    assert armed.node._memory.pointer == (0.0, 0.0)
+    armed.go_on()
+    kind, text = armed.command("arm")
+    assert kind == "ack" and "the tip goes to x = 2e-07 m, y = -1e-07 m" in text
+    assert armed.node._memory.pointer == (2e-7, -1e-7)
 
 
 def test_a_hand_is_armed_once_its_stop_has_been_carried_out(bench_of: Any, tmp_path: Path) -> None:

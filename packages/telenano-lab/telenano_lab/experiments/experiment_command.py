@@ -93,7 +93,7 @@ def check(file: FileArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         from telenano_lab.experiments.summary import summary_of
 
-        plan = _load(find_experiment(file))
+        plan = _load_to_run(find_experiment(file))
         summary = summary_of(plan)
         balance = plan.balance()
     if as_json:
@@ -130,7 +130,7 @@ def run(
     """Run an experiment: all simulated participants, or a session of a person at the page of the rig."""
     with report_errors(as_json, _INTERRUPTED):
         source = find_experiment(file)
-        plan = _load(source)
+        plan = _load_to_run(source)
         folder = out or Path("experiments") / plan.experiment.name
         if (folder / "journal.jsonl").exists():
             raise ConfigError(f"{folder}: has an experiment already; `{_again(folder)}` continues")
@@ -151,7 +151,7 @@ def resume(
     with report_errors(as_json, _INTERRUPTED):
         from telenano_lab.experiments.runner import folder_plan
 
-        plan = _load(folder_plan(folder))
+        plan = _load_to_run(folder_plan(folder))
         with _marks(marks, baud, plan.experiment.apparatus, plan) as port:
             _run(folder, participant, port, as_json=as_json)
 
@@ -293,12 +293,23 @@ def _load(path: Path) -> "Plan":
     return load_plan(path)
 
 
+def _load_to_run(path: Path) -> "Plan":
+    """Return a plan whose trials can be run here: the files that they read are there."""
+    from telenano_lab.experiments.plan import check_files_of
+
+    plan = _load(path)
+    check_files_of(plan)
+    return plan
+
+
 def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | None) -> None:
     """Copy an experiment's file, and a scenario of its own, to its folder; later changes do not affect the run."""
     document = read_yaml(source)
     changed: dict[str, Any] = {} if apparatus is None else {"apparatus": apparatus}
     folder.mkdir(parents=True, exist_ok=True)
-    if (source.parent / plan.experiment.scenario).is_file() or plan.experiment.scenario.endswith((".yaml", ".yml")):
+    if plan.scenario_file == source.parent / plan.experiment.scenario or plan.experiment.scenario.endswith(
+        (".yaml", ".yml")
+    ):
         changed["scenario"] = "scenario.yaml"
         with atomic_file(folder / "scenario.yaml") as part:
             part.write_text(yaml.safe_dump(plan.scenario, sort_keys=False), encoding="utf-8")

@@ -17,6 +17,11 @@ from telenano_lab.experiments.orders import OrderKind
 # Factors for the delay of both directions, with the one-way delay per unit of the level [s].
 DELAYS = {"round_trip_ms": 0.5e-3, "delay_ms": 1e-3}
 
+# A name in braces in the words for a participant, which stands for a value.
+IN_BRACES = re.compile(r"\{([A-Za-z_]\w*)\}")
+# Longest delay of the picture [s]: the page of a participant keeps ten seconds of pictures.
+LONGEST_PICTURE_DELAY_S = 9.0
+
 
 def _levels_alone(value: object) -> object:
     return {"levels": value} if isinstance(value, list) else value
@@ -69,6 +74,17 @@ class Factor(Settings):
     def names(self) -> tuple[Scalar, ...]:
         """The levels as shown in a table; empty for an adaptive factor."""
         return tuple(self.levels or ())
+
+
+class Picture(Settings):
+    """The participant's picture of the tip."""
+
+    delay_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=LONGEST_PICTURE_DELAY_S,
+        description="Delay of the picture, apart from that of the force [s]",
+    )
 
 
 class TaskEntry(Settings):
@@ -246,6 +262,13 @@ class Words(Settings):
         default="Trial {number} of {total}", description="Text beside the bar otherwise; with {number} and {total}"
     )
     tasks: dict[str, TaskWords] = Field(default={}, description="Tasks by name")
+
+    @model_validator(mode="after")
+    def _known_names(self) -> Self:
+        known = ("number", "total")
+        if unknown := [name for name in IN_BRACES.findall(self.trial) if name not in known]:
+            raise ValueError(f"trial: {{{unknown[0]}}} has no value here; {known_names(unknown[0], known)}")
+        return self
 
     @property
     def labels(self) -> dict[str, str]:

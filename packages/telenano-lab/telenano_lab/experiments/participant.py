@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from telenano_lab.experiments.experiment_file import LONGEST_PICTURE_DELAY_S
 from telenano_lab.experiments.messages import CUE as CUE_TOPIC
 from telenano_lab.experiments.messages import TRIAL as TRIAL_TOPIC
 
@@ -45,8 +46,6 @@ _AFM = "afm/state/slave"
 _AFM_KEYS = ("in_contact", "meniscus")
 # Greatest number of delayed pictures, ten seconds at thirty a second; the oldest are dropped.
 _MOST_HELD = 300
-# Longest delay; a picture delayed further would be dropped before it is shown.
-_LONGEST_DELAY_S = 9.0
 _ACKNOWLEDGEMENTS = {True: "done", False: "not carried out: tell the experimenter"}
 
 Changes = Mapping[str, Any]
@@ -72,7 +71,7 @@ class ParticipantPicture:
         """
         state = changes.get("state", {})
         if TRIAL in state:
-            self.delay_s = min(float(state[TRIAL]["picture_delay_s"]), _LONGEST_DELAY_S)
+            self.delay_s = min(float(state[TRIAL]["picture_delay_s"]), LONGEST_PICTURE_DELAY_S)
         taken: list[dict[str, Any]] = []
         now: dict[str, Any] = {key: changes[key] for key in ("origin_ns",) if key in changes}
         if CUE in state:

@@ -11,11 +11,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from telenano.launcher import anchored, check_sections
+from telenano.launcher import anchored, check_files, check_sections
 from telenano.settings import LoadedScenario, find_scenario, flatten, merge, nested, read_yaml, validate
 from telenano.wire import ConfigError, Scalar, known_names
-from telenano_lab.experiments.experiment_file import DELAYS, Experiment, TaskEntry
+from telenano_lab.experiments.experiment_file import DELAYS, IN_BRACES, Experiment, Picture, TaskEntry
 from telenano_lab.experiments.extend import Task
+from telenano_lab.experiments.operators import Profile
 from telenano_lab.experiments.orders import (
     MOST_PERMUTED,
     Balance,
@@ -77,10 +78,28 @@ class Plan:
     @cached_property
     def scenario(self) -> dict[str, Any]:
         """The base scenario of every trial, with absolute file names."""
-        name = self.experiment.scenario
-        beside = self.path.parent / name
-        path = beside if beside.is_file() else find_scenario(name)
-        return anchored(read_yaml(path), Path(os.path.realpath(path)).parent)
+        path = self.scenario_file
+        try:
+            return anchored(read_yaml(path), Path(os.path.realpath(path)).parent)
+        except ConfigError as error:
+            raise ConfigError(f"{self.path}: scenario: {error}") from error
+
+    @cached_property
+    def scenario_file(self) -> Path:
+        """The file of the base scenario: one beside the plan comes before a known name."""
+        beside = self.path.parent / self.experiment.scenario
+        try:
+            # `Path.is_file` raises for a name that is too long.
+            return beside if os.path.isfile(beside) else find_scenario(self.experiment.scenario)  # noqa: PTH113
+        except ConfigError as error:
+            raise ConfigError(f"{self.path}: scenario: {error}") from error
+
+    @property
+    def each_condition(self) -> Iterator[tuple[str, Condition]]:
+        """Each task with each of its conditions, block by block."""
+        for task, held in self.block_conditions:
+            for condition in self.within_block:
+                yield task, {**held, **condition}
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -314,10 +333,24 @@ def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
     plan = Plan(experiment, path, {entry.name: tasks[entry.name] for entry in experiment.tasks})
     _check_design(plan)
     _check_words(plan)
-    for task, held in plan.block_conditions:
-        for condition in plan.within_block:
-            _check_condition(plan, task, {**held, **condition})
+    if plan.experiment.operator.kind == "simulated":
+        validate(Profile, dict(plan.experiment.operator.profile), str(path), "operator.profile")
+    scenario = plan.scenario
+    for task, condition in plan.each_condition:
+        _check_condition(plan, task, condition, scenario)
     return plan
+
+
+def check_files_of(plan: Plan) -> None:
+    """Raise ConfigError for the first file that a trial would read and that is not there, or cannot be used.
+
+    A plan is read without these files too, because a run is analysed on other machines than that of the rig.
+    """
+    for task, condition in plan.each_condition:
+        origin = _origin(plan, condition)
+        parameters = {**plan.parameters[task], **plan.of_task(condition)}
+        document = checked_document(plan, task, parameters, plan.settings(condition), 0, origin)
+        check_files(LoadedScenario.of(document, origin))
 
 
 def _check_words(plan: Plan) -> None:
@@ -327,6 +360,10 @@ def _check_words(plan: Plan) -> None:
         if words is None:
             continue
         parameters = parameters_of(task, plan._checked(number, entry, {}))
+        for name in IN_BRACES.findall(words.instruction):
+            if name not in (known := task.parameters.model_fields):
+                text = f"{{{name}}} is not a parameter of the task; {known_names(name, known)}"
+                raise ConfigError(f"{plan.path}: words.tasks.{entry.name}.instruction: {text}")
         asked = {one.name: one for one in (*task.questions(parameters), *task.questions_during(parameters))}
         for name, own in words.questions.items():
             where = f"{plan.path}: words.tasks.{entry.name}.questions.{name}"
@@ -370,16 +407,51 @@ def _check_design(plan: Plan) -> None:
             raise ConfigError(f"{plan.path}: practice.until.{entry.name}.measure: {text}")
 
 
-def _check_condition(plan: Plan, task: str, condition: Condition) -> None:
+def _check_condition(plan: Plan, task: str, condition: Condition, scenario: Mapping[str, Any]) -> None:
     """Check the scenario of a condition; an error names the levels that cause it."""
     entry = next(entry for entry in plan.experiment.tasks if entry.name == task)
-    levels = ", ".join(f"{name} = {level}" for name, level in condition.items())
-    origin = f"{plan.path}" + (f" ({levels})" if levels else "")
+    levels, origin = _levels_of(condition), _origin(plan, condition)
     try:
         parameters = plan._checked(plan.experiment.tasks.index(entry), entry, plan.of_task(condition))
     except ConfigError as error:
         raise ConfigError(f"{error}" + (f" ({levels})" if levels else "")) from error
-    checked_document(plan, task, parameters, plan.settings(condition), 0, origin)
+    settings = plan.settings(condition)
+    if PICTURE_DELAY in settings:
+        validate(Picture, {"delay_s": settings[PICTURE_DELAY]}, origin, "picture")
+    try:
+        checked_document(plan, task, parameters, settings, 0, origin)
+    except ConfigError as error:
+        if complaints := _of_scenario(plan, scenario, _complaints(error, origin)):
+            raise ConfigError(complaints) from error
+        raise
+
+
+def _of_scenario(plan: Plan, scenario: Mapping[str, Any], complaints: set[str]) -> str:
+    """Return what is wrong with the base scenario alone if all of it is among complaints about a condition.
+
+    What is wrong there is said of that file, because the plan has no such key.
+    """
+    origin = f"{plan.path}: scenario: {plan.scenario_file}"
+    try:
+        check_sections(LoadedScenario.of(dict(scenario), origin))
+    except ConfigError as error:
+        return str(error) if complaints >= _complaints(error, origin) else ""
+    return ""
+
+
+def _complaints(error: ConfigError, origin: str) -> set[str]:
+    """Return what an error says of each key, without the file."""
+    return {line.removeprefix(f"{origin}: ") for line in str(error).splitlines()}
+
+
+def _levels_of(condition: Condition) -> str:
+    return ", ".join(f"{name} = {level}" for name, level in condition.items())
+
+
+def _origin(plan: Plan, condition: Condition) -> str:
+    """Return the file of a plan and the levels of a condition, as an error names them."""
+    levels = _levels_of(condition)
+    return f"{plan.path}" + (f" ({levels})" if levels else "")
 
 
 def checked_document(

@@ -121,3 +121,18 @@ def test_an_experiment_of_ones_own_begins_with_the_template(tmp_path: Path) -> N
     assert yaml.safe_load(path.read_text())["name"] == "mine"
     assert json.loads(telenano("check", path, "--json").stdout)["name"] == "mine"
     telenano("new", "mine", "--out", path, code=2)
+
+
+def test_a_plan_whose_trials_would_read_a_file_that_is_not_there_does_not_begin(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "study"
+    telenano("run", file, "--out", out, "--participant", "P01")
+    for path in (file, out / "experiment.yaml"):
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document["settings"] = {"afm_node.sample.name": "nosuch.gwy"}
+        path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    for words in (("check", file), ("run", file, "--out", tmp_path / "other"), ("resume", out)):
+        said = telenano(*words, code=2).stderr
+        assert "(law = " in said and "afm_node.sample.name: nosuch.gwy is neither a file nor a known shape" in said
+    assert not (tmp_path / "other").exists()
+    # What was done is shown on a machine that does not have the file.
+    telenano("status", out)

@@ -1,16 +1,18 @@
 """The plan of an experiment: the trials that follow from its file, and what is said of a wrong one."""
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from experiment_bench import plan_of
-from telenano_lab.experiments.plan import attempt_seed, load_plan
-from telenano_lab.experiments.plans import FOLDER
+from telenano_lab.experiments.plan import attempt_seed, check_files_of, load_plan
+from telenano_lab.experiments.plans import FOLDER, find_experiment
 from telenano_lab.experiments.summary import summary_of
 from telenano_lab.experiments.tasks import INSTALLED
 
+from telenano.settings import find_scenario
 from telenano.wire import ConfigError
 
 
@@ -133,6 +135,85 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 def test_a_wrong_file_is_refused_with_file_and_key(tmp_path: Path, changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         plan_of(tmp_path, **changes)
+
+
+BESIDE = {
+    "broken.yaml": "name: [",
+    "list.yaml": "[1]",
+    "unknown_key.yaml": "name: mine\ndescription: mine\nduration_s: 1.0\ncontroler: {law: wave}\n",
+}
+TRACE = "delay_node.forward.delay_trace.file"
+# What a plan can name that there is not, and what is said after the name of its file and levels.
+UNKNOWN: list[tuple[dict[str, Any], str]] = [
+    *(({"scenario": name}, "scenario: ") for name in ("fig!2", "nosuch.yaml", "a\0b", "", "session.mcap", "folder")),
+    *(({"scenario": "x" * 300 + end}, "scenario: ") for end in ("", ".yaml")),
+    *(({"scenario": name}, rf"scenario: .*{name}: ") for name in ("broken.yaml", "list.yaml")),
+    (
+        {"scenario": "unknown_key.yaml"},
+        r"scenario: .*unknown_key.yaml: controler: unknown key, did you mean controller",
+    ),
+    ({"settings": {"controler.law": "wave"}}, "controler: unknown key, did you mean controller"),
+    ({"settings": {"delay_node.profile": "marsnet"}}, "delay_node.profile: unknown profile 'marsnet'"),
+    ({"settings": {"haptic_node.driver": "nosuch"}}, "haptic_node.driver: "),
+    ({"settings": {"picture.delay": 0.1}}, "picture: unknown key"),
+    ({"factors": {"picture.delay_s": ["late"]}}, "picture.delay_s: "),
+    ({"factors": {"picture.delay_s": [10.0]}}, "picture.delay_s: "),
+    ({"factors": {"grip": {"key": "controler.law", "levels": ["wave"]}}}, "controler: unknown key"),
+    ({"factors": {"grip": {"levels": {"soft": {"controler.law": "wave"}}}}}, "controler: unknown key"),
+    ({"factors": {"grip": {"key": "task.lenght_s", "levels": [1.0]}}}, "tasks.0.parameters.lenght_s: unknown key"),
+    ({"operator": {"kind": "simulated", "profile": {"reaction_s": 0.1}}}, "operator.profile.reaction_s: unknown key"),
+    ({"operator": {"kind": "simulated", "profile": {"rating": "high"}}}, "operator.profile.rating: "),
+    ({"operator": {"kind": "nobody"}}, "operator.kind: "),
+    ({"tasks": ["tinny"]}, "tasks.0.name: tinny: is not a task; did you mean tiny"),
+    ({"tasks": [{"name": "tiny", "parameters": {"lenght_s": 1.0}}]}, "tasks.0.parameters.lenght_s: unknown key"),
+    ({"practice": {"trials": 5, "until": {"tinny": {"measure": "time_s", "at_most": 1.0}}}}, "practice.until: tinny "),
+    ({"practice": {"trials": 5, "until": {"tiny": {"measure": "times", "at_most": 1.0}}}}, "practice.until.tiny.meas"),
+    ({"words": {"tasks": {"tinny": {}}}}, "words.tasks: tinny is not a task of this file"),
+    ({"words": {"tasks": {"tiny": {"questions": {"why": {"text": "?"}}}}}}, "words.tasks.tiny.questions.why: "),
+    ({"words": {"tasks": {"tiny": {"instruction": "{lenght_s} s"}}}}, r"words.tasks.tiny.instruction: \{lenght_s\} is"),
+    ({"words": {"trial": "{numbr} of {total}"}}, r"words: trial: \{numbr\} has no value here; did you mean number"),
+    ({"ask": [{"instrument": "tlx"}]}, "ask: tlx is not an instrument"),
+    ({"blocks": {"factors": ["lawn"]}}, "blocks.factors: lawn is not a factor"),
+    ({"apparatus": "rig"}, "apparatus: "),
+]
+
+
+@pytest.mark.parametrize(("changes", "complaint"), UNKNOWN)
+def test_what_a_plan_names_and_there_is_not_is_said_with_its_file_and_key(
+    tmp_path: Path, changes: dict[str, Any], complaint: str
+) -> None:
+    for name, text in BESIDE.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ConfigError) as refused:
+        plan_of(tmp_path, **changes)
+    for line in str(refused.value).splitlines():
+        assert re.match(rf"{re.escape(str(tmp_path / 'experiment.yaml'))}( \(.*?\))?: {complaint}", line), line
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("afm_node.sample.name", "nosuch.gwy"), (TRACE, "nosuch.txt"), ("afm_node.sample.map", "no.npz")]
+)
+def test_a_file_that_a_trial_reads_and_that_is_not_there_is_said_before_the_first_trial(
+    tmp_path: Path, key: str, value: str
+) -> None:
+    plan = plan_of(tmp_path, factors={"law": ["wave"], "place": {"levels": {"here": {key: value}}}})
+    section = key.removesuffix(".file")
+    with pytest.raises(ConfigError, match=rf"experiment.yaml \(.*place = here.*\): {section}") as refused:
+        check_files_of(plan)
+    assert value in str(refused.value)
+
+
+@pytest.mark.parametrize("find", [find_scenario, find_experiment])
+@pytest.mark.parametrize("name", ["x" * 300, "fig!2"])
+def test_a_name_that_no_file_can_have_is_refused_with_those_that_are_known(find: Any, name: str) -> None:
+    with pytest.raises(ConfigError, match=r"unknown .*(k|K)nown are"):
+        find(name)
+
+
+def test_a_name_in_braces_stands_for_a_parameter_of_the_task(tmp_path: Path) -> None:
+    words = {"trial": "{number}/{total}", "tasks": {"tiny": {"instruction": "Hold it for {length_s} s {} {1}."}}}
+    assert plan_of(tmp_path, words=words).experiment.words.labels["trial"] == "{number}/{total}"
 
 
 def test_why_a_task_of_a_package_cannot_be_used_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
