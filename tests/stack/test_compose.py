@@ -328,7 +328,7 @@ def is_coupled(container: str) -> bool:
     """Return whether tip and hand are coupled now, as a container of the rig hears them."""
     echo = ("docker", "exec", container, "telenano", "topic", "echo", "--count", "1", "--json", "--field", "mode")
     tip, hand = (run(*echo, topic, check=False).stdout for topic in ("afm/state", "haptic/state"))
-    return "follow" in tip and "drive" in hand
+    return "follow" in tip and any(mode in hand for mode in ("position", "force"))
 
 
 @pytest.fixture(scope="module")
