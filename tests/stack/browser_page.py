@@ -162,9 +162,10 @@ class Page:
             assert time.monotonic() < end, f"the tip does not follow: {self.page.inner_text('#answers')!r}"
             self.answered(lambda: self.click("#mode-bilateral"))
             self.page.wait_for_timeout(1500.0)
-        # arming moves nothing: a tip that is withdrawn goes back by a choice of its own
+        # Arming moves nothing: a tip that is withdrawn goes back by a choice of its own, and any input ends its way.
         end = time.monotonic() + PATIENCE_S
-        while self.value("telenano.cockpit.commands.wayBack !== undefined"):
+        commands = "telenano.cockpit.commands"
+        while self.value(f"{commands}.wayBack !== undefined || {commands}.goingAt(performance.now()) !== undefined"):
             assert time.monotonic() < end, f"the tip does not go back: {self.page.inner_text('#answers')!r}"
             # again where it was refused, as above; what goes is left alone
             if self.value("document.querySelector('#go-back') !== null"):
