@@ -235,8 +235,8 @@ def test_the_table_is_read_as_it_was_written_and_has_every_situation_and_law(tmp
         assert {one.law for one in some} == set(COMPARED_LAWS)
         behind = [one.is_behind for one in some]
         assert behind == sorted(behind) and not behind[0]
-        low = max(wilson(one.held, one.runs)[0] for one in some if not one.is_behind)
-        assert all(wilson(one.held, one.runs)[1] >= low for one in some if not one.is_behind)
+        low = max(wilson(one.sound, one.runs)[0] for one in some if not one.is_behind)
+        assert all((wilson(one.sound, one.runs)[1] < low) == one.is_behind for one in some)
     (tmp_path / "old.json").write_text(text_of(made).replace('"benchmark": 3', '"benchmark": 2'))
     for name in ("old.json", "none.json"):
         with pytest.raises(ConfigError, match="install the package again"):
