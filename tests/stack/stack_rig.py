@@ -1,6 +1,7 @@
 """A real rig in a socket folder of its own."""
 
 import subprocess
+import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -221,3 +222,14 @@ def arm(rig: Rig) -> None:
         )
     rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
     rig.wait_until(lambda: rig.telenano("session", "arm", "--return").returncode == 0, "a tip at its place")
+
+
+def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
+    return [message.decode() for message in rig.recording().messages(topic, since_ns)]
+
+
+def wait_for_the_recorder(rig: Rig, *channels: str) -> None:
+    """Wait until all that was sent on some channels until now is in the recording: something later is."""
+    now_ns = time.time_ns()
+    for channel in channels or ("afm/state", "haptic/state", "teleop/forward", "teleop/backward"):
+        rig.wait_until(lambda c=channel: rig.newest(c).t_ns > now_ns, f"{channel} recorded")

@@ -10,13 +10,7 @@ from typing import Any
 
 import machine
 import pytest
-from stack_rig import HELD_UP_MS, Rig, mode
-
-TOPICS = ("teleop/forward", "afm/state")
-
-
-def sent(rig: Rig, topic: str, since_ns: int) -> list[Any]:
-    return [message.decode() for message in rig.recording().messages(topic, since_ns)]
+from stack_rig import HELD_UP_MS, Rig, decoded, mode, wait_for_the_recorder
 
 
 def states_around_switches(rig: Rig) -> list[list[Any]]:
@@ -39,9 +33,8 @@ def states_around_switches(rig: Rig) -> list[list[Any]]:
         assert switched.returncode == 0, switched.stdout + switched.stderr
         rig.wait_until(lambda law=law: rig.newest("teleop/backward").law == law, f"{law} on the bus")
     time.sleep(0.5)
-    until_ns = time.time_ns()
-    rig.wait_until(lambda: min(rig.newest(topic).t_ns for topic in TOPICS) > until_ns, "both switches recorded")
-    forward, tip = (sent(rig, topic, begin_ns) for topic in TOPICS)
+    wait_for_the_recorder(rig, "teleop/forward", "afm/state")
+    forward, tip = decoded(rig, "teleop/forward", begin_ns), decoded(rig, "afm/state", begin_ns)
     switches = [after.t_ns for before, after in pairwise(forward) if before.law != after.law]
     assert len(switches) == 2
     return [[state for state in tip if abs(state.t_ns - at_ns) < 30_000_000] for at_ns in switches]

@@ -22,9 +22,11 @@ from stack_rig import (
     Rig,
     apart,
     assert_drawn_as_in_the_paper,
+    decoded,
     first_of_the_session,
     judged,
     pulled_as_in_the_paper,
+    wait_for_the_recorder,
 )
 
 from services.viz_node.commander import RigCommander
@@ -70,17 +72,6 @@ READERS = ("haptic_node@master", "controller@master", "delay_node@master")
 @pytest.fixture
 def rig(shared_rig: Rig) -> Rig:
     return shared_rig
-
-
-def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
-    return [message.decode() for message in rig.recording().messages(topic, since_ns)]
-
-
-def wait_for_the_recorder(rig: Rig, *channels: str) -> None:
-    """Wait until all that was sent on some channels until now is in the recording: something later is."""
-    now_ns = time.time_ns()
-    for channel in channels or ("afm/state", "haptic/state", "teleop/forward", "teleop/backward"):
-        rig.wait_until(lambda c=channel: rig.newest(c).t_ns > now_ns, f"{channel} recorded")
 
 
 @pytest.fixture(scope="module")
