@@ -1,6 +1,6 @@
 """Ten minutes of the whole rig at 1 kHz: memory must not grow, nothing be lost, the rate hold.
 
-    python benchmarks/soak.py [--duration S] [--rate HZ] [--page] [--out DIR] [--json]
+    python benchmarks/soak.py [--duration S] [--rate HZ] [--page] [--neighbours] [--out DIR] [--json]
 
 The benchmark runs `telenano up` with a hand that presses, holds and lets go every ten seconds, and judges the session
 by its own recording. Loops that do nothing but keep deadlines (`empty_loop.py`) run beside it: the time that they lose
@@ -10,7 +10,9 @@ missed.
 
 `processes` has the kernel's counts for each process of the rig, including the launcher and the server of the page:
 resident memory at the end of the settling time and at the end of the run, its slope, and the least and greatest number
-of open descriptors and threads. With `--page` an observer's page is open all the time.
+of open descriptors and threads. With `--page` an observer's page is open all the time. With `--neighbours` another
+program floods one endpoint a minute with garbage, and a reader of all topics stands still (`neighbours.py`); no node
+may then be deaf to another.
 """
 
 import argparse
@@ -33,10 +35,12 @@ import msgpack
 import numpy as np
 import yaml
 from empty_loop import EmptyLoops
+from neighbours import flooded, standing_reader
 
 from services.viz_node.requests import PROTOCOL
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.recording.reader import Recording
+from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.signals import children
 from telenano.wire import TOPICS
@@ -47,6 +51,8 @@ MOST_GROWTH_BYTES_PER_MIN = 250_000
 # The recorder keeps the index of its chunks for the end of the file: 2 kB five times a second.
 MOST_RECORDER_GROWTH_BYTES_PER_MIN = 1_000_000
 LEAST_RATE_SHARE = 0.999
+# The interval between two floods [s].
+FLOOD_EVERY_S = 60.0
 # The interval between two looks at the processes [s].
 LOOK_S = 10.0
 CYCLE = ((0.0, 0.0), (1.0, 1.0), (4.0, 1.0), (5.0, 2.0), (7.0, 2.0), (8.0, 0.0), (10.0, 0.0))
@@ -214,11 +220,25 @@ def growth_per_min(recording: Recording, settled_s: float) -> tuple[dict[str, fl
     return grown, max(lag_ns for lag_ns, _ in behind.values()) * 1e-9
 
 
+def complaints(recording: Recording) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
+    """Return the longest time that each node was deaf to others [s], and how many messages each refused, by health."""
+    deaf: dict[str, dict[str, float]] = {}
+    refused: dict[str, int] = {}
+    for message in recording.messages(["node/health"]):
+        fields = message.fields()
+        for peer, lasts_s in (fields["deaf_s"] or {}).items():
+            known = deaf.setdefault(message.src, {})
+            known[peer] = max(known.get(peer, 0.0), lasts_s)
+        refused[message.src] = max(refused.get(message.src, 0), sum(fields["rejected"].values()))
+    return deaf, {node: count for node, count in refused.items() if count}
+
+
 def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]:
     """Return the results of a session and whether they are within the bounds."""
     summary = json.loads((folder / "summary.json").read_text())
     recording = Recording(folder / "session.mcap")
     grown, behind_s = growth_per_min(recording, settled_s)
+    deaf, refused = complaints(recording)
     machine_share = machine.share(*recording.span_ns)
     rows = {name: TOPICS.get(name.partition("@")[0]) for name in summary["seq_gaps"]}
     lossless = {n: summary["seq_gaps"][n] for n, row in rows.items() if row and row.delivery == "lossless"}
@@ -232,6 +252,7 @@ def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]
         ),
         "gaps": not any(lossless.values()),
         "rate": fast[slowest] >= LEAST_RATE_SHARE * machine_share,
+        "hearing": not deaf,
     }
     return {
         "duration_s": summary["duration_s"],
@@ -247,12 +268,22 @@ def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]
         "rate_to_machine": fast[slowest] / machine_share,
         "loop_age_ms": summary["loop_age_ms"],
         "overruns": summary["overruns"],
+        "deaf_s": deaf,
+        "refused": refused,
         "within": within,
         "passed": all(within.values()),
     }
 
 
-def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0, page: bool = False) -> dict[str, Any]:
+def run(
+    duration_s: float,
+    out: Path,
+    settled_s: float,
+    rate_hz: float = 1000.0,
+    *,
+    page: bool = False,
+    neighbours: bool = False,
+) -> dict[str, Any]:
     """Run the rig and judge it, even if its recording is incomplete; CalledProcessError if the rig failed."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / "soak.yaml"
@@ -264,6 +295,9 @@ def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0,
         watch.add(rig.pid)
         if page:
             stack.enter_context(open_page(watch.add))
+        if neighbours:
+            watch.add(stack.enter_context(standing_reader(runtime_directory())))
+            stack.enter_context(flooded(runtime_directory(), FLOOD_EVERY_S))
         try:
             code = rig.wait()
         finally:
@@ -279,6 +313,7 @@ def main() -> int:
     parser.add_argument("--duration", type=float, default=600.0, help="length of the session [s]")
     parser.add_argument("--rate", type=float, default=1000.0, help="rate of the loop [Hz]")
     parser.add_argument("--page", action="store_true", help="keep a page of an observer open")
+    parser.add_argument("--neighbours", action="store_true", help="flood endpoints, and let a reader stand still")
     parser.add_argument("--out", type=Path, help="folder of the recording; default: one that is removed again")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -287,7 +322,8 @@ def main() -> int:
         given.duration = 3.0
     settled_s = min(SETTLED_S, given.duration / 4)
     with tempfile.TemporaryDirectory() as name:
-        figures = run(given.duration, given.out or Path(name), settled_s, given.rate, given.page)
+        out, beside = given.out or Path(name), {"page": given.page, "neighbours": given.neighbours}
+        figures = run(given.duration, out, settled_s, given.rate, **beside)
     processes = figures["processes"]
     if given.json:
         print(json.dumps(figures))
