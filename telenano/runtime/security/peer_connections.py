@@ -1,6 +1,7 @@
 """The connecting side: connections to nodes of other machines, their state, and the messages permitted on them."""
 
 import errno
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,10 @@ from telenano.wire.nodes import is_visitor
 _RECONNECT_NS = 1_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
+# A connection that is up and has brought no valid message at this number of checks in a row is replaced. A check is
+# made every 0.4 s, and every node sends node/health twice a second. If that does not help, the number doubles up to the
+# most. Checks are counted instead of time, because a process that stood still has messages left to read.
+_SILENT_CHECKS, _MOST_SILENT_CHECKS = 3, 192
 # Number of failed handshakes in a row that is reported; fewer may be chance.
 _REPORTED_FAILURES = 3
 _EVENTS = CONNECTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED | KEY_REFUSED | DISCONNECTED
@@ -81,6 +86,11 @@ class PeerConnection:
     lost: bool = False
     # The time of the next reconnection by this module, if any.
     reconnect_ns: int | None = None
+    # Number of messages received from the node, and of checks since that last rose; the connection is replaced at
+    # `most_silent` of them.
+    heard: int = 0
+    silent: int = 0
+    most_silent: int = _SILENT_CHECKS
 
     @property
     def is_given_up(self) -> bool:
@@ -101,6 +111,7 @@ class PeerConnections:
         rejections: RejectionCounter,
         *,
         is_reported: bool = True,
+        expects_beacon: bool = True,
     ) -> None:
         """Connect a subscriber to the endpoint of each node, if the machine has a valid key.
 
@@ -112,7 +123,12 @@ class PeerConnections:
             access_control: The keys and roles.
             rejections: Counts failed handshakes.
             is_reported: Whether changes of the connections are reported as events.
+            expects_beacon: Whether the subscriber is subscribed to node/health of every node, so that silence has a
+                meaning. Only connections without keys are replaced for it: nothing protects their bytes, so an altered
+                subscription, or an altered length of a frame, makes a reader deaf without any report of libzmq. With
+                keys the message is not authentic, or its pings are not answered, and libzmq ends the connection.
         """
+        self._replaces_silent = expects_beacon and not access_control.requires_keys
         self._is_reported = is_reported
         now = clock.monotonic_ns()
         self.machine = machine
@@ -166,11 +182,33 @@ class PeerConnections:
         """Reconnect where libzmq does not, and report peers that have not been reached."""
         # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
         if self.subscriber.drained:
+            if self._replaces_silent:
+                self._give_up_silent(now_ns)
             self._reconnect_due(now_ns)
         for peer in self.connections:
             if not peer.up and not is_visitor(peer.node) and now_ns >= peer.next_reminder_ns:
                 peer.next_reminder_ns = now_ns + _REMIND_NS
                 self._remind(peer, (now_ns - peer.down_since_ns) * 1e-9)
+
+    def _give_up_silent(self, now_ns: int) -> None:
+        """Give up each connection that is up but brings no valid message; it is made again at once."""
+        received: Counter[str] = Counter()
+        for (_, src), tracker in self.subscriber.trackers.items():
+            received[src] += tracker.received + tracker.duplicates
+        for peer in self.connections:
+            heard = sum(count for src, count in received.items() if may_carry(peer.node, src))
+            if heard != peer.heard:
+                peer.heard, peer.silent, peer.most_silent = heard, 0, _SILENT_CHECKS
+            elif peer.up and not is_visitor(peer.node):
+                peer.silent += 1
+        silent = [peer for peer in self.connections if peer.up and peer.silent >= peer.most_silent]
+        if silent and not self.subscriber.pending():
+            # That call may have consumed the signal of the descriptor, for which a loop would wait.
+            self.subscriber.drained = False
+            for peer in silent:
+                self._record_down(peer, "brings no message that can be read: connecting again")
+                self._schedule_reconnect(peer)
+                peer.reconnect_ns, peer.most_silent = now_ns, min(2 * peer.most_silent, _MOST_SILENT_CHECKS)
 
     def _reconnect_due(self, now_ns: int) -> None:
         due = [peer for peer in self.connections if peer.reconnect_ns is not None and now_ns >= peer.reconnect_ns]
@@ -253,6 +291,7 @@ class PeerConnections:
         again = f" again after {gone_s:.1f} s" if peer.ever_up else ""
         self._report("info", f"{peer.node} is connected{again} ({peer.endpoint})", peer, "up", gone_s=gone_s)
         peer.up = peer.ever_up = True
+        peer.silent = 0
         peer.lost, peer.reconnect_ns = False, None
         peer.failures, peer.last_error = 0, ""
 

@@ -295,7 +295,7 @@ class Transport:
         _set_network_options(subscriber.socket, endpoint)
         _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
         parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
-        peers = PeerConnections(machine, *parts, is_reported=False)
+        peers = PeerConnections(machine, *parts, is_reported=False, expects_beacon=False)
         self._peers.append(peers)
         self._handlers.append(peers)
 
@@ -361,7 +361,10 @@ class Transport:
         _set_network_options(subscriber.socket, *by_endpoint)
         _set_heartbeats(subscriber.socket, silence_ms)
         machine = self.book.machine_of(next(iter(plan)))
-        peers = PeerConnections(machine, endpoints, subscriber, self.clock, self.access_control, self._rejections)
+        if hears and BEACON not in subscriber.topics:
+            subscriber.hear_beacon(BEACON)
+        parts = endpoints, subscriber, self.clock, self.access_control, self._rejections
+        peers = PeerConnections(machine, *parts, expects_beacon=hears)
         self._peers.append(peers)
         self._handlers.append(peers)
         return subscriber
