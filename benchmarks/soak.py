@@ -226,10 +226,10 @@ def complaints(recording: Recording) -> tuple[dict[str, dict[str, float]], dict[
     refused: dict[str, int] = {}
     for message in recording.messages(["node/health"]):
         fields = message.fields()
-        for peer, lasts_s in (fields["deaf_s"] or {}).items():
+        for peer, lasts_s in (fields.get("deaf_s") or {}).items():
             known = deaf.setdefault(message.src, {})
             known[peer] = max(known.get(peer, 0.0), lasts_s)
-        refused[message.src] = max(refused.get(message.src, 0), sum(fields["rejected"].values()))
+        refused[message.src] = max(refused.get(message.src, 0), sum((fields.get("rejected") or {}).values()))
     return deaf, {node: count for node, count in refused.items() if count}
 
 
