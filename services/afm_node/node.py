@@ -31,6 +31,7 @@ from telenano.sections.program_requests import (
 from telenano.sections.program_table import CHANGES
 from telenano.timing.freshness import FreshnessState
 from telenano.wire.errors import RefusedError, cause
+from telenano.wire.lengths import in_nm
 from telenano.wire.messages import AfmCommand, ClockPing, LinkDelay, Scalar, SessionControl
 from telenano.wire.node_state import FindInput, Part, part
 from telenano.wire.received import Received
@@ -459,7 +460,7 @@ class AfmNode(DeviceNode):
         speed = min(guard.speed_m_per_s, self._limits.base_speed_m_per_s)
         time_s = safety.way_s(self._limits, allowed.base_m, place_m, guard.surface_m, speed)
         text = (
-            f"its base goes from {1e9 * allowed.base_m:.4g} nm to {1e9 * place_m:.4g} nm at {1e9 * speed:.4g} nm/s, for"
+            f"its base goes from {in_nm(allowed.base_m)} to {in_nm(place_m)} at {1e9 * speed:.4g} nm/s, for"
             f" {time_s:.2g} s"
         )
         if is_stated:
@@ -472,12 +473,12 @@ class AfmNode(DeviceNode):
         return text, {"placing_s": time_s}
 
     def _stays_text(self, allowed: safety.SafetyOutputs) -> str:
-        return f"; its base stays at {1e9 * allowed.base_m:.4g} nm, and a hand moves it from there"
+        return f"; its base stays at {in_nm(allowed.base_m)}, and a hand moves it from there"
 
     def _report_ended(self, allowed: safety.SafetyOutputs) -> None:
         """Report that the base stops before its target; an arming that waits for the target is then over."""
         why = safety.ENDINGS[allowed.ended]
-        text = f"the way of the base ended, because {why}: it stays at {1e9 * allowed.base_m:.4g} nm"
+        text = f"the way of the base ended, because {why}: it stays at {in_nm(allowed.base_m)}"
         self.event("mode", "info", text, ended=why, **self._mode_facts(allowed))
         self._memory.places = False
 
@@ -486,7 +487,7 @@ class AfmNode(DeviceNode):
         memory = self._memory
         mode, reason = memory.guard.mode, memory.guard.reason
         if memory.places and memory.placed:
-            text = f"the tip is placed: its base is at {1e9 * base_m:.4g} nm"
+            text = f"the tip is placed: its base is at {in_nm(base_m)}"
             facts: dict[str, Any] = {
                 "mode": safety.MODE_NAMES[mode],
                 "reason": safety.REASON_NAMES[reason],

@@ -14,6 +14,7 @@ from telenano.console.send_commands import arm_devices, send_controls
 from telenano.runtime.loop.arming import ARM_TIP, return_to
 from telenano.runtime.loop.commands import Command
 from telenano.wire.errors import RigError
+from telenano.wire.lengths import in_nm
 from telenano.wire.messages import SessionEvent
 from telenano.wire.nodes import TIP, Site
 
@@ -28,7 +29,7 @@ class WayBack(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"the base of the tip goes from {1e9 * self.from_m:.4g} nm to {1e9 * self.place_m:.4g} nm at"
+            f"the base of the tip goes from {in_nm(self.from_m)} to {in_nm(self.place_m)} at"
             f" {1e9 * self.speed_m_per_s:.4g} nm/s, for {self.time_s:.2g} s; any key or command ends it, and so does a"
             " hand that moves or presses"
         )

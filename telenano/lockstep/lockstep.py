@@ -76,6 +76,7 @@ from telenano.numerics.compiler import borrowed, compiled, compiled_call, inline
 from telenano.sections.controller_section import ControllerConfig
 from telenano.sections.hand_section import HapticConfig
 from telenano.wire.errors import ConfigError, RigError
+from telenano.wire.lengths import in_nm
 
 _NEVER_NS = 2**62
 # Plain Python needs 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
@@ -184,8 +185,8 @@ class Rig:
         if start < 0:
             limits, newest = self.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
             why = (
-                f"its base is at {1e9 * newest['base_position_m']:.4g} nm, from"
-                f" {1e9 * limits.retract_position_m:.4g} nm at no more than {1e9 * limits.base_speed_m_per_s:.4g} nm/s"
+                f"its base is at {in_nm(newest['base_position_m'])}, from"
+                f" {in_nm(limits.retract_position_m)} at no more than {1e9 * limits.base_speed_m_per_s:.4g} nm/s"
             )
             if math.isfinite(newest["withdrawn_s"]):
                 why = f"its guard has withdrawn it ({REASON_NAMES[int(newest['instrument_reason'])]})"

@@ -22,6 +22,7 @@ from telenano.runtime.loop.commands import Command, CommandName
 from telenano.settings.included import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.timing.clock import process_start_ns
 from telenano.wire.errors import ConfigError
+from telenano.wire.lengths import in_nm
 from telenano.wire.messages import SessionEvent
 from telenano.wire.nodes import Site
 
@@ -95,7 +96,7 @@ def _return(parameters: Sequence[str], site_file: Path, site: Site, *, as_json: 
         )
     text = "the tip is where the hand has it: there is no way back"
     if way is not None:
-        text = f"the tip is back: its base is at {1e9 * way.place_m:.4g} nm"
+        text = f"the tip is back: its base is at {in_nm(way.place_m)}"
     print_answer({"command": "arm", "text": text, **({} if way is None else way._asdict())}, text, as_json=as_json)
 
 
@@ -143,7 +144,7 @@ def _way_back(answers: Iterable[SessionEvent]) -> str:
         keys = ("return_place_m", "return_speed_m_per_s", "return_s")
         place, speed, time_s = (event.data.get(key) for key in keys)
         if isinstance(place, float) and isinstance(speed, float) and isinstance(time_s, float):
-            numbers = f"{1e9 * place:.4g} nm at {1e9 * speed:.4g} nm/s, for {time_s:.2g} s"
+            numbers = f"{in_nm(place)} at {1e9 * speed:.4g} nm/s, for {time_s:.2g} s"
             return f"the tip stays where it is; `telenano session arm --return` takes it back to {numbers}"
     return ""
 

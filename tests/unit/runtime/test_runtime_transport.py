@@ -562,7 +562,8 @@ def test_a_key_taken_off_the_list_is_cut_off_too(joined: list[Machine]) -> None:
     slave.ring.allowed_path.write_text("keys: []\n")
     until(lambda: master.texts("refused"), master, slave)
     assert slave.events[0].text.startswith("the key of a machine removed from the list is no longer allowed: ")
-    assert set(slave.network.rejected) == {"unlisted"}
+    # The master may give a connection up before the slave has looked at its key.
+    assert {"unlisted"} <= set(slave.network.rejected) <= {"unlisted", "handshake"}
 
 
 def test_a_change_that_concerns_nobody_here_disturbs_nobody(joined: list[Machine]) -> None:
