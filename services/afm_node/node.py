@@ -293,7 +293,7 @@ class AfmNode(DeviceNode):
         """Return the place over the sample that a request leads the tip to, and what is said of it if it is another."""
         before = self._memory.pointer
         place = pointed(self._config, self._driver, request.lateral, before)
-        says = f"the tip goes to x = {place.x_m:g} m, y = {place.y_m:g} m while it follows"
+        says = f"the tip goes to x = {in_nm(place.x_m)}, y = {in_nm(place.y_m)} while it follows"
         return place, [] if place is before else [says]
 
     def _request(self, request: InstrumentRequest, mode: int) -> str:

@@ -22,7 +22,7 @@ REASON_NONE, REASON_ESTOP, REASON_COMMAND_STALE, REASON_MODE_UNKNOWN, REASON_MOD
 REASON_REFERENCE_INVALID, REASON_TRAVEL_LIMIT, REASON_SPEED_LIMIT, REASON_FORCE_LIMIT = range(5, 9)
 REASON_DEVICE_LOST, REASON_DEVICE_WAITS = range(9, 11)
 REASONS: dict[int, str] = {
-    REASON_NONE: "command applied as it came",
+    REASON_NONE: "the motor follows the commands",
     REASON_ESTOP: "emergency stop is latched: off until armed",
     REASON_COMMAND_STALE: "no command within the deadline: off until commands are fresh",
     REASON_MODE_UNKNOWN: "mode code is not one of 0 (off), 1 (position), 2 (force): off",

@@ -187,7 +187,7 @@ def test_a_tip_is_led_to_the_place_that_the_scenario_begins_with_once_it_is_arme
     assert armed.node._memory.pointer == (0.0, 0.0)
     armed.go_on()
     kind, text = armed.command("arm")
-    assert kind == "ack" and "the tip goes to x = 2e-07 m, y = -1e-07 m" in text
+    assert kind == "ack" and "the tip goes to x = 200 nm, y = -100 nm" in text
     assert armed.node._memory.pointer == (2e-7, -1e-7)
 
 

@@ -2,6 +2,8 @@ import { fixed } from "./numbers";
 
 /** What an axis has room for; longer numbers have an exponent. */
 const MOST_SIGNS = 7;
+/** The room for a number beside an axis that goes up [px]. */
+export const TICK_PX = 18;
 
 /** Numbers beside an axis that differ as much as their places do: as many decimals as the step between them needs. */
 export function tickTexts(values: readonly number[]): string[] {
@@ -23,13 +25,25 @@ export function tickText(value: number, digits = 3): string {
   return text.length > MOST_SIGNS ? rounded.toExponential() : text;
 }
 
-/** Places and texts of ticks between two numbers, about so many of them, at 1, 2 or 5 times a power of ten. */
-export function ticks(min: number, max: number, about = 4): [number, string][] {
-  const rough = (max - min) / about;
+/** Places and texts of ticks between two numbers, at most so many of them, at 1, 2 or 5 times a power of ten. */
+export function ticks(min: number, max: number, most = 4): [number, string][] {
+  const rough = (max - min) / most;
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough) ?? rough;
+  const steps = [0.2, 0.5, 1, 2, 5, 10].map((factor) => factor * power);
+  const at = steps.findIndex((candidate, i) => i > 1 && candidate >= rough);
+  // a single number beside an axis tells no scale, so the next finer step has its turn
+  const places = placesOf(min, max, steps[at]!);
+  return withTexts(places.length > 1 ? places : placesOf(min, max, steps[at - 1]!));
+}
+
+/** All multiples of a step between two numbers. */
+function placesOf(min: number, max: number, step: number): number[] {
   const places: number[] = [];
-  for (let i = Math.ceil(min / step); i * step <= max; i++) places.push(i * step);
+  for (let i = Math.ceil(min / step - 1e-9); i * step <= max + 1e-9 * step; i++) places.push(i * step + 0);
+  return places;
+}
+
+function withTexts(places: number[]): [number, string][] {
   const texts = tickTexts(places);
   return places.map((place, i) => [place, texts[i]!]);
 }

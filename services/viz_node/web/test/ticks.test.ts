@@ -8,6 +8,9 @@ it.each([
   // neighbours never have the same text
   [9.976, 9.984, ["9.976", "9.978", "9.98", "9.982", "9.984"]],
   [8.1599e-3, 8.1601e-3, ["8.1599e-3", "8.16e-3", "8.1601e-3"]],
+  // one number tells no scale: a finer step has its turn
+  [-1.4, 1.2, ["-1", "0", "1"]],
+  [0.2, 4.9, ["2", "4"]],
   [-2450, 150, ["-2000", "-1000", "0"]],
 ])("are round numbers between %d and %d", (min, max, texts) => {
   const found = ticks(min, max);

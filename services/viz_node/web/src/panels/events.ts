@@ -1,5 +1,6 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
+import type { EventFacts } from "../protocol";
 import { eventText } from "../sentences";
 
 const SHOWN = 80;
@@ -27,13 +28,18 @@ export class EventsPanel implements Panel {
     if (key === this.shown) return;
     this.shown = key;
     this.list.replaceChildren(
-      ...events.slice(-SHOWN).reverse().map((event) => {
+      ...events.filter((event) => !isVisit(event)).slice(-SHOWN).reverse().map((event) => {
         const at = new Date(event.t / 1e6);
         const time = make("time", { datetime: at.toISOString(), title: at.toISOString() }, clock(at));
         return make("li", { class: event.level, title: event.src }, time, eventText(event.src, event.text));
       }),
     );
   }
+}
+
+/** Whether an event tells only that a console has ended, which comes and goes with each command of a shell. */
+export function isVisit({ kind, src }: Pick<EventFacts, "kind" | "src">): boolean {
+  return kind === "node" && src.startsWith("console@");
 }
 
 /** Hours, minutes, seconds and tenths of the local day, in the order of ISO 8601. */

@@ -41,7 +41,8 @@ export class NextPanel implements Panel {
     const now = performance.now();
     this.lease.write();
     const situation = this.situation(now);
-    const holds = situation.holdsControl;
+    // while a hand is held its window has control, if nobody took it for longer
+    const holds = situation.holdsControl || (situation.isHeld && situation.isControlFree);
     const next = (this.next = nextOf(situation));
     const going = this.cockpit.commands.goingAt(now);
     this.way.hidden = !going;

@@ -1,14 +1,12 @@
 import { colour, make } from "../dom";
 import type { Ring } from "../ring";
 import type { Store } from "../store";
-import { ticks } from "../ticks";
+import { TICK_PX, ticks } from "../ticks";
 import { axisRange, heldAxis, type HeldAxis } from "./range";
 
 /** What is less than this is noise of the read-out: in nm and in nN. */
 const FLOOR_NM = 1;
 const FLOOR_NN = 0.5;
-/** The room for a number beside the axis of the force [px]. */
-const TICK_PX = 26;
 /** Samples that stand for longer than this do not belong to each other any more [s]. */
 const MOST_WIDTH_S = 0.05;
 
