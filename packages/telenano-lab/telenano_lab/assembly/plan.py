@@ -42,7 +42,7 @@ class Task(NamedTuple):
 
 
 class UnreachableError(ConfigError):
-    """A target that no way leads to, or that cannot be used; the message names it."""
+    """A target without a free path, or that cannot be used; the message names it."""
 
 
 def assigned(places: npt.ArrayLike, targets: npt.ArrayLike) -> list[int]:

@@ -1,4 +1,4 @@
-"""A program that pushes a particle from one place to another: the tip moves behind it, down to the surface, and on.
+"""A program that pushes a particle to a goal: the tip goes behind the particle, touches the surface, and pushes.
 
 The program knows only the believed place of the particle and its radius. The tip comes down behind it until it touches
 the surface, rises to the height of the push, and moves on. The lateral force F on the tip tells the rest: the particle
@@ -6,8 +6,8 @@ lies in the direction -F at the distance d (that of the axes of a tip and a sphe
 
 - *straight*: along the line from the believed place to the goal. A particle that lies beside it slips off.
 - *steered*: the tip turns the particle towards the goal (`telenano_lab.assembly.particles.steering`).
-- *sweep*: lines across the way, each nearer to the goal than the last by a share of d; a lateral offset of the
-  particle does not matter.
+- *sweep*: lines at right angles to the push, each nearer to the goal than the last by a share of d, so that a
+  lateral offset of the particle does not matter.
 """
 
 import math
@@ -48,7 +48,7 @@ PASSED = "the particle has passed its goal"
 
 # The approach point lies this many d behind the believed place.
 _BEHIND = 1.3
-# A push is given up if its way exceeds the planned one by this factor.
+# A push is given up if its path is longer than planned by this factor.
 _LONGEST = 1.5
 # The particle is lost when the lateral force stays below this share of its plateau.
 _LOST_SHARE = 0.3

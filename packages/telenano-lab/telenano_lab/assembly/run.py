@@ -180,7 +180,7 @@ class ProgramBench(ABC):
             "scan.dwell_s": max(sides_m[0] / pixels / self._scan_m_per_s, 2e-3),
         }
         for number, height_m in self.lines(keys):
-            # A tip that descends behind a particle lags, one that climbs does not: the lower of both ways is right.
+            # A tip that descends behind a particle lags and one that climbs does not: the lower trace is right.
             rows[number] = np.minimum(rows[number], height_m)
         return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
 

@@ -37,7 +37,7 @@ _SPEED_M_PER_S = 200e-9
 
 @dataclass(frozen=True)
 class Half:
-    """One way of a curve in the order of time: base x_s towards the sample [m], deflection [m], tip force [N]."""
+    """One branch of a curve in the order of time: base x_s towards the sample [m], deflection [m], tip force [N]."""
 
     base_m: Array
     deflection_m: Array

@@ -386,7 +386,7 @@ class DatagramEnd:
             way = f"directly to {self._peer[0]} port {self._peer[1]}" if relay.is_direct else "through the relay"
             self._tell("info", f"the link's datagrams to {self.machine} go {way}")
 
-    # --- what is due ---
+    # --- periodic work ---
 
     def maintain(self, now_ns: int) -> None:
         """Do the due work: exchange keys, send a sign of life, choose the way of receiving, and report."""
