@@ -21,6 +21,7 @@ from telenano.runtime.bus.local_endpoint import (
     base_directory,
     folder_identity,
     is_rig_name,
+    kept_stop_path,
     path_of,
     rigs_with_folders,
 )
@@ -226,7 +227,9 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
         raise RigError(f"no device of the site file was found here: {text}")
     for device in reach.absent:
-        sys.stderr.write(f"telenano: {device} does not run\n")
+        is_kept = kept_stop_path(rig.endpoints[device]).exists()
+        kept = ": the stop is kept, and it will start in emergency stop" if is_kept else ""
+        sys.stderr.write(f"telenano: {device} is not running{kept}\n")
     for device in reach.unknown:
         sys.stderr.write(f"telenano: whether {device} runs is not known here: {rig.seen.blind}\n")
 
