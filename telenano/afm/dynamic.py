@@ -275,7 +275,7 @@ def _level(flows: npt.NDArray[np.float64], change: float, speed: float, way_m: f
         flows: The table `flows` of `Finer`.
         change: Second derivative of the force in time [N/s^2].
         speed: Speed of the tip against the sample [m/s].
-        way_m: Longest way of the tip in one part [m].
+        way_m: Longest path of the tip in one part [m].
         bound: Upper bound of `change` times the square of the duration [N].
         part: Position within the step, in shortest parts; a part begins at a multiple of its own length.
     """
@@ -321,9 +321,9 @@ def _corrected(
 ) -> tuple[float, float, float]:
     """Return the correction for a jump of the force, or of its gradient, inside a step: impulse, shift, work [J].
 
-    The half impulses count the jump for half of the step, but it acts from the crossing on. start_m is the way of the
-    step at its initial speed; with both ends it gives the time of the crossing to second order. Impulse and shift [N]
-    become a velocity and a way when multiplied by dt / m and dt^2 / m.
+    The half impulses count the jump for half of the step, but it acts from the crossing on. start_m is the motion of
+    the step at its initial speed; with both ends it gives the time of the crossing to second order. Impulse and shift
+    [N] become a velocity and a distance when multiplied by dt / m and dt^2 / m.
     """
     way = after_m - before_m
     if way == 0.0:

@@ -184,7 +184,7 @@ def _runs(request: EstopRequest, name: str, seen: Look) -> bool:
 
 
 def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Reach]:
-    """Return a rig on this machine with its endpoints, and the ways to its devices."""
+    """Return a rig on this machine with its endpoints, and the paths to its devices."""
     before = os.environ.get(RIG_VARIABLE, "")
     os.environ[RIG_VARIABLE] = name
     try:
@@ -198,7 +198,7 @@ def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Re
 
 
 def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answer], None]) -> dict[str, Answer]:
-    """Stop the devices of one rig by every way that there is, and return their answers by node."""
+    """Stop the devices of one rig by every available path, and return their answers by node."""
     os.environ[RIG_VARIABLE] = name
     site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
     rig, reach = _reached(request, name, seen)

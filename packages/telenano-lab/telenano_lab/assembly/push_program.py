@@ -58,11 +58,11 @@ _LOST_WAY = 0.05
 _LOST_RAD = math.radians(75.0)
 # The plateau and the direction of the force are means over this share of d.
 _MEAN_WAY = 0.02
-# A lateral force is a contact above this number of standard deviations of the noise on the way.
+# A lateral force is a contact above this number of standard deviations of the noise before it.
 _CONTACT_DEVIATIONS = 3.0
 # The force has to be that high for this number of steps.
 _CONTACT_STEPS = 3
-# The forces on the way are averaged over this number of steps before a contact counts.
+# The forces before a contact are averaged over this number of steps before a contact counts.
 _QUIET_STEPS = 10
 # A contact also exceeds the deviations by this force, so that a noise of zero leaves a threshold.
 _LEAST_N = 1e-11
@@ -118,11 +118,13 @@ class PushPlan(NamedTuple):
 class PushState(NamedTuple):
     """Phase, time in it [s], base at the touch [m]; the felt forces, and the believed place of the particle.
 
-    gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size since
-    contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the lateral
-    force before contact, which is the reading of the channel without a particle: crosstalk, friction of the tip, noise.
-    That mean is subtracted from all other forces. steps: steps above the threshold; faint_m: way without force. line:
-    index of the line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the particle.
+    gone_m: path of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size
+    since contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the
+    lateral force before contact, which is the reading of the channel without a particle: crosstalk, friction of the
+    tip, noise.
+    That mean is subtracted from all other forces. steps: steps above the threshold; faint_m: path without force [m].
+    line: index of the line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the
+    particle.
     """
 
     phase: int
@@ -341,7 +343,7 @@ def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Pl
 
 
 def _swept(plan: PushPlan, state: PushState, bearing: float, step_m: float) -> tuple[PushState, Place]:
-    """Continue along a line across the way; at its end, change to the next line."""
+    """Continue along a line across the push; at its end, change to the next line."""
     d = plan.distance_m
     along, across = state.line * plan.settings.pitch * d, (-1.0 if state.line % 2 else 1.0) * _HALF_LINE * d
     end = _beyond(_beyond(plan.start, bearing, along), bearing + 0.5 * math.pi, across)

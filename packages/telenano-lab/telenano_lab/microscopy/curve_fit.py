@@ -703,7 +703,7 @@ def _well_on_branch(
 
 
 def _end_of(problem: _Problem, free: Array) -> float:
-    """Return the place of the base at which the fitted contact ends on the way back [m]."""
+    """Return the place of the base at which the fitted contact ends on retraction [m]."""
     contact = compiled_form(_contact)(problem, free)
     depth, force, _, _ = at(contact, compiled_form(end_of)(contact))
     return float(free[0]) * problem.length_scale_m + depth + force / problem.stiffness_n_per_m
